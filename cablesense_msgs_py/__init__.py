@@ -1,0 +1,1 @@
+"""The contract of CableSense: topics, frames, message conversions and the error family."""
