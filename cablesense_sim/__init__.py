@@ -1,0 +1,1 @@
+"""The arm in simulation: description, mechanism, kinematics, equilibrium, dynamics and sensors."""

@@ -1,0 +1,279 @@
+"""The arm file: one typed, validated description, the whole truth about an arm.
+
+Everything else (the MuJoCo model, the equilibrium, the URDF, the estimator) is made from it. Bounds on the numbers are
+those of any plausible cable-driven arm; their purpose is to catch a wrong unit, not to judge a design.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cablesense_msgs_py.errors import CableSenseError
+
+MAX_FILE_BYTES = 1_000_000
+"""An arm file is a page of text; anything larger is not one."""
+
+
+class ArmFileError(CableSenseError):
+    """An arm file that cannot be true: names the key, its value and what would be valid."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=()
+    )
+
+
+Length = Annotated[float, Field(gt=0.0, le=5.0)]
+Radius = Annotated[float, Field(ge=0.001, le=1.0)]
+Mass = Annotated[float, Field(ge=0.0, le=200.0)]
+PerSegmentLength = Length | Annotated[list[Length], Field(min_length=1)]
+PerSegmentRadius = Radius | Annotated[list[Radius], Field(min_length=1)]
+PerSegmentMass = Mass | Annotated[list[Mass], Field(min_length=1)]
+
+
+class Segments(_Part):
+    """The chain: `count` rigid segments, each on a universal joint. One number, or one per segment."""
+
+    count: Annotated[int, Field(ge=1, le=16)]
+    length_m: PerSegmentLength
+    mass_kg: PerSegmentMass
+    joint_axes: tuple[Literal["y"], Literal["z"]] = ("y", "z")
+    plate_offset_m: Annotated[float, Field(gt=0.0, le=1.0)]
+    contact_m: PerSegmentLength
+    joint_damping_n_m_s: Annotated[float, Field(ge=0.0, le=100.0)] = 0.5
+
+
+class CableAngles(_Part):
+    """Where the guide holes are: angle of cable k of segment n, from +z towards +y."""
+
+    first: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
+    per_segment: Annotated[float, Field(ge=-360.0, le=360.0)]
+    per_cable: Annotated[float, Field(ge=-360.0, le=360.0)]
+
+
+class Cables(_Part):
+    """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
+
+    `stiffness_n_m` counts from command to anchor, cable and actuator in series; `axial_rigidity_n` is the
+    cable's own E*A, to which the actuator's stiffness is then added in series.
+    """
+
+    per_segment: Annotated[int, Field(ge=3, le=16)]
+    routing_radius_m: PerSegmentRadius
+    angle_deg: CableAngles
+    stiffness_n_m: Annotated[float, Field(ge=1e2, le=1e10)] | None = None
+    axial_rigidity_n: Annotated[float, Field(ge=1e1, le=1e9)] | None = None
+    pretension_n: Annotated[float, Field(gt=0.0, le=1e5)]
+    unilateral: Literal[True] = True
+    run_m: Annotated[float, Field(ge=0.0, le=20.0)]
+
+    @model_validator(mode="after")
+    def _one_elasticity(self) -> Cables:
+        if (self.stiffness_n_m is None) == (self.axial_rigidity_n is None):
+            raise ValueError(
+                "give exactly one of stiffness_n_m (N/m) and axial_rigidity_n (E*A in N; "
+                "the stiffness is then E*A over each cable's own length)"
+            )
+        return self
+
+
+class Actuators(_Part):
+    """Self-locking position actuators; `kp_n_m` of `.inf` is a rigid one."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
+
+    kind: Literal["position"]
+    kp_n_m: Annotated[float, Field(ge=1e2)]
+
+
+class Sensors(_Part):
+    """Tension sensors at the actuator ends: Gaussian noise, then rounding to a step."""
+
+    place: Literal["actuator end"]
+    rate_hz: Annotated[float, Field(gt=0.0, le=10_000.0)]
+    noise_std_n: Annotated[float, Field(ge=0.0, le=1_000.0)]
+    step_n: Annotated[float, Field(ge=0.0, le=1_000.0)]
+    range_n: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _range_ascends(self) -> Sensors:
+        if self.range_n is not None and self.range_n[0] >= self.range_n[1]:
+            raise ValueError("range_n must be [lowest, highest] in N with lowest < highest")
+        return self
+
+
+class Arm(_Part):
+    """A cable-driven serial arm, as its file describes it. SI units; degrees where a key says so."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
+    gravity_m_s2: tuple[
+        Annotated[float, Field(ge=-30.0, le=30.0)],
+        Annotated[float, Field(ge=-30.0, le=30.0)],
+        Annotated[float, Field(ge=-30.0, le=30.0)],
+    ]
+    segments: Segments
+    cables: Cables
+    actuators: Actuators
+    sensors: Sensors
+    effects: Annotated[list[dict[str, object]], Field(max_length=0)] = []
+
+    @model_validator(mode="after")
+    def _geometry_is_possible(self) -> Arm:
+        count = self.segments.count
+        for key, value in (
+            ("segments.length_m", self.segments.length_m),
+            ("segments.mass_kg", self.segments.mass_kg),
+            ("segments.contact_m", self.segments.contact_m),
+            ("cables.routing_radius_m", self.cables.routing_radius_m),
+        ):
+            if isinstance(value, list) and len(value) != count:
+                raise ValueError(
+                    f"{key} lists {len(value)} values; give one number or {count} (segments.count)"
+                )
+        for n in range(count):
+            length = per_segment(self.segments.length_m, count)[n]
+            if length <= 2.0 * self.segments.plate_offset_m:
+                raise ValueError(
+                    f"segments.plate_offset_m = {self.segments.plate_offset_m} leaves no room between "
+                    f"the guide plates of segment {n + 1}; it must be below half of length_m = {length}"
+                )
+            contact = per_segment(self.segments.contact_m, count)[n]
+            if contact > length:
+                raise ValueError(
+                    f"segments.contact_m = {contact} lies beyond the end of segment {n + 1}; "
+                    f"it must be at most length_m = {length}"
+                )
+        stiffness = self.cables.stiffness_n_m
+        if stiffness is not None and self.actuators.kp_n_m <= stiffness:
+            raise ValueError(
+                f"actuators.kp_n_m = {self.actuators.kp_n_m:g} must exceed cables.stiffness_n_m = "
+                f"{stiffness:g}, which is that of cable and actuator in series"
+            )
+        self._check_cables_span_every_joint()
+        return self
+
+    def _check_cables_span_every_joint(self) -> None:
+        """Cables only pull: around a segment no half-turn may be free of holes."""
+        per_cable = self.cables.angle_deg.per_cable
+        holes = sorted((k * per_cable) % 360.0 for k in range(self.cables.per_segment))
+        gaps = [b - a for a, b in zip(holes, [*holes[1:], holes[0] + 360.0], strict=True)]
+        if max(gaps) >= 180.0 - 1e-9:
+            raise ValueError(
+                f"cables.angle_deg.per_cable = {per_cable} leaves {max(gaps):.0f} degrees of a segment "
+                "without a cable; cables only pull, so every gap must be below 180 degrees"
+            )
+
+    @property
+    def segment_count(self) -> int:
+        """Number of segments N."""
+        return self.segments.count
+
+    @property
+    def cable_count(self) -> int:
+        """Number of cables M."""
+        return self.segments.count * self.cables.per_segment
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joint angles 2N."""
+        return 2 * self.segments.count
+
+    @property
+    def cable_names(self) -> tuple[str, ...]:
+        """`cable_1` … `cable_M`, the order of every tension array."""
+        return tuple(f"cable_{i + 1}" for i in range(self.cable_count))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """`joint_1_pitch`, `joint_1_yaw`, …, the order of every joint-angle array."""
+        return tuple(
+            f"joint_{n + 1}_{axis}" for n in range(self.segment_count) for axis in ("pitch", "yaw")
+        )
+
+    @property
+    def identity(self) -> str:
+        """Name and the first 12 hex digits of the SHA-256 of the description."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def per_segment(value: float | Sequence[float], count: int) -> list[float]:
+    """One number for all segments, or a list of one each, as a list of `count` numbers."""
+    return [float(value)] * count if isinstance(value, int | float) else [float(v) for v in value]
+
+
+def load_arm(path: str | Path) -> Arm:
+    """Read an arm file.
+
+    Raises:
+        ArmFileError: the file cannot be read, is not YAML, has an unknown key or a value that cannot be true.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ArmFileError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not an arm file")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ArmFileError(f"{path}: cannot be read as text ({error})") from error
+    return parse_arm(text, source=str(path))
+
+
+def parse_arm(text: str, source: str = "arm description") -> Arm:
+    """Read an arm from YAML text; `source` names it in errors.
+
+    Raises:
+        ArmFileError: as `load_arm`.
+    """
+    try:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        line = " ".join(str(error).split())
+        raise ArmFileError(f"{source}: not valid YAML ({line})") from error
+    if not isinstance(content, dict):
+        raise ArmFileError(
+            f"{source}: holds {type(content).__name__}, not a mapping with the keys "
+            f"{', '.join(Arm.model_fields)}"
+        )
+    try:
+        return Arm.model_validate(content)
+    except ValidationError as error:
+        raise ArmFileError(f"{source}: {_first_problem(error)}") from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    """One line: the key, its value and what would be valid."""
+    problems = error.errors(include_url=False)
+    problem = problems[0]
+    key = ".".join(str(part) for part in problem["loc"] if not _is_type_tag(part))
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] == "extra_forbidden":
+        message = f"unknown key; valid keys here: {', '.join(_valid_keys(problem['loc']))}"
+    elif problem["type"] == "missing":
+        message = "required key is missing"
+    elif key:
+        message = f"= {problem['input']!r}: {message[0].lower()}{message[1:]}"
+    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    return f"{key} {message}{more}".strip()
+
+
+def _is_type_tag(part: object) -> bool:
+    """Pydantic inserts the branch of a union into the location; a person did not write it."""
+    return isinstance(part, str) and ("constrained" in part or part in ("float", "int"))
+
+
+def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
+    model: type[BaseModel] = Arm
+    for part in location[:-1]:
+        annotation = model.model_fields[str(part)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return list(model.model_fields)

@@ -1,0 +1,59 @@
+"""Where the files of `config/` lie: in a source checkout, a colcon workspace or a pip installation.
+
+A wheel or a `colcon build` copies `config/` to `share/cablesense_ros/config` under the prefix that the package was
+installed to; a checkout (and an editable installation of one) has it beside the packages.
+"""
+
+import os
+import sys
+from pathlib import Path, PurePosixPath
+
+from cablesense_msgs_py.errors import CableSenseError
+
+_SHARE = Path("share", "cablesense_ros", "config")
+
+
+def config_path(name: str) -> Path:
+    """Give the file or folder `name` of `config/`, for example ``config_path("arms/cdsm.yaml")``.
+
+    Args:
+        name: path relative to `config/`, with forward slashes.
+
+    Returns:
+        The absolute path of a file or folder that exists.
+
+    Raises:
+        CableSenseError: `name` leads out of `config/`, or no installation has it; the message lists where it was sought.
+    """
+    relative = PurePosixPath(name)
+    if not name or relative.is_absolute() or ".." in relative.parts:
+        raise CableSenseError(
+            f"bundled file {name!r}: give a path inside config/, such as 'arms/cdsm.yaml'"
+        )
+    roots = _config_roots()
+    for root in roots:
+        candidate = root / relative
+        if candidate.exists():
+            return candidate
+    sought = ", ".join(str(root) for root in roots)
+    raise CableSenseError(f"no bundled file {name!r}: sought in {sought}; is CableSense installed whole?")
+
+
+def _config_roots() -> list[Path]:
+    """List the folders that may be `config/`, nearest to this module first, so that a checkout or overlay wins."""
+    here = Path(__file__).resolve()
+    roots = []
+    if (here.parents[1] / "package.xml").is_file():  # else any site-packages/config would pass for ours
+        roots.append(here.parents[1] / "config")
+    roots += [prefix / _SHARE for prefix in here.parents[2:]]
+    roots += [
+        Path(prefix) / _SHARE
+        for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+        if prefix
+    ]
+    return [root for root in dict.fromkeys(roots) if root.is_dir()] or [sys_root()]
+
+
+def sys_root() -> Path:
+    """The place of `config/` in a plain pip installation."""
+    return Path(sys.prefix) / _SHARE

@@ -1,0 +1,126 @@
+"""The arm's numbers as arrays: what the MuJoCo model and the closed-form statics are both built from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim.arm import Arm, per_segment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """N segments on universal joints, M cables that pass the guide plates before and after each joint.
+
+    Attributes:
+        gravity_m_s2: (3,) base frame.
+        segment_length_m: (N,) joint centre to joint centre.
+        mass_kg: (N,) of each segment.
+        centre_of_mass_m: (N,) from the segment's joint centre, on its axis.
+        contact_m: (N,) from the segment's joint centre, on its axis: where loads act.
+        plate_offset_m: guide plates sit this far before and after each joint centre.
+        cable_segment: (M,) 1-based number of the segment that each cable ends on.
+        hole_y_m, hole_z_m: (M,) a cable's hole in every guide plate, in the segment's frame.
+        stiffness_n_m: (M,) cable and actuator in series, from command to anchor.
+        cable_stiffness_n_m: (M,) of the cable alone, stiffer than the two in series.
+        actuator_stiffness_n_m: of each actuator, may be infinite.
+        pretension_n: (M,) with the arm straight and weightless.
+        run_m: straight run from actuator to base plate.
+        joint_damping_n_m_s: of each joint axis, for dynamics.
+    """
+
+    gravity_m_s2: Array
+    segment_length_m: Array
+    mass_kg: Array
+    centre_of_mass_m: Array
+    contact_m: Array
+    plate_offset_m: float
+    cable_segment: NDArray[np.int64]
+    hole_y_m: Array
+    hole_z_m: Array
+    stiffness_n_m: Array
+    cable_stiffness_n_m: Array
+    actuator_stiffness_n_m: float
+    pretension_n: Array
+    run_m: float
+    joint_damping_n_m_s: float
+
+    @property
+    def segment_count(self) -> int:
+        """Number of segments N."""
+        return len(self.segment_length_m)
+
+    @property
+    def cable_count(self) -> int:
+        """Number of cables M."""
+        return len(self.cable_segment)
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joint angles 2N."""
+        return 2 * self.segment_count
+
+    @property
+    def passes_joint(self) -> NDArray[np.bool_]:
+        """(M, N): whether a cable passes a joint, which it does up to its own segment's."""
+        joints = np.arange(1, self.segment_count + 1)
+        return self.cable_segment[:, None] >= joints[None, :]
+
+    @property
+    def joint_position_straight_m(self) -> Array:
+        """(N,) x of each joint centre with the arm straight; joint 1 is one plate offset ahead of the base plate."""
+        return self.plate_offset_m + np.concatenate([[0.0], np.cumsum(self.segment_length_m)[:-1]])
+
+    @property
+    def straight_length_m(self) -> Array:
+        """(M,) length of each cable from its actuator to its anchor with the arm straight."""
+        return (
+            self.run_m
+            + self.joint_position_straight_m[self.cable_segment - 1]
+            + self.plate_offset_m
+        )
+
+    @classmethod
+    def from_arm(cls, arm: Arm) -> Mechanism:
+        """The mechanism that an arm file describes."""
+        count, each = arm.segment_count, arm.cables.per_segment
+        segment = np.repeat(np.arange(1, count + 1), each)
+        k = np.tile(np.arange(each), count)
+        angles = arm.cables.angle_deg
+        angle = np.deg2rad(
+            angles.first + angles.per_segment * (segment - 1) + angles.per_cable * k
+        )
+        radius = np.asarray(per_segment(arm.cables.routing_radius_m, count))[segment - 1]
+        length = np.asarray(per_segment(arm.segments.length_m, count))
+        offset = arm.segments.plate_offset_m
+        joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        straight = arm.cables.run_m + joint_x[segment - 1] + offset
+        kp = arm.actuators.kp_n_m
+        if arm.cables.stiffness_n_m is not None:
+            in_series = np.full(segment.shape, arm.cables.stiffness_n_m)
+            cable_alone = 1.0 / (1.0 / in_series - 1.0 / kp)
+        else:
+            assert arm.cables.axial_rigidity_n is not None
+            cable_alone = arm.cables.axial_rigidity_n / straight
+            in_series = 1.0 / (1.0 / cable_alone + 1.0 / kp)
+        return cls(
+            gravity_m_s2=np.asarray(arm.gravity_m_s2, dtype=float),
+            segment_length_m=length,
+            mass_kg=np.asarray(per_segment(arm.segments.mass_kg, count)),
+            centre_of_mass_m=0.5 * length,
+            contact_m=np.asarray(per_segment(arm.segments.contact_m, count)),
+            plate_offset_m=offset,
+            cable_segment=segment,
+            hole_y_m=radius * np.sin(angle),
+            hole_z_m=radius * np.cos(angle),
+            stiffness_n_m=in_series,
+            cable_stiffness_n_m=cable_alone,
+            actuator_stiffness_n_m=kp,
+            pretension_n=np.full(segment.shape, arm.cables.pretension_n),
+            run_m=arm.cables.run_m,
+            joint_damping_n_m_s=arm.segments.joint_damping_n_m_s,
+        )
