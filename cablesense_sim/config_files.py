@@ -40,20 +40,14 @@ def config_path(name: str) -> Path:
 
 
 def _config_roots() -> list[Path]:
-    """List the folders that may be `config/`, nearest to this module first, so that a checkout or overlay wins."""
-    here = Path(__file__).resolve()
+    """List the folders that may be `config/`, nearest to this module first: a checkout or an overlay wins."""
+    module = Path(__file__).resolve()
+    checkout = module.parents[1]
     roots = []
-    if (here.parents[1] / "package.xml").is_file():  # else any site-packages/config would pass for ours
-        roots.append(here.parents[1] / "config")
-    roots += [prefix / _SHARE for prefix in here.parents[2:]]
-    roots += [
-        Path(prefix) / _SHARE
-        for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-        if prefix
-    ]
-    return [root for root in dict.fromkeys(roots) if root.is_dir()] or [sys_root()]
-
-
-def sys_root() -> Path:
-    """The place of `config/` in a plain pip installation."""
-    return Path(sys.prefix) / _SHARE
+    if (checkout / "package.xml").is_file():  # else any site-packages/config would pass for ours
+        roots.append(checkout / "config")
+    prefixes = list(module.parents[4:6])  # of PREFIX/lib/pythonX.Y/site-packages; Debian puts local/ before lib/
+    prefixes += [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    prefixes.append(Path(sys.prefix))
+    roots += [prefix / _SHARE for prefix in prefixes]
+    return list(dict.fromkeys(roots))

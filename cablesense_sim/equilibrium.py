@@ -31,7 +31,7 @@ MAX_ITERATIONS = 100
 _CHUNK = 1024
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-9
-_LONGEST_TURN_RAD = 0.3
+_LONGEST_TURN_RAD = 0.1
 
 
 class EquilibriumError(CableSenseError):
@@ -73,14 +73,7 @@ def solve_equilibrium(
         for i in range(0, len(command), _CHUNK)
     ] or [_solve_chunk(mechanism, command, forces)]
     angles, tensions, residual, iterations = (np.concatenate(p) for p in zip(*parts, strict=True))
-    failed = np.flatnonzero(~(residual <= RESIDUAL_LIMIT_N_M))
-    if failed.size:
-        i = int(failed[0])
-        raise EquilibriumError(
-            f"no equilibrium for {failed.size} of {len(command)} cases; case {i}: command "
-            f"{np.rad2deg(command[i]).round(2).tolist()} deg, forces {forces[i].round(3).tolist()} N leave "
-            f"{residual[i]:.3g} N·m (at most {RESIDUAL_LIMIT_N_M:g}); lower the loads or raise the stiffness"
-        )
+    _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
         tensions_n=tensions.reshape(*leading, mechanism.cable_count),
@@ -141,6 +134,30 @@ def _checked(
     if not (np.isfinite(command).all() and np.isfinite(forces).all()):
         raise EquilibriumError("commands and forces must be finite; one holds NaN or infinity")
     return command, forces
+
+
+def _require_rest(
+    mechanism: Mechanism, command: Array, forces: Array, angles: Array, residual: Array
+) -> None:
+    """Every case at rest, and none bent so far that guide plates would have met before."""
+    bend, limit = kinematics.bend_rad(angles), mechanism.bend_limit_rad
+    unbalanced = ~(residual <= RESIDUAL_LIMIT_N_M)
+    failed = np.flatnonzero(unbalanced | ~(bend < limit).all(-1))
+    if not failed.size:
+        return
+    i = int(failed[0])
+    joint = int(np.argmax(bend[i] - limit))
+    why = (
+        f"leave {residual[i]:.3g} N·m (at most {RESIDUAL_LIMIT_N_M:g})"
+        if unbalanced[i]
+        else f"bend joint {joint + 1} by {np.rad2deg(bend[i, joint]):.1f} degrees, and its guide plates "
+        f"touch at {np.rad2deg(limit[joint]):.1f}"
+    )
+    raise EquilibriumError(
+        f"no equilibrium for {failed.size} of {len(command)} cases; case {i}: command "
+        f"{np.rad2deg(command[i]).round(2).tolist()} deg, forces {forces[i].round(3).tolist()} N {why}; "
+        "lower the loads or the commanded angles, or raise the stiffness"
+    )
 
 
 def _solve_chunk(

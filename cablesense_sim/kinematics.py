@@ -18,6 +18,9 @@ from array_api_compat import array_namespace
 
 from cablesense_sim.mechanism import Mechanism
 
+_TOUCHING_M = 1e-9
+"""Where the two plates of a joint touch at a hole the span is zero and has no direction."""
+
 
 class Spans(NamedTuple):
     """Cable spans across the joints, zero where a cable does not pass. All (..., M, N)."""
@@ -58,7 +61,8 @@ def spans(mechanism: Mechanism, joint_angles_rad: Any) -> Spans:
     x1, y1 = o * cos_b - y * sin_b, o * sin_b + y * cos_b
     p, q_ = o * cos_a + z * sin_a, o * sin_a - z * cos_a
     x1p, zq, yy1 = x1 * p, z * q_, y * y1
-    length = xp.sqrt(2.0 * (o * o + y * y + z * z) + 2.0 * (x1p + zq - yy1))
+    squared = 2.0 * (o * o + y * y + z * z) + 2.0 * (x1p + zq - yy1)
+    length = xp.sqrt(xp.clip(squared, _TOUCHING_M**2, None))
     scale = passes / length
     by_a = (z * p - x1 * q_) * scale
     by_b = (-y1 * p - y * x1) * scale
@@ -84,6 +88,14 @@ def cable_lengths_m(mechanism: Mechanism, joint_angles_rad: Any) -> Any:
 def cable_jacobian_m(mechanism: Mechanism, joint_angles_rad: Any) -> Any:
     """Derivative (..., M, 2N) of the cable lengths by the joint angles, m/rad."""
     return interleave(spans(mechanism, joint_angles_rad))
+
+
+def bend_rad(joint_angles_rad: Any) -> Any:
+    """Angle (..., N) between the axes before and after each joint, at joint angles (..., 2N)."""
+    xp = array_namespace(joint_angles_rad)
+    q = joint_angles_rad
+    cosine = xp.cos(q[..., 0::2]) * xp.cos(q[..., 1::2])
+    return xp.acos(xp.clip(cosine, -1.0, 1.0))
 
 
 def interleave(span: Spans) -> Any:

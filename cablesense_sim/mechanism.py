@@ -71,6 +71,13 @@ class Mechanism:
         return self.cable_segment[:, None] >= joints[None, :]
 
     @property
+    def bend_limit_rad(self) -> Array:
+        """(N,) bend at which the guide plates around each joint touch at the outermost hole."""
+        radius = np.hypot(self.hole_y_m, self.hole_z_m)
+        outermost = np.where(self.passes_joint, radius[:, None], 0.0).max(axis=0)
+        return 2.0 * np.arctan2(self.plate_offset_m, outermost)
+
+    @property
     def joint_position_straight_m(self) -> Array:
         """(N,) x of each joint centre with the arm straight; joint 1 is one plate offset ahead of the base plate."""
         return self.plate_offset_m + np.concatenate([[0.0], np.cumsum(self.segment_length_m)[:-1]])

@@ -1,0 +1,70 @@
+"""Contact forces normal to a segment: from angle and magnitude to a base-frame force, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim import kinematics
+from cablesense_sim.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+class LoadError(CableSenseError):
+    """A load that the arm cannot bear: names the segment or the number and what would be valid."""
+
+
+def normal_force_n(
+    mechanism: Mechanism,
+    command_rad: ArrayLike,
+    segment: ArrayLike,
+    angle_deg: ArrayLike,
+    magnitude_n: ArrayLike,
+) -> Array:
+    """Forces (..., N, 3) in base axes of one contact each.
+
+    The force on segment n lies in the plane normal to that segment at the commanded angles (..., 2N), at
+    `angle_deg` (...) from +z towards +y of its frame. Segment 0 is no contact.
+
+    Raises:
+        LoadError: a segment outside 0..N, a negative or non-finite magnitude, a non-finite angle.
+    """
+    command = np.asarray(command_rad, dtype=float)
+    number, angle, magnitude = np.broadcast_arrays(
+        np.asarray(segment), np.asarray(angle_deg, dtype=float), np.asarray(magnitude_n, dtype=float)
+    )
+    count = mechanism.segment_count
+    if not np.issubdtype(number.dtype, np.integer) or (number < 0).any() or (number > count).any():
+        raise LoadError(f"segment must be a whole number from 0 (no contact) to {count}")
+    if not (np.isfinite(angle).all() and np.isfinite(magnitude).all() and (magnitude >= 0).all()):
+        raise LoadError("a contact needs a finite angle_deg and a finite magnitude_n of at least 0")
+    rotation = kinematics.segment_rotations(mechanism, command)
+    theta = np.deg2rad(angle)[..., None, None]
+    direction = np.sin(theta) * rotation[..., :, 1] + np.cos(theta) * rotation[..., :, 2]
+    pushed = number[..., None] == np.arange(1, count + 1)
+    return direction * (pushed * magnitude[..., None])[..., None]
+
+
+def contact_angle_deg(
+    mechanism: Mechanism, command_rad: ArrayLike, segment: ArrayLike, force_base_n: ArrayLike
+) -> Array:
+    """Angle (...) in [0, 360) of forces (..., 3) in the normal plane of their segment (...) in 1..N."""
+    y, z = normal_components_n(mechanism, command_rad, segment, force_base_n)
+    return np.rad2deg(np.arctan2(y, z)) % 360.0
+
+
+def normal_components_n(
+    mechanism: Mechanism, command_rad: ArrayLike, segment: ArrayLike, force_base_n: ArrayLike
+) -> tuple[Array, Array]:
+    """The y and z components (...) of base-frame forces (..., 3) in the frame of their segment."""
+    rotation = kinematics.segment_rotations(mechanism, np.asarray(command_rad, dtype=float))
+    position = np.asarray(segment)[..., None, None, None] - 1
+    if (position < 0).any() or (position >= mechanism.segment_count).any():
+        raise LoadError(f"segment must be from 1 to {mechanism.segment_count}")
+    shape = np.broadcast_shapes(rotation.shape[:-3], position.shape[:-3])
+    rotation = np.broadcast_to(rotation, (*shape, *rotation.shape[-3:]))
+    own = np.take_along_axis(rotation, np.broadcast_to(position, (*shape, 1, 1, 1)), axis=-3)
+    local = (np.asarray(force_base_n, dtype=float)[..., None, :] @ own[..., 0, :, :])[..., 0, :]
+    return local[..., 1], local[..., 2]
