@@ -1,0 +1,151 @@
+"""The arm in time: MuJoCo stepped under commands and loads, with the tensions its sensors would feel."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import LoadError
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.model import build_spec
+
+Array = NDArray[np.float64]
+
+
+class ArmDynamics:
+    """One arm that moves in time; starts at rest under its own weight, straight command.
+
+    Attributes:
+        arm: the description it was built from.
+        mechanism: its numbers as arrays.
+        model, data: MuJoCo's own, for rendering.
+    """
+
+    def __init__(self, arm: Arm, timestep_s: float = 1e-3) -> None:
+        self.arm = arm
+        self.mechanism = Mechanism.from_arm(arm)
+        self.model = build_spec(self.mechanism, arm.name).compile()
+        self.model.opt.timestep = timestep_s
+        self.data = mujoco.MjData(self.model)
+        self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
+        self._segments = np.array(
+            [self.model.body(f"segment_{n + 1}").id for n in range(arm.segment_count)]
+        )
+        self._contacts = np.array(
+            [self.model.site(f"contact_{n + 1}").id for n in range(arm.segment_count)]
+        )
+        self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
+        self._forces_n = np.zeros((arm.segment_count, 3))
+        self._command_rad = np.zeros(arm.joint_count)
+        self.reset()
+
+    def reset(self, command_rad: ArrayLike | None = None) -> None:
+        """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
+        command = np.zeros(self.arm.joint_count) if command_rad is None else command_rad
+        rest = solve_equilibrium(self.mechanism, command)
+        mujoco.mj_resetData(self.model, self.data)
+        self._forces_n[:] = 0.0
+        self.command(command)
+        self.data.qpos[self._joints] = rest.joint_angles_rad
+        if not self._rigid:
+            sag = rest.tensions_n / self.mechanism.actuator_stiffness_n_m
+            for i, retraction in enumerate(self.data.ctrl - sag):
+                self.data.joint(f"screw_{i + 1}").qpos = retraction
+        mujoco.mj_forward(self.model, self.data)
+
+    def command(self, joint_angles_rad: ArrayLike) -> None:
+        """Let the actuators hold the cable lengths of these joint angles (2N,), relative to the straight arm.
+
+        Raises:
+            EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
+        """
+        command = np.asarray(joint_angles_rad, dtype=float)
+        if command.shape != (self.arm.joint_count,) or not np.isfinite(command).all():
+            raise EquilibriumError(
+                f"a command is {self.arm.joint_count} finite joint angles in rad, not {command!r}"
+            )
+        bend, limit = kinematics.bend_rad(command), self.mechanism.bend_limit_rad
+        if (bend >= limit).any():
+            joint = int(np.argmax(bend - limit))
+            raise EquilibriumError(
+                f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; its guide "
+                f"plates touch at {np.rad2deg(limit[joint]):.1f}"
+            )
+        self._command_rad = command.copy()
+        lengths = kinematics.cable_lengths_m(self.mechanism, command)
+        retraction = self.mechanism.straight_length_m - lengths
+        if self._rigid:
+            self.data.mocap_pos[:, 0] = -self.mechanism.run_m - retraction
+        else:
+            self.data.ctrl[:] = retraction
+
+    def load(self, segment: int, force_base_n: ArrayLike) -> None:
+        """Push segment 1..N at its contact point with a force (3,) in base axes, N, until told otherwise.
+
+        Raises:
+            LoadError: no such segment, or a force that is not three finite numbers.
+        """
+        force = np.asarray(force_base_n, dtype=float)
+        if not 1 <= segment <= self.arm.segment_count:
+            raise LoadError(f"no segment {segment}; this arm has 1 to {self.arm.segment_count}")
+        if force.shape != (3,) or not np.isfinite(force).all():
+            raise LoadError(f"a load is three finite force components in N, not {force!r}")
+        self._forces_n[segment - 1] = force
+
+    @property
+    def forces_n(self) -> Array:
+        """(N, 3) loads in force, base axes."""
+        return self._forces_n.copy()
+
+    @property
+    def command_rad(self) -> Array:
+        """(2N,) commanded joint angles."""
+        return self._command_rad.copy()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self.data.time)
+
+    @property
+    def joint_angles_rad(self) -> Array:
+        """(2N,) true joint angles."""
+        return self.data.qpos[self._joints].copy()
+
+    @property
+    def tensions_n(self) -> Array:
+        """(M,) true cable tensions at the actuators."""
+        stretch = self.data.ten_length - self.model.tendon_lengthspring[:, 1]
+        return np.asarray(np.maximum(self.mechanism.cable_stiffness_n_m * stretch, 0.0))
+
+    def advance(self, duration_s: float) -> None:
+        """Step time by `duration_s`, rounded to whole steps, at least one."""
+        for _ in range(max(1, round(duration_s / self.model.opt.timestep))):
+            self._apply_forces()
+            mujoco.mj_step(self.model, self.data)
+        mujoco.mj_tendon(self.model, self.data)
+
+    def settle(self, speed_rad_s: float = 1e-9, longest_s: float = 60.0) -> int:
+        """Step until the joints move slower than `speed_rad_s`; gives the number of steps.
+
+        Raises:
+            EquilibriumError: still moving after `longest_s` of simulated time.
+        """
+        for steps in range(1, round(longest_s / self.model.opt.timestep) + 1):
+            self._apply_forces()
+            mujoco.mj_step(self.model, self.data)
+            if np.abs(self.data.qvel).max() < speed_rad_s:
+                mujoco.mj_kinematics(self.model, self.data)
+                mujoco.mj_tendon(self.model, self.data)
+                return steps
+        raise EquilibriumError(f"the arm still moves after {longest_s} s of simulated time")
+
+    def _apply_forces(self) -> None:
+        """MuJoCo takes forces at centres of mass; a force elsewhere brings its moment along."""
+        arm = self.data.site_xpos[self._contacts] - self.data.xipos[self._segments]
+        self.data.xfrc_applied[self._segments, :3] = self._forces_n
+        self.data.xfrc_applied[self._segments, 3:] = np.cross(arm, self._forces_n)

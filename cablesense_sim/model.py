@@ -1,0 +1,139 @@
+"""The arm as a MuJoCo model, built with `mujoco.MjSpec` from its mechanism.
+
+Cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing below, so they pull and never
+push. An actuator of finite stiffness is a slide joint under a position servo at the cable's far end; a rigid one is a
+mocap body that sits exactly where it is commanded.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from cablesense_sim.mechanism import Mechanism
+
+ACTUATOR_MASS_KG = 0.5
+"""Moving mass of one ball screw; it has no part in statics."""
+
+_PLATE_HALF_THICKNESS_M = 0.0015
+_CABLE_WIDTH_M = 0.0008
+_SEGMENT_RGBA = (0.55, 0.58, 0.62, 1.0)
+_PLATE_RGBA = (0.30, 0.33, 0.38, 1.0)
+
+
+def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
+    """The arm's model specification: bodies `segment_n`, joints `joint_n_pitch|yaw`, tendons `cable_i`, sites `contact_n`.
+
+    Compile it with `spec.compile()`. Time step 1 ms, integrator `discrete`, which treats cable and servo stiffness
+    implicitly and so stays stable however stiff they are.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    spec.option.gravity = mechanism.gravity_m_s2
+    spec.option.timestep = 1e-3
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    bodies = _add_chain(spec, mechanism)
+    for i in range(mechanism.cable_count):
+        _add_cable(spec, bodies, mechanism, i)
+    return spec
+
+
+def unstretched_length_m(mechanism: Mechanism) -> np.ndarray:
+    """(M,) length at which each cable alone is just slack: straight length less the pretension's stretch."""
+    return mechanism.straight_length_m - mechanism.pretension_n / mechanism.stiffness_n_m
+
+
+def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody]:
+    """World and segments; body n carries the plates after joint n and before joint n + 1."""
+    bodies = [spec.worldbody]
+    radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+    _add_plate(spec.worldbody, 0.0, radius)
+    position = mechanism.plate_offset_m
+    for n in range(mechanism.segment_count):
+        length, mass = mechanism.segment_length_m[n], mechanism.mass_kg[n]
+        body = bodies[-1].add_body(name=f"segment_{n + 1}", pos=[position, 0.0, 0.0])
+        for axis, direction in (("pitch", [0, 1, 0]), ("yaw", [0, 0, 1])):
+            body.add_joint(
+                name=f"joint_{n + 1}_{axis}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=direction,
+                damping=[mechanism.joint_damping_n_m_s, 0.0, 0.0],
+            )
+        body.explicitinertial = True
+        body.mass = max(mass, 1e-6)
+        body.ipos = [mechanism.centre_of_mass_m[n], 0.0, 0.0]
+        across = (3.0 * radius**2 + length**2) / 12.0
+        body.inertia = body.mass * np.array([0.5 * radius**2, across, across])
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
+            size=[0.12 * length, 0.0, 0.0],
+            rgba=_SEGMENT_RGBA,
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+        _add_plate(body, mechanism.plate_offset_m, radius)
+        if n + 1 < mechanism.segment_count:
+            _add_plate(body, length - mechanism.plate_offset_m, radius)
+        body.add_site(name=f"contact_{n + 1}", pos=[mechanism.contact_m[n], 0.0, 0.0])
+        bodies.append(body)
+        position = length
+    return bodies
+
+
+def _add_plate(body: mujoco.MjsBody, x_m: float, radius_m: float) -> None:
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        fromto=[
+            x_m - _PLATE_HALF_THICKNESS_M, 0.0, 0.0, x_m + _PLATE_HALF_THICKNESS_M, 0.0, 0.0,
+        ],
+        size=[1.08 * radius_m, 0.0, 0.0],
+        rgba=_PLATE_RGBA,
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+    )  # fmt: skip
+
+
+def _add_cable(
+    spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], mechanism: Mechanism, i: int
+) -> None:
+    name, o = f"cable_{i + 1}", mechanism.plate_offset_m
+    y, z = mechanism.hole_y_m[i], mechanism.hole_z_m[i]
+    actuator = spec.worldbody.add_body(name=f"actuator_{i + 1}", pos=[-mechanism.run_m, y, z])
+    rigid = not np.isfinite(mechanism.actuator_stiffness_n_m)
+    actuator.mocap = rigid
+    if not rigid:
+        _add_servo(spec, actuator, mechanism.actuator_stiffness_n_m, i)
+    spool = actuator.add_site(name=f"{name}_actuator")
+    tendon = spec.add_tendon(
+        name=name,
+        stiffness=[mechanism.cable_stiffness_n_m[i], 0.0, 0.0],
+        springlength=[0.0, unstretched_length_m(mechanism)[i]],
+        width=_CABLE_WIDTH_M,
+    )
+    tendon.wrap_site(spool.name)
+    for n in range(mechanism.cable_segment[i]):
+        before = mechanism.segment_length_m[n - 1] - o if n else 0.0
+        for body, x, side in ((bodies[n], before, "before"), (bodies[n + 1], o, "after")):
+            hole = body.add_site(name=f"{name}_{side}_joint_{n + 1}", pos=[x, y, z])
+            tendon.wrap_site(hole.name)
+
+
+def _add_servo(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, i: int
+) -> None:
+    """A screw that draws its cable back along -x by the control signal, metres."""
+    joint = body.add_joint(
+        name=f"screw_{i + 1}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1.0, 0.0, 0.0]
+    )
+    body.explicitinertial = True
+    body.gravcomp = 1.0
+    body.mass = ACTUATOR_MASS_KG
+    body.inertia = np.full(3, 1e-4)
+    servo = spec.add_actuator(
+        name=f"servo_{i + 1}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    servo.set_to_position(kp=stiffness_n_m, kv=2.0 * np.sqrt(stiffness_n_m * ACTUATOR_MASS_KG))
