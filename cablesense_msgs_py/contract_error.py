@@ -1,0 +1,9 @@
+"""The error of a message that breaks the contract."""
+
+from __future__ import annotations
+
+from cablesense_msgs_py.errors import CableSenseError
+
+
+class ContractError(CableSenseError):
+    """A message that breaks the contract: says which field, what it holds and what would be right."""

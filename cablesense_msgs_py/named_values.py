@@ -1,0 +1,80 @@
+"""Values that come with names, brought into the arm's own order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_msgs_py.contract_error import ContractError
+
+_SHOWN_NAMES = 6
+
+
+class NamedOrder:
+    """Arranges named values in the order of `names`, whatever order they come in.
+
+    A message that repeats the names of the one before costs one comparison and one indexing.
+    """
+
+    def __init__(self, names: Sequence[str], what: str) -> None:
+        """`names` is the order wanted; `what` says in errors what the names belong to ("cables")."""
+        self.names = tuple(names)
+        self._what = what
+        self._last_names: tuple[str, ...] = self.names
+        self._last_positions: NDArray[np.intp] | None = None
+
+    def arrange(
+        self, names: Sequence[str], values: Sequence[float] | NDArray[np.float64], field: str
+    ) -> NDArray[np.float64]:
+        """The values in the order wanted, as a new array.
+
+        Args:
+            names: as the message has them.
+            values: one per name.
+            field: the message field the values come from, for errors.
+
+        Raises:
+            ContractError: a name is missing, unknown or repeated, or there is not one value per name.
+        """
+        given = tuple(names)
+        if given != self._last_names:
+            self._last_positions = self._find_positions(given)
+            self._last_names = given
+        if len(values) != len(given):
+            raise ContractError(
+                f"{field} holds {len(values)} values for {len(given)} names; "
+                f"it must hold one per name ({len(self.names)})"
+            )
+        array = np.asarray(values, dtype=np.float64)
+        positions = self._last_positions
+        return array.copy() if positions is None else array[positions]
+
+    def _find_positions(self, given: tuple[str, ...]) -> NDArray[np.intp] | None:
+        if given == self.names:
+            return None
+        problems = self._problems(given)
+        if problems:
+            raise ContractError(
+                f"name: {'; '.join(problems)}; the {len(self.names)} {self._what} of this arm are "
+                f"{self.names[0]} … {self.names[-1]}, in any order, each once"
+            )
+        where = {name: position for position, name in enumerate(given)}
+        return np.array([where[name] for name in self.names], dtype=np.intp)
+
+    def _problems(self, given: tuple[str, ...]) -> list[str]:
+        counts = Counter(given)
+        found = {
+            "missing": [name for name in self.names if name not in counts],
+            "unknown": [name for name in counts if name not in self.names],
+            "more than once": [name for name, count in counts.items() if count > 1],
+        }
+        return [f"{kind} {_listed(names)}" for kind, names in found.items() if names]
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(repr(name[:40]) for name in names[:_SHOWN_NAMES])
+    more = len(names) - _SHOWN_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown

@@ -1,0 +1,29 @@
+"""Quality of service by purpose, as plain values; `cablesense_ros.qos_profiles` makes rclpy profiles of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class Qos:
+    """What a publisher offers or a subscriber asks for; history is always keep-last `depth`."""
+
+    depth: int
+    reliable: bool
+    transient_local: bool = False
+
+
+PUBLISHER: Final = Qos(depth=10, reliable=True)
+"""Every output: the system default, so that reliable and best-effort subscribers both match."""
+
+SENSOR: Final = Qos(depth=100, reliable=False)
+"""High-rate input: sensor data, best effort. A tenth of a second at 1 kHz, so that no pause of a
+process loses a sample; ROS's own sensor profile keeps five."""
+
+COMMAND: Final = Qos(depth=10, reliable=True)
+"""Commands and loads: rare, and none may be lost."""
+
+LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
+"""What a late subscriber must still receive: the robot description."""

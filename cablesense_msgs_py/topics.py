@@ -1,0 +1,44 @@
+"""Topic and service names, relative to a node's namespace; those with `~` belong to the estimator."""
+
+from __future__ import annotations
+
+from typing import Final
+
+CABLE_TENSIONS: Final = "cable_tensions"
+"""`sensor_msgs/JointState`: cable names, `effort` in N, stamped with the time of the sample."""
+
+JOINT_COMMANDS: Final = "joint_commands"
+"""`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
+
+JOINT_STATES: Final = "joint_states"
+"""`sensor_msgs/JointState`: joint names, `position` in rad as they are in the simulation."""
+
+APPLIED_WRENCH: Final = "applied_wrench"
+"""`geometry_msgs/WrenchStamped`: a known force on segment N (frame `segment_N`), in base axes, N."""
+
+ROBOT_DESCRIPTION: Final = "robot_description"
+"""`std_msgs/String`, transient local: the URDF generated from the arm file."""
+
+DIAGNOSTICS: Final = "/diagnostics"
+"""`diagnostic_msgs/DiagnosticArray`, 1 Hz."""
+
+CONTACT_POINT: Final = "~/contact_point"
+"""`geometry_msgs/PointStamped` in frame `segment_N`, only while something touches."""
+
+FORCE_DIRECTION: Final = "~/force_direction"
+"""`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only while something touches."""
+
+WRENCH: Final = "~/wrench"
+"""`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
+
+CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
+"""`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one."""
+
+MARKERS: Final = "~/markers"
+"""`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
+
+TARE: Final = "~/tare"
+"""`std_srvs/Trigger`: take the present tensions as the unloaded state."""
+
+TARE_UNDO: Final = "~/tare_undo"
+"""`std_srvs/Trigger`: go back to the tare before the last one."""
