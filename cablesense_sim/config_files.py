@@ -1,7 +1,8 @@
-"""Where the files of `config/` lie: in a source checkout, a colcon workspace or a pip installation.
+"""Where the files of `config/` lie: in a checkout, a colcon workspace or a pip installation.
 
-A wheel or a `colcon build` copies `config/` to `share/cablesense_ros/config` under the prefix that the package was
-installed to; a checkout (and an editable installation of one) has it beside the packages.
+A wheel or a `colcon build` copies `config/` to `share/cablesense_ros/config` under the prefix that
+the package was installed to; a checkout (and an editable installation of one) has it beside the
+packages.
 """
 
 import os
@@ -23,7 +24,8 @@ def config_path(name: str) -> Path:
         The absolute path of a file or folder that exists.
 
     Raises:
-        CableSenseError: `name` leads out of `config/`, or no installation has it; the message lists where it was sought.
+        CableSenseError: `name` leads out of `config/`, or no installation has it; the message
+            lists where it was sought.
     """
     relative = PurePosixPath(name)
     if not name or relative.is_absolute() or ".." in relative.parts:
@@ -36,18 +38,20 @@ def config_path(name: str) -> Path:
         if candidate.exists():
             return candidate
     sought = ", ".join(str(root) for root in roots)
-    raise CableSenseError(f"no bundled file {name!r}: sought in {sought}; is CableSense installed whole?")
+    raise CableSenseError(f"no bundled file {name!r}; sought in {sought}")
 
 
 def _config_roots() -> list[Path]:
-    """List the folders that may be `config/`, nearest to this module first: a checkout or an overlay wins."""
+    """List the folders that may be `config/`; the nearest comes first, so that an overlay wins."""
     module = Path(__file__).resolve()
     checkout = module.parents[1]
     roots = []
     if (checkout / "package.xml").is_file():  # else any site-packages/config would pass for ours
         roots.append(checkout / "config")
-    prefixes = list(module.parents[4:6])  # of PREFIX/lib/pythonX.Y/site-packages; Debian puts local/ before lib/
-    prefixes += [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    # the module lies in PREFIX/lib/pythonX.Y/site-packages; Debian puts local/ before lib/
+    prefixes = list(module.parents[4:6])
+    ament_prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    prefixes += [Path(prefix) for prefix in ament_prefixes if prefix]
     prefixes.append(Path(sys.prefix))
     roots += [prefix / _SHARE for prefix in prefixes]
     return list(dict.fromkeys(roots))

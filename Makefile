@@ -1,0 +1,68 @@
+# `make demo` and `make test` set up what each needs in .venv, once, and go. `make help` lists the rest.
+
+PYTHON ?= $(shell for python in python3 python3.12 python3.11; do \
+	$$python -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' 2>/dev/null && \
+	echo $$python && break; done)
+ARGS ?=
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+# An editable installation is made again when a requirement, an entry point or a room has changed.
+REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint setup lock clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
+
+demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless' prints a table instead
+	@$(BIN)/cablesense demo $(ARGS)
+
+test: setup build/mypy/cablesense_training  ## style, types, the arrows between rooms, and the tests; ARGS go to pytest
+	@failed=0; \
+	$(MAKE) --no-print-directory lint || failed=1; \
+	$(BIN)/python -m pytest $(ARGS) || failed=1; \
+	exit $$failed
+
+lint: setup build/mypy/cablesense_training  ## style, types and the arrows between rooms
+	@failed=0; \
+	$(BIN)/ruff check || failed=1; \
+	$(BIN)/mypy || failed=1; \
+	$(BIN)/lint-imports || failed=1; \
+	exit $$failed
+
+setup: $(VENV)/.all  ## everything that developing needs, in .venv
+
+lock: setup  ## writes the versions of .venv to constraints.txt
+	@$(BIN)/python .ci/lock > build/constraints.txt
+	@mv build/constraints.txt constraints.txt
+
+clean:  ## takes away .venv and what was built
+	@rm -rf $(VENV) build install log *.egg-info
+
+$(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
+	@echo 'Installing what the demo needs (a minute or two, once) …'
+	@$(INSTALL) '.[ros,page]'
+	@touch $@
+
+$(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
+	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
+	@$(INSTALL) '.[ros,page,train,dev]'
+	@touch $@ $(VENV)/.demo
+
+$(BIN)/python:
+	@test -n '$(PYTHON)' || { \
+	echo 'CableSense needs Python 3.11 or 3.12, and found neither; name one: make PYTHON=/path/to/python3.12' >&2; \
+	exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' || { \
+	echo 'CableSense needs Python 3.11 or 3.12, and $(PYTHON) is not; name one: make PYTHON=/path/to/python3.12' >&2; \
+	exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	echo '$(PYTHON) cannot make virtual environments: apt-get install python3-venv' >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+
+# mypy wants a folder of the name that a package is imported by
+build/mypy/cablesense_training:
+	@mkdir -p $(@D)
+	@ln -sfn ../../training $@

@@ -1,0 +1,105 @@
+"""One ROS 2 package made of Python packages, and the one place that declares its dependencies.
+
+`constraints.txt` holds the exact versions; here stand the names, the reason for each, and the
+bounds that are known to matter.
+"""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "cablesense_ros"
+
+REQUIRES = [
+    "array-api-compat",  # one kinematics for numpy and torch
+    "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
+    "numpy>=2",  # arrays everywhere
+    "onnxruntime",  # runs the trained model
+    "pydantic>=2",  # arm files are validated, and refused with reasons
+    "PyYAML",  # reads arm files
+    "rich",  # tables and progress bars in the terminal
+    "scipy",  # least squares, rotations, statistics
+    "typer",  # the `cablesense` command
+]
+
+EXTRAS = {
+    # ROS 2 Jazzy without a ROS installation; a machine with Jazzy from apt needs none of these
+    "ros": [
+        "ros-jazzy-common-interfaces",  # the standard messages of the contract
+        "ros-jazzy-rclpy",  # rclpy and the message runtime
+        "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
+    ],
+    "page": [
+        "matplotlib",  # the picture of a headless demo, figures of an evaluation
+        "plotly",  # tension traces on the page
+        "viser",  # the 3D page in the browser
+    ],
+    "train": [
+        "dask",  # datasets made on more than one machine
+        "distributed",  # the scheduler and workers of dask
+        "onnx",  # writes and checks model files
+        "onnxscript",  # torch exports through it
+        "pyarrow",  # datasets are Parquet
+        "scikit-learn",  # the gradient-boosting peer
+        "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
+    ],
+    "dev": [
+        "colcon-core",  # the real build of the ROS package, in a test
+        "colcon-ros",  # colcon's knowledge of package.xml
+        "hypothesis",  # tests over wide inputs
+        "import-linter",  # the arrows between the rooms
+        "mypy",  # types
+        "pytest",  # the tests
+        "pytest-timeout",  # a test that hangs fails instead
+        "ruff",  # style
+        "selenium",  # drives a real Chromium in the page's test
+        "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
+        "types-PyYAML",  # types of yaml
+    ],
+}
+
+
+def packages() -> list[str]:
+    """List the Python packages; the folder `training` is imported as `cablesense_training`."""
+    rooms = find_packages(include=["cablesense_*"])
+    training = find_packages("training")
+    return [*rooms, "cablesense_training", *(f"cablesense_training.{name}" for name in training)]
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """List what goes to `share/`, as pairs of a folder and its files."""
+    share = Path("share", NAME)
+    placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
+    placed[share] = ["package.xml"]
+    for folder in ("config", "launch"):
+        for file in sorted(Path(folder).rglob("*")):
+            if file.is_file() and "__pycache__" not in file.parts:
+                placed.setdefault(share / file.parent, []).append(str(file))
+    return [(str(folder), files) for folder, files in placed.items()]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="From cable tensions: where a cable-driven arm is touched, and how hard",
+    license="Apache-2.0",
+    author="CableSense developers",
+    maintainer="CableSense developers",
+    maintainer_email="cablesense@example.org",
+    python_requires=">=3.11,<3.13",
+    packages=packages(),
+    package_dir={"cablesense_training": "training"},
+    package_data={"": ["*.html", "*.css", "*.js"]},
+    data_files=data_files(),
+    install_requires=REQUIRES,
+    extras_require=EXTRAS,
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "cablesense = cablesense_ros.cli.app:main",
+            "sim = cablesense_ros.sim_node:main",
+            "estimator = cablesense_ros.estimator_node:main",
+            "page = cablesense_ros.page_node:main",
+        ],
+    },
+)
