@@ -1,0 +1,1 @@
+"""Nodes, launch files, the page and the `cablesense` command: the only room with rclpy."""

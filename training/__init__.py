@@ -1,0 +1,1 @@
+"""Datasets, networks, training, evaluation, model files and the estimator that runs them."""
