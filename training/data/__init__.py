@@ -1,0 +1,36 @@
+"""Datasets: the paper's protocols, their generation on any number of workers, and Parquet files.
+
+The public surface::
+
+    protocol = SingleContact(samples=5000, pose="random", pose_range_deg=10.0)
+    dataset = Dataset.from_protocol(load_arm(path), protocol, seed=0)
+    write_dataset("data.parquet", dataset)
+    dataset = read_dataset("data.parquet", arm)
+"""
+
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.errors import DatasetError
+from cablesense_training.data.generation import generate
+from cablesense_training.data.protocols import (
+    PROTOCOLS,
+    MultiContact,
+    Protocol,
+    SingleContact,
+    protocol_from_options,
+)
+from cablesense_training.data.reading import read_dataset
+from cablesense_training.data.writing import write_dataset, write_parts
+
+__all__ = [
+    "PROTOCOLS",
+    "Dataset",
+    "DatasetError",
+    "MultiContact",
+    "Protocol",
+    "SingleContact",
+    "generate",
+    "protocol_from_options",
+    "read_dataset",
+    "write_dataset",
+    "write_parts",
+]

@@ -1,0 +1,155 @@
+"""A dataset in memory: tension differences of one arm with the contacts that caused them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim.arm import Arm
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.data.errors import DatasetError
+from cablesense_training.data.loads import contact_forces_n
+from cablesense_training.data.protocols import Protocol, SingleContact
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """B samples of an arm with N segments and M cables. Rows of all arrays belong together.
+
+    Attributes:
+        arm: the arm the samples come from.
+        protocol: how they were drawn (its `samples` counts the whole run, of which this may be a
+            part).
+        seed: seed of the run.
+        sample_id: (B,) number of each sample in the run, from 0.
+        command_rad: (B, 2N) commanded joint angles.
+        tension_difference_n: (B, M) reading minus `unloaded_n`.
+        unloaded_n: (B, M) the tare: mean of the unloaded arm's readings at the same command.
+        contacts: (B, N) bool, whether a segment is touched.
+        angles_deg: (B, N) contact angle [0, 360) in the plane normal to the segment at the
+            commanded angles, from +z towards +y; 0 where nothing touches.
+        magnitudes_n: (B, N) force magnitudes; 0 where nothing touches.
+        slack_cables: (B,) number of cables that hang slack under the load.
+        redrawn: (B,) how often the case was drawn again because it lay beyond the arm.
+    """
+
+    arm: Arm
+    protocol: Protocol
+    seed: int
+    sample_id: NDArray[np.int64]
+    command_rad: Array
+    tension_difference_n: Array
+    unloaded_n: Array
+    contacts: NDArray[np.bool_]
+    angles_deg: Array
+    magnitudes_n: Array
+    slack_cables: NDArray[np.int64]
+    redrawn: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        n, m = self.arm.segment_count, self.arm.cable_count
+        rows = len(self.sample_id)
+        shapes: dict[str, tuple[int, ...]] = {
+            "sample_id": (rows,),
+            "command_rad": (rows, 2 * n),
+            "tension_difference_n": (rows, m),
+            "unloaded_n": (rows, m),
+            "contacts": (rows, n),
+            "angles_deg": (rows, n),
+            "magnitudes_n": (rows, n),
+            "slack_cables": (rows,),
+            "redrawn": (rows,),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise DatasetError(
+                    f"{name} has shape {getattr(self, name).shape}; {rows} samples of arm "
+                    f"{self.arm.identity} need {shape}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.sample_id)
+
+    @cached_property
+    def forces_n(self) -> Array:
+        """(B, N, 3) forces of the environment, base axes; zero where nothing touches."""
+        mechanism = Mechanism.from_arm(self.arm)
+        return contact_forces_n(mechanism, self.command_rad, self.angles_deg, self.magnitudes_n)
+
+    @cached_property
+    def segment(self) -> NDArray[np.int64]:
+        """(B,) touched segment, 1 … N, or 0 for none. Single contact only."""
+        self._require_single("segment")
+        return np.where(self.contacts.any(axis=1), self.contacts.argmax(axis=1) + 1, 0)
+
+    @cached_property
+    def angle_deg(self) -> Array:
+        """(B,) contact angle, 0 where nothing touches. Single contact only."""
+        self._require_single("angle_deg")
+        return self.angles_deg.sum(axis=1)
+
+    @cached_property
+    def magnitude_n(self) -> Array:
+        """(B,) force magnitude, 0 where nothing touches. Single contact only."""
+        self._require_single("magnitude_n")
+        return self.magnitudes_n.sum(axis=1)
+
+    def _require_single(self, name: str) -> None:
+        if not isinstance(self.protocol, SingleContact):
+            raise DatasetError(
+                f"{name} describes a single contact, and this dataset follows protocol "
+                f"{self.protocol.kind}; use contacts, angles_deg and magnitudes_n"
+            )
+
+    def select(self, rows: Any) -> Dataset:
+        """The given rows (slice, mask or row numbers), in that order."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in ARRAY_NAMES})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Dataset]) -> Dataset:
+        """Parts of one run, in the order given.
+
+        Raises:
+            DatasetError: no parts, or parts of different arms, protocols or seeds.
+        """
+        if not parts:
+            raise DatasetError("a dataset needs at least one part")
+        first = parts[0]
+        for part in parts[1:]:
+            same = (part.arm, part.protocol, part.seed) == (first.arm, first.protocol, first.seed)
+            if not same:
+                raise DatasetError(
+                    f"parts of different runs: {first.arm.identity}, {first.protocol}, "
+                    f"seed {first.seed} and {part.arm.identity}, {part.protocol}, seed {part.seed}"
+                )
+        arrays = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ARRAY_NAMES}
+        return replace(first, **arrays)
+
+    @classmethod
+    def from_protocol(
+        cls, arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1
+    ) -> Dataset:
+        """The dataset that arm, protocol and seed determine, generated in memory.
+
+        Raises:
+            DatasetError: the protocol does not fit the arm, or a sample has no equilibrium.
+        """
+        from cablesense_training.data.generation import generate
+
+        return cls.concatenate(list(generate(arm, protocol, seed, workers=workers)))
+
+    def parts(self, rows: int) -> Iterator[Dataset]:
+        """The dataset in consecutive parts of at most `rows` samples."""
+        for start in range(0, len(self), rows):
+            yield self.select(slice(start, start + rows))
+
+
+ARRAY_NAMES = tuple(f.name for f in fields(Dataset) if f.name not in ("arm", "protocol", "seed"))
+"""Names of the arrays that have one row per sample."""

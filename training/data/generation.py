@@ -1,0 +1,156 @@
+"""Generation of a dataset: in this process, on worker processes, or on a Dask cluster.
+
+All three run the same chunks and hand them on in order, so the result does not depend on where it
+was computed (on machines whose arithmetic agrees to the last bit; a mix of processor types may
+differ there).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
+from typing import Protocol as Interface
+
+from cablesense_sim.arm import Arm
+from cablesense_training.data.chunk import generate_chunk
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.design import chunk_sizes
+from cablesense_training.data.errors import DatasetError
+from cablesense_training.data.protocols import Protocol
+from cablesense_training.data.version import package_version
+
+MAX_WORKERS = 256
+DASK_PATIENCE_S = 10.0
+"""How long a Dask scheduler may take to answer, and its first worker to appear."""
+
+_IN_FLIGHT_PER_WORKER = 3
+
+
+class _Pending(Interface):
+    def result(self) -> Dataset: ...
+
+
+_Submit = Callable[[Arm, Protocol, int, int], _Pending]
+
+
+def generate(
+    arm: Arm,
+    protocol: Protocol,
+    seed: int,
+    *,
+    workers: int = 1,
+    dask_scheduler: str | None = None,
+) -> Iterator[Dataset]:
+    """The dataset in parts, in order: the same parts for any `workers` and for a Dask cluster.
+
+    With one worker everything happens in this process. With more, a script that calls this needs
+    the usual `if __name__ == "__main__":` guard, as the processes are spawned. Few chunks are
+    held at a time, so that a run of any size can be written as it comes.
+
+    Raises:
+        DatasetError: an option out of range, a sample without equilibrium, a lost worker, a
+            cluster out of reach or one that runs another version of this package.
+    """
+    if not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise DatasetError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 - 1")
+    if not isinstance(workers, int) or not 1 <= workers <= MAX_WORKERS:
+        raise DatasetError(
+            f"workers = {workers!r}: must be a whole number from 1 to {MAX_WORKERS}"
+        )
+    chunks = len(chunk_sizes(protocol.samples))
+    if dask_scheduler is not None:
+        return _run(_dask(dask_scheduler), arm, protocol, seed, chunks)
+    if min(workers, chunks) == 1:
+        return (generate_chunk(arm, protocol, seed, chunk) for chunk in range(chunks))
+    return _run(_processes(min(workers, chunks)), arm, protocol, seed, chunks)
+
+
+def _run(
+    executor: AbstractContextManager[tuple[_Submit, int]],
+    arm: Arm,
+    protocol: Protocol,
+    seed: int,
+    chunks: int,
+) -> Iterator[Dataset]:
+    """Keep every worker busy, hand the parts on in order."""
+    with executor as (submit, width):
+        pending: deque[_Pending] = deque()
+        for chunk in range(chunks):
+            pending.append(submit(arm, protocol, seed, chunk))
+            if len(pending) == width * _IN_FLIGHT_PER_WORKER:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[tuple[_Submit, int]]:
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context)
+    try:
+        yield lambda *case: pool.submit(generate_chunk, *case), workers
+    except BrokenProcessPool as error:
+        raise DatasetError(
+            "a worker process ended unexpectedly (often for want of memory); try fewer workers"
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[tuple[_Submit, int]]:
+    try:
+        import distributed
+    except ImportError as error:
+        raise DatasetError(
+            "a Dask scheduler was given, but distributed is not installed: pip install distributed"
+        ) from error
+    try:
+        client = distributed.Client(address, timeout=DASK_PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise DatasetError(
+            f"no Dask scheduler answers at {address!r} (expected something like "
+            f"tcp://127.0.0.1:8786): {_line(error)}"
+        ) from error
+    with client:
+        width = _check_cluster(client, address)
+        try:
+            yield lambda *case: client.submit(generate_chunk, *case, pure=False), width
+        except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+            raise DatasetError(
+                f"the Dask cluster at {address} lost its workers: {_line(error)}"
+            ) from error
+
+
+def _check_cluster(client: Any, address: str) -> int:
+    """Number of workers (at least one), all of which run this version of the package."""
+    try:
+        client.wait_for_workers(1, timeout=DASK_PATIENCE_S)
+    except TimeoutError as error:
+        raise DatasetError(
+            f"the Dask scheduler at {address} has no workers; "
+            f"start one with: dask worker {address}"
+        ) from error
+    try:
+        versions = client.run(package_version)
+    except ModuleNotFoundError as error:
+        raise DatasetError(
+            f"a Dask worker at {address} lacks this package ({error}); install it on every machine"
+        ) from error
+    here = package_version()
+    for worker, there in sorted(versions.items()):
+        if there != here:
+            raise DatasetError(
+                f"Dask worker {worker} runs version {there} of this package and this machine "
+                f"{here}; install the same version on both"
+            )
+    return len(versions)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
