@@ -1,0 +1,148 @@
+"""The page as a whole: one web server with the scene, the figures, the traces and the controls."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import threading
+import time
+
+import viser
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.page import readout
+from cablesense_ros.page.colours import full_scale_n
+from cablesense_ros.page.controls import Actions, Controls
+from cablesense_ros.page.scene import ArmScene
+from cablesense_ros.page.score import Score
+from cablesense_ros.page.snapshot import Snapshot
+from cablesense_ros.page.traces import TracePlot
+from cablesense_sim.arm import Arm
+from cablesense_sim.mechanism import Mechanism
+
+FIGURES_EVERY_S = 0.15
+PORT_TRIES = 20
+
+
+class PageError(CableSenseError):
+    """The page cannot be served."""
+
+
+class Page:
+    """A live view of an arm, served until `close`."""
+
+    def __init__(
+        self, arm: Arm, actions: Actions, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        """Starts serving.
+
+        Raises:
+            PageError: no port from `port` on can be bound on `host`.
+        """
+        mechanism = Mechanism.from_arm(arm)
+        port = free_port(host, port)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        self._host = host
+        self._score = Score()
+        self._lock = threading.Lock()
+        self._figures_due_s = 0.0
+        self._segment_count = arm.segment_count
+        server = self._server
+        server.gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
+        )
+        server.gui.set_panel_label("CableSense")
+        _place_camera(server, mechanism)
+        self._scene = ArmScene(server.scene, mechanism)
+        self._controls = Controls(server.gui, arm.segment_count, actions, self.reset_errors)
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(320)
+        panel = server.gui.add_panel()
+        with panel.add_tab("Estimate", viser.Icon.TARGET_ARROW):
+            self._status = server.gui.add_html("")
+            self._forces = server.gui.add_html("")
+            self._probabilities = server.gui.add_html("")
+            self._errors = server.gui.add_html("")
+            self._legend = server.gui.add_html("")
+            self._traces = TracePlot(server.gui, mechanism)
+            server.gui.add_html(readout.traces_legend_html(arm.segment_count))
+        panel.dock_left()
+        panel.set_width(400)
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the page."""
+        host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
+        return f"http://{host}:{self._server.get_port()}"
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Draws one moment: the scene every time, figures and traces a few times a second."""
+        with self._lock:
+            self._score.add(snapshot.time_s, snapshot.true, snapshot.estimate)
+        if snapshot.tensions_n is not None:
+            self._traces.add(snapshot.time_s, snapshot.tensions_n)
+        scale_n = full_scale_n(self._traces.peak_n)
+        with self._server.atomic():
+            self._scene.pose(snapshot.joint_angles_rad)
+            if snapshot.tensions_n is not None:
+                self._scene.tensions(snapshot.tensions_n, scale_n)
+            self._scene.forces(snapshot.true, snapshot.estimate)
+        if time.monotonic() >= self._figures_due_s:
+            self._figures_due_s = time.monotonic() + FIGURES_EVERY_S
+            self._show_figures(snapshot, scale_n)
+
+    def reset_errors(self) -> None:
+        """Starts the error so far anew."""
+        with self._lock:
+            self._score.reset()
+
+    def close(self) -> None:
+        """Stops serving."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _show_figures(self, snapshot: Snapshot, scale_n: float) -> None:
+        with self._lock:
+            errors = self._score.errors
+        for handle, content in (
+            (self._status, readout.status_html(snapshot.status)),
+            (self._forces, readout.forces_html(snapshot.true, snapshot.estimate)),
+            (
+                self._probabilities,
+                readout.probabilities_html(snapshot.probabilities, self._segment_count),
+            ),
+            (self._errors, readout.errors_html(errors)),
+            (self._legend, readout.legend_html(scale_n, snapshot.tensions_n)),
+        ):
+            if handle.content != content:
+                handle.content = content
+        self._traces.draw(scale_n)
+
+
+def free_port(host: str, port: int) -> int:
+    """The first port from `port` on that can be bound on `host`.
+
+    Raises:
+        PageError: the host is not of this machine, or no port is free.
+    """
+    problem = ""
+    for candidate in range(port, min(port + PORT_TRIES, 65_536)):
+        try:
+            with socket.create_server((host, candidate)):
+                return candidate
+        except OSError as error:
+            problem = str(error)
+    raise PageError(
+        f"the page cannot be served on {host}, ports {port} to {port + PORT_TRIES - 1} ({problem}); "
+        "give another --host or --port"
+    )
+
+
+def _place_camera(server: viser.ViserServer, mechanism: Mechanism) -> None:
+    reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
+    server.initial_camera.position = (0.72 * reach, -1.5 * reach, 0.62 * reach)
+    server.initial_camera.look_at = (0.4 * reach, 0.0, -0.05 * reach)
+    server.initial_camera.fov = 0.75
+    server.initial_camera.near = 0.01

@@ -1,0 +1,77 @@
+"""True against estimated contacts: the error of one moment, and the error so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cablesense_ros.page.snapshot import Contact
+
+SETTLING_S = 0.5
+"""A comparison waits this long after the true load changed: the arm swings and the estimate follows within it."""
+
+
+def angle_error_deg(a_deg: float, b_deg: float) -> float:
+    """The smaller turn between two angles, 0 … 180 degrees."""
+    return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Mean errors over the moments compared so far.
+
+    Attributes:
+        count: moments compared.
+        segment_right: share of them, 0 … 1, with the right segment (or rightly none).
+        angle_mae_deg: over those with the right segment; None before the first.
+        magnitude_mae_n: likewise.
+    """
+
+    count: int
+    segment_right: float | None
+    angle_mae_deg: float | None
+    magnitude_mae_n: float | None
+
+
+class Score:
+    """Adds up errors while the true load stays put."""
+
+    def __init__(self, settling_s: float = SETTLING_S) -> None:
+        self._settling_s = settling_s
+        self._load: tuple[int, float, float] | None = None
+        self._load_since_s: float | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets every comparison."""
+        self._count = self._right = self._contacts = 0
+        self._angle_sum_deg = self._magnitude_sum_n = 0.0
+
+    def add(self, time_s: float, true: Contact | None, estimate: Contact | None) -> bool:
+        """Compares one moment; says whether it counted, which it does once the load has stood still for a while."""
+        load = None
+        if true is not None:
+            load = (true.segment, round(true.angle_deg, 2), round(true.magnitude_n, 2))
+        if load != self._load or self._load_since_s is None:
+            self._load, self._load_since_s = load, time_s
+        if time_s - self._load_since_s < self._settling_s:
+            return False
+        self._count += 1
+        true_segment = true.segment if true is not None else 0
+        estimated_segment = estimate.segment if estimate is not None else 0
+        if true_segment == estimated_segment:
+            self._right += 1
+            if true is not None and estimate is not None:
+                self._contacts += 1
+                self._angle_sum_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
+                self._magnitude_sum_n += abs(true.magnitude_n - estimate.magnitude_n)
+        return True
+
+    @property
+    def errors(self) -> Errors:
+        """The errors so far."""
+        return Errors(
+            self._count,
+            self._right / self._count if self._count else None,
+            self._angle_sum_deg / self._contacts if self._contacts else None,
+            self._magnitude_sum_n / self._contacts if self._contacts else None,
+        )
