@@ -29,7 +29,7 @@ lint: setup build/mypy/cablesense_training  ## style, types and the arrows betwe
 	@failed=0; \
 	$(BIN)/ruff check || failed=1; \
 	$(BIN)/mypy || failed=1; \
-	$(BIN)/lint-imports || failed=1; \
+	$(BIN)/lint-imports --no-logo || failed=1; \
 	exit $$failed
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
@@ -43,12 +43,12 @@ clean:  ## takes away .venv and what was built
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the demo needs (a minute or two, once) …'
-	@$(INSTALL) '.[ros,page]'
+	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,page]'
 	@touch $@
 
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@$(INSTALL) '.[ros,page,train,dev]'
+	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,page,train,dev]'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:

@@ -71,10 +71,11 @@ def data_files() -> list[tuple[str, list[str]]]:
     share = Path("share", NAME)
     placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
     placed[share] = ["package.xml"]
-    for folder in ("config", "launch"):
-        for file in sorted(Path(folder).rglob("*")):
+    for source, target in (("config", "config"), ("cablesense_ros/launch", "launch")):
+        for file in sorted(Path(source).rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
-                placed.setdefault(share / file.parent, []).append(str(file))
+                folder = share / target / file.parent.relative_to(source)
+                placed.setdefault(folder, []).append(str(file))
     return [(str(folder), files) for folder, files in placed.items()]
 
 

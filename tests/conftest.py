@@ -1,0 +1,7 @@
+"""No test draws on a screen, sends a ROS message off this machine or hears another test run."""
+
+import os
+
+os.environ["MPLBACKEND"] = "Agg"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))  # above 101, ports may clash

@@ -1,0 +1,116 @@
+"""What a stranger installs: reasons, pins, the ROS manifest, the wheel, a failed set-up's words."""
+
+import re
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from catkin_pkg.package import parse_package
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def pins() -> dict[str, str]:
+    """Give the exact version of every constrained distribution."""
+    lines = (CHECKOUT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    return dict(line.split("==") for line in lines if not line.startswith("#"))
+
+
+@pytest.fixture(scope="module")
+def direct() -> list[Requirement]:
+    """List the direct requirements of all extras."""
+    return [Requirement(line) for line in distribution("cablesense_ros").requires or []]
+
+
+def test_every_direct_requirement_is_pinned(
+    pins: dict[str, str], direct: list[Requirement]
+) -> None:
+    for requirement in direct:
+        version = pins.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{requirement.name}: run `make lock`"
+        assert requirement.specifier.contains(version), requirement
+
+
+def test_every_direct_requirement_says_what_it_is_for(direct: list[Requirement]) -> None:
+    declared = (CHECKOUT / "setup.py").read_text(encoding="utf-8")
+    for requirement in direct:
+        name = re.escape(requirement.name)
+        assert re.search(rf'^ +"{name}\b[^"]*",  # \w', declared, re.MULTILINE), requirement.name
+
+
+def test_the_training_library_is_exact(direct: list[Requirement]) -> None:
+    (torch,) = [requirement for requirement in direct if requirement.name == "torch"]
+    assert str(torch.specifier) == "==2.13.0"
+
+
+def test_no_ros_package_is_asked_of_the_package_index_by_its_bare_name(
+    direct: list[Requirement],
+) -> None:
+    ros = {depend.name for depend in parse_package(CHECKOUT).exec_depends}
+    assert not {requirement.name for requirement in direct} & ros
+
+
+def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
+    warnings: list[str] = []
+    package = parse_package(CHECKOUT, warnings=warnings)
+    package.validate(warnings=warnings)
+    ours = distribution("cablesense_ros")
+    assert warnings == []
+    assert package.package_format == 3
+    assert package.get_build_type() == "ament_python"
+    assert (package.name, package.version) == (ours.metadata["Name"], ours.version)
+    assert package.licenses == [ours.metadata["License"]]
+
+
+def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "resource", "config"):
+        (source / name).symlink_to(CHECKOUT / name)
+    for room in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
+        if (room / "__init__.py").is_file():
+            (source / room.name).symlink_to(room)
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run(
+        [*pip, "--wheel-dir", str(tmp_path), str(source)],
+        check=True,
+        capture_output=True,
+        timeout=100,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    for room in ("msgs_py", "sim", "training", "ros"):
+        assert f"cablesense_{room}/__init__.py" in names
+    for folder in CHECKOUT.glob("training/*/__init__.py"):
+        assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
+    assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
+    assert not any(n.startswith("tests/") for n in names)
+
+
+@pytest.mark.parametrize(
+    ("python", "remedy"),
+    [("", "found neither; name one"), ("false", "make PYTHON=")],
+)
+def test_a_set_up_without_a_fitting_python_says_what_to_do(
+    tmp_path: Path, python: str, remedy: str
+) -> None:
+    venv = tmp_path / "venv"
+    done = subprocess.run(
+        ["make", f"PYTHON={python}", f"VENV={venv}", f"{venv}/bin/python"],
+        cwd=CHECKOUT,
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    said = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert done.returncode != 0
+    assert len(said) == 1
+    assert "Python 3.11 or 3.12" in said[0]
+    assert remedy in said[0]
+    assert not venv.exists()
