@@ -31,7 +31,7 @@ EXTRAS = {
     ],
     "page": [
         "matplotlib",  # the picture of a headless demo, figures of an evaluation
-        "plotly",  # tension traces on the page
+        "trimesh",  # the meshes of the arm on the page
         "viser",  # the 3D page in the browser
     ],
     "train": [
@@ -44,17 +44,19 @@ EXTRAS = {
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
     ],
     "dev": [
+        "catkin-pkg",  # reads package.xml, in tests
         "colcon-core",  # the real build of the ROS package, in a test
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
         "import-linter",  # the arrows between the rooms
         "mypy",  # types
+        "packaging",  # reads requirements, in tests and `make lock`
         "pytest",  # the tests
         "pytest-timeout",  # a test that hangs fails instead
         "ruff",  # style
-        "selenium",  # drives a real Chromium in the page's test
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml
+        "websockets",  # drives a real Chromium in the page's test
     ],
 }
 

@@ -1,0 +1,74 @@
+"""What the rooms import is what setup.py declares: nothing by luck, nothing for nothing."""
+
+import ast
+import sys
+from importlib.metadata import distribution, packages_distributions
+from pathlib import Path
+
+import pytest
+from catkin_pkg.package import parse_package
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+ROOMS = ["cablesense_msgs_py", "cablesense_sim", "training", "cablesense_ros", "cablesense_gap"]
+_BROUGHT_BY = packages_distributions()
+
+
+def imported(*folders: str) -> set[str]:
+    """Name the top-level modules that the files under `folders` import, at their head or later."""
+    names: set[str] = set()
+    for file in (file for folder in folders for file in (CHECKOUT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_bytes())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.split(".")[0])
+    return {n for n in names - sys.stdlib_module_names if not n.startswith("cablesense_")}
+
+
+def declared(*extras: str) -> set[str]:
+    """Name the distributions that setup.py asks for with `extras`; "" stands for no extra."""
+    requirements = [Requirement(line) for line in distribution("cablesense_ros").requires or []]
+    return {
+        canonicalize_name(requirement.name)
+        for requirement in requirements
+        for extra in extras
+        if not requirement.marker or requirement.marker.evaluate({"extra": extra})
+    }
+
+
+def distributions_of(module: str) -> set[str]:
+    """Name the distributions that bring a module."""
+    return {canonicalize_name(name) for name in _BROUGHT_BY.get(module, [module])}
+
+
+@pytest.fixture(scope="module")
+def ros_modules() -> set[str]:
+    """Name the modules that a ROS installation, or the ros extra, brings."""
+    return {depend.name for depend in parse_package(CHECKOUT).exec_depends}
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [
+        (["cablesense_msgs_py", "cablesense_sim"], [""]),
+        (["training/inference"], [""]),
+        (["training"], ["", "train"]),
+        (["cablesense_ros"], ["", "page", "ros"]),
+        (["tests", "benchmarks"], ["", "page", "ros", "train", "dev"]),
+    ],
+    ids=lambda value: "+".join(value),
+)
+def test_every_import_is_declared(
+    folders: list[str], extras: list[str], ros_modules: set[str]
+) -> None:
+    for module in imported(*folders) - (ros_modules if "ros" in extras else set()):
+        if (CHECKOUT / "tests" / f"{module}.py").is_file():
+            continue
+        assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
+
+
+def test_the_ros_manifest_names_every_message_package(ros_modules: set[str]) -> None:
+    messages = {name for name in imported("cablesense_ros") if name.endswith("_msgs")}
+    assert messages <= ros_modules
