@@ -1,0 +1,1 @@
+"""Differentiable statics: what physics alone says about a contact, as torch layers."""
