@@ -35,6 +35,7 @@ lint: setup build/mypy/cablesense_training  ## style, types and the arrows betwe
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
 
 lock: setup  ## writes the versions of .venv to constraints.txt
+	@mkdir -p build
 	@$(BIN)/python .ci/lock > build/constraints.txt
 	@mv build/constraints.txt constraints.txt
 
