@@ -13,7 +13,7 @@ NAME = "cablesense_ros"
 REQUIRES = [
     "array-api-compat",  # one kinematics for numpy and torch
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
-    "numpy>=2",  # arrays everywhere
+    "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnxruntime",  # runs the trained model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
