@@ -1,0 +1,1 @@
+"""Figures of merit, and what they are measured on."""
