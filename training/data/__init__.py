@@ -11,6 +11,7 @@ The public surface::
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.errors import DatasetError
 from cablesense_training.data.generation import generate
+from cablesense_training.data.production import dataset_command, produce_dataset
 from cablesense_training.data.protocols import (
     PROTOCOLS,
     MultiContact,
@@ -28,7 +29,9 @@ __all__ = [
     "MultiContact",
     "Protocol",
     "SingleContact",
+    "dataset_command",
     "generate",
+    "produce_dataset",
     "protocol_from_options",
     "read_dataset",
     "write_dataset",

@@ -129,7 +129,9 @@ class Dataset:
                     f"parts of different runs: {first.arm.identity}, {first.protocol}, "
                     f"seed {first.seed} and {part.arm.identity}, {part.protocol}, seed {part.seed}"
                 )
-        arrays = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ARRAY_NAMES}
+        arrays: dict[str, Any] = {
+            n: np.concatenate([getattr(p, n) for p in parts]) for n in ARRAY_NAMES
+        }
         return replace(first, **arrays)
 
     @classmethod

@@ -121,7 +121,11 @@ def _dask(address: str) -> Iterator[tuple[_Submit, int]]:
         width = _check_cluster(client, address)
         try:
             yield lambda *case: client.submit(generate_chunk, *case, pure=False), width
-        except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+        except (
+            distributed.KilledWorker,
+            distributed.client.FutureCancelledError,
+            OSError,
+        ) as error:
             raise DatasetError(
                 f"the Dask cluster at {address} lost its workers: {_line(error)}"
             ) from error

@@ -204,7 +204,7 @@ def protocol_from_options(options: dict[str, Any]) -> Protocol:
     """
     given = dict(options)
     kind = given.pop("kind", None)
-    if kind not in PROTOCOLS:
+    if not isinstance(kind, str) or kind not in PROTOCOLS:
         raise DatasetError(f"protocol {kind!r}: must be one of {', '.join(PROTOCOLS)}")
     valid = [field.name for field in fields(PROTOCOLS[kind])]
     unknown = sorted(set(given) - set(valid))

@@ -8,9 +8,11 @@ from cablesense_sim.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
+_BRANCHES = 8
+
 
 class TooManyFailures(Exception):  # noqa: N818
-    """More cases without equilibrium than were allowed; holds the reason of the last one met."""
+    """More cases without equilibrium than were allowed; the text gives one, and why."""
 
 
 def tensions_at_rest_n(
@@ -18,27 +20,32 @@ def tensions_at_rest_n(
 ) -> Array:
     """Tensions (B, M) for commands (B, 2N) and forces (B, N, 3); NaN in rows without equilibrium.
 
-    The solver refuses a batch as a whole, so a refused batch is halved until what fails stands
+    The solver refuses a batch as a whole, so a refused batch is split until what fails stands
     alone.
 
     Raises:
         TooManyFailures: more than `allowed_failures` rows have no equilibrium.
     """
     tensions = np.full((len(command_rad), mechanism.cable_count), np.nan)
-    failures = 0
-    open_ = [slice(0, len(command_rad))]
-    while open_:
-        rows = open_.pop()
-        try:
-            rest = solve_equilibrium(mechanism, command_rad[rows], forces_n[rows])
-        except EquilibriumError as error:
-            if rows.stop - rows.start > 1:
-                middle = (rows.start + rows.stop) // 2
-                open_ += [slice(middle, rows.stop), slice(rows.start, middle)]
-                continue
-            failures += 1
-            if failures > allowed_failures:
-                raise TooManyFailures(str(error)) from error
-        else:
-            tensions[rows] = rest.tensions_n
+    batches = [np.arange(len(command_rad))]
+    alone = 0
+    while batches:
+        refused = []
+        for rows in batches:
+            try:
+                rest = solve_equilibrium(mechanism, command_rad[rows], forces_n[rows])
+            except EquilibriumError as error:
+                # batches do not overlap, so each that is refused holds a failure of its own
+                refused.append(rows)
+                if alone + len(refused) > allowed_failures:
+                    raise TooManyFailures(str(error)) from error
+            else:
+                tensions[rows] = rest.tensions_n
+        alone += sum(len(rows) == 1 for rows in refused)
+        batches = [
+            part
+            for rows in refused
+            if len(rows) > 1
+            for part in np.array_split(rows, min(_BRANCHES, len(rows)))
+        ]
     return tensions

@@ -1,0 +1,161 @@
+"""A dataset says the truth: its tensions follow from its labels by the arm's statics."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm import load_arm
+from cablesense_sim.kinematics import (
+    cable_jacobian_m,
+    contact_jacobians_m,
+    gravity_torques_n_m,
+)
+from cablesense_sim.loads import contact_angle_deg
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.data import Dataset, DatasetError, MultiContact, SingleContact
+from cablesense_training.data.summary import combine, summarise
+
+ARMS = Path(__file__).parent.parent / "config" / "arms"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm(ARMS / "cdsm.yaml")
+
+
+def ideal(arm, protocol=SingleContact, **options):
+    return Dataset.from_protocol(arm, protocol(samples=500, noise=False, **options), seed=3)
+
+
+@pytest.mark.parametrize("protocol", [SingleContact, MultiContact])
+@pytest.mark.parametrize("pose", ["straight", "random"])
+def test_without_contact_and_noise_nothing_changes(arm, protocol, pose):
+    dataset = ideal(arm, protocol, pose=pose)
+    idle = ~dataset.contacts.any(axis=1)
+    assert idle.sum() == pytest.approx(100, abs=2)
+    assert not dataset.tension_difference_n[idle].any()
+    assert np.abs(dataset.tension_difference_n[~idle]).max(axis=1).min() > 0.0
+
+
+@pytest.mark.parametrize("protocol", [SingleContact, MultiContact])
+def test_cables_balance_the_contacts(arm, protocol):
+    """On the stiff arm, which hardly gives way, J'(q) dT is the contacts' joint torque."""
+    dataset = ideal(arm, protocol, pose="random")
+    mechanism = Mechanism.from_arm(arm)
+    cables = cable_jacobian_m(mechanism, dataset.command_rad)
+    contact = contact_jacobians_m(mechanism, dataset.command_rad)
+    torque = np.einsum("bmj,bm->bj", cables, dataset.tension_difference_n)
+    expected = np.einsum("bncj,bnc->bj", contact, dataset.forces_n)
+    assert np.abs(expected).max() > 10.0
+    assert torque == pytest.approx(expected, abs=0.1)
+    assert (dataset.slack_cables > 0).any()
+
+
+def test_unloaded_cables_carry_the_weight(arm):
+    dataset = ideal(arm, pose="random")
+    mechanism = Mechanism.from_arm(arm)
+    cables = cable_jacobian_m(mechanism, dataset.command_rad)
+    torque = np.einsum("bmj,bm->bj", cables, dataset.unloaded_n)
+    expected = gravity_torques_n_m(mechanism, dataset.command_rad)
+    assert torque == pytest.approx(expected, abs=0.01)
+
+
+def test_labels_and_forces_say_the_same(arm):
+    dataset = ideal(arm, pose="random")
+    touched = dataset.segment > 0
+    segment, command = dataset.segment[touched], dataset.command_rad[touched]
+    forces = dataset.forces_n[touched]
+    own = forces[np.arange(len(forces)), segment - 1]
+    assert np.linalg.norm(own, axis=1) == pytest.approx(dataset.magnitude_n[touched])
+    assert np.linalg.norm(forces.sum(axis=1) - own) == 0.0
+    angle = contact_angle_deg(Mechanism.from_arm(arm), command, segment, own)
+    turned = (angle - dataset.angle_deg[touched] + 180.0) % 360.0 - 180.0
+    assert turned == pytest.approx(0.0, abs=1e-6)
+    assert not dataset.forces_n[~touched].any()
+
+
+def test_straight_arm_angle_runs_from_up_to_left(arm):
+    dataset = ideal(arm, force_low_n=10.0)
+    touched = dataset.segment > 0
+    force = dataset.forces_n[touched].sum(axis=1) / dataset.magnitude_n[touched, None]
+    theta = np.deg2rad(dataset.angle_deg[touched])
+    expected = np.stack([np.zeros_like(theta), np.sin(theta), np.cos(theta)], axis=1)
+    assert force == pytest.approx(expected, abs=1e-12)
+
+
+def test_noise_is_that_of_the_sensor(arm):
+    options = {"samples": 4096, "no_contact_fraction": 1.0}
+    noisy = Dataset.from_protocol(arm, SingleContact(**options), seed=3)
+    sensor = arm.sensors
+    one = sensor.noise_std_n**2 + sensor.step_n**2 / 12.0
+    # one step's rounding is not quite uniform at this noise, hence the wide bound
+    assert noisy.tension_difference_n.var() == pytest.approx(one, rel=0.35)
+    calm = Dataset.from_protocol(arm, SingleContact(noise=False, **options), seed=3)
+    assert np.abs(noisy.unloaded_n - calm.unloaded_n).max() < sensor.step_n
+    reading = noisy.tension_difference_n + noisy.unloaded_n
+    steps = reading / sensor.step_n
+    assert steps == pytest.approx(np.round(steps), abs=1e-6)
+    single = Dataset.from_protocol(arm, SingleContact(tare_samples=1, **options), seed=3)
+    assert single.unloaded_n.std(axis=0).mean() > 4.0 * noisy.unloaded_n.std(axis=0).mean()
+
+
+def test_a_case_beyond_the_arm_is_drawn_again_and_marked():
+    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    protocol = SingleContact(
+        samples=256, pose="random", noise=False, force_low_n=200.0, force_high_n=240.0
+    )
+    dataset = Dataset.from_protocol(lab, protocol, seed=0)
+    redrawn = dataset.redrawn > 0
+    assert 0 < redrawn.sum() <= 6
+    assert np.isfinite(dataset.tension_difference_n).all()
+    shares = dataset.contacts.mean(axis=0)
+    assert shares == pytest.approx(0.2, abs=0.01)
+    again = Dataset.from_protocol(lab, protocol, seed=0)
+    assert again.tension_difference_n.tobytes() == dataset.tension_difference_n.tobytes()
+
+
+def test_a_protocol_beyond_the_arm_is_refused_with_a_case():
+    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    protocol = SingleContact(samples=64, force_low_n=500.0, force_high_n=600.0)
+    with pytest.raises(DatasetError, match=r"samples 0 and following: more than 2%.*command"):
+        Dataset.from_protocol(lab, protocol)
+
+
+def test_parts_put_together_are_the_whole(arm):
+    dataset = ideal(arm)
+    parts = list(dataset.parts(200))
+    assert [len(part) for part in parts] == [200, 200, 100]
+    whole = Dataset.concatenate(parts)
+    assert (whole.tension_difference_n == dataset.tension_difference_n).all()
+    assert combine(map(summarise, parts)) == summarise(dataset)
+    assert (dataset.select(dataset.segment == 2).segment == 2).all()
+
+
+def test_parts_of_different_runs_stay_apart(arm):
+    dataset = ideal(arm)
+    with pytest.raises(DatasetError, match="parts of different runs"):
+        Dataset.concatenate([dataset, replace(dataset, seed=4)])
+    with pytest.raises(DatasetError, match="at least one part"):
+        Dataset.concatenate([])
+
+
+def test_arrays_must_fit_the_arm(arm):
+    dataset = ideal(arm)
+    with pytest.raises(DatasetError, match=r"unloaded_n has shape \(500, 11\).*need \(500, 12\)"):
+        replace(dataset, unloaded_n=dataset.unloaded_n[:, :11])
+
+
+def test_single_contact_labels_are_refused_for_several(arm):
+    with pytest.raises(DatasetError, match="use contacts, angles_deg and magnitudes_n"):
+        _ = ideal(arm, MultiContact).segment
+
+
+def test_summary_counts(arm):
+    summary = summarise(ideal(arm, force_low_n=20.0))
+    assert summary.rows == 500
+    assert summary.contact_free + sum(summary.contacts_per_segment) == 500
+    assert 20.0 <= summary.weakest_n < 22.0
+    assert 198.0 < summary.strongest_n <= 200.0
+    assert 0 < summary.slack_rows < 500

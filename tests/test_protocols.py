@@ -1,0 +1,156 @@
+"""The protocols cover what they promise, and refuse what they cannot draw."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2, kstest
+
+from cablesense_training.data import (
+    DatasetError,
+    MultiContact,
+    SingleContact,
+    protocol_from_options,
+)
+from cablesense_training.data.design import CHUNK_SAMPLES, chunk_sizes, unit_points
+
+SEGMENTS = 4
+
+
+def cases_of(protocol, segments=SEGMENTS, seed=0):
+    chunks = range(len(chunk_sizes(protocol.samples)))
+    dimensions = protocol.dimensions(segments)
+    points = np.concatenate([unit_points(dimensions, seed, chunk) for chunk in chunks])
+    return protocol.cases(segments, points[: protocol.samples])
+
+
+def chi_square_bound(counts):
+    """The statistic of equal shares, and what it stays below with probability 0.999."""
+    expected = counts.sum() / counts.size
+    return ((counts - expected) ** 2 / expected).sum(), chi2.ppf(0.999, counts.size - 1)
+
+
+def test_single_contact_touches_every_segment_equally_often():
+    contacts = cases_of(SingleContact()).contacts
+    assert contacts.sum(axis=1).max() == 1
+    shares = np.append(contacts.sum(axis=0), (~contacts.any(axis=1)).sum()) / len(contacts)
+    assert shares == pytest.approx(0.2, abs=0.002)
+
+
+@pytest.mark.parametrize("segment", range(SEGMENTS))
+def test_single_contact_leaves_no_direction_or_magnitude_out(segment):
+    cases = cases_of(SingleContact())
+    touched = cases.contacts[:, segment]
+    angle, magnitude = cases.angles_deg[touched, segment], cases.magnitudes_n[touched, segment]
+    in_angle, _ = np.histogram(angle, bins=36, range=(0.0, 360.0))
+    in_magnitude, _ = np.histogram(magnitude, bins=20, range=(0.0, 200.0))
+    for counts in (in_angle, in_magnitude):
+        statistic, bound = chi_square_bound(counts)
+        assert statistic < bound
+    together, *_ = np.histogram2d(angle, magnitude, bins=(18, 10), range=((0, 360), (0, 200)))
+    assert together.min() >= 1
+
+
+def test_random_poses_fill_their_range_and_straight_ones_are_straight():
+    protocol = SingleContact(pose="random", pose_range_deg=12.0)
+    command = np.rad2deg(cases_of(protocol).command_rad)
+    for joint in command.T:
+        assert kstest(joint, "uniform", args=(-12.0, 24.0)).pvalue > 1e-3
+    assert not cases_of(SingleContact()).command_rad.any()
+
+
+def test_multi_contact_draws_every_set_of_segments():
+    cases = cases_of(MultiContact(samples=16384))
+    number = cases.contacts.sum(axis=1)
+    assert np.bincount(number) / len(number) == pytest.approx(0.2, abs=0.001)
+    sets = np.unique(cases.contacts, axis=0)
+    assert len(sets) == 2**SEGMENTS
+    pairs = cases.contacts[number == 2]
+    counts = np.unique(pairs, axis=0, return_counts=True)[1]
+    statistic, bound = chi_square_bound(counts)
+    assert len(counts) == 6
+    assert statistic < bound
+    for n in range(SEGMENTS):
+        touched = cases.contacts[:, n]
+        assert kstest(cases.magnitudes_n[touched, n], "uniform", args=(0.0, 60.0)).pvalue > 1e-3
+        assert kstest(cases.angles_deg[touched, n], "uniform", args=(0.0, 360.0)).pvalue > 1e-3
+
+
+def test_multi_contact_keeps_to_its_highest_number():
+    contacts = cases_of(MultiContact(max_contacts=2)).contacts
+    assert contacts.sum(axis=1).max() == 2
+
+
+def test_multi_contact_refuses_more_contacts_than_segments():
+    with pytest.raises(DatasetError, match="the arm has 4 segments"):
+        cases_of(MultiContact(max_contacts=5))
+
+
+def test_seeds_differ_and_chunks_continue_one_sequence():
+    a, b = (unit_points(3, seed, 0) for seed in (0, 1))
+    assert not np.isclose(a, b).all(axis=1).any()
+    both = np.concatenate([unit_points(3, 0, chunk) for chunk in (0, 1)])
+    assert len(np.unique(both, axis=0)) == 2 * CHUNK_SAMPLES
+    # a base-2 sequence: the first 4096 points lie one in each of 4096 equal slices
+    assert (np.bincount((both[:, 0] * 2 * CHUNK_SAMPLES).astype(int)) == 1).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    kind=st.sampled_from([SingleContact, MultiContact]),
+    segments=st.integers(1, 16),
+    low=st.floats(0.0, 100.0),
+    span=st.floats(1e-3, 1000.0),
+    share=st.none() | st.floats(0.0, 1.0),
+    pose=st.sampled_from(["straight", "random"]),
+    seed=st.integers(0, 2**63 - 1),
+)
+def test_labels_agree_with_each_other_and_with_the_options(
+    kind, segments, low, span, share, pose, seed
+):
+    protocol = kind(
+        samples=256,
+        force_low_n=low,
+        force_high_n=low + span,
+        no_contact_fraction=share,
+        pose=pose,
+    )
+    cases = cases_of(protocol, segments, seed)
+    contacts = cases.contacts
+    assert not cases.angles_deg[~contacts].any()
+    assert not cases.magnitudes_n[~contacts].any()
+    assert (cases.magnitudes_n[contacts] >= low).all()
+    assert (cases.magnitudes_n[contacts] <= low + span).all()
+    assert (cases.angles_deg >= 0.0).all()
+    assert (cases.angles_deg < 360.0).all()
+    expected = 1.0 / (segments + 1) if share is None else share
+    assert (~contacts.any(axis=1)).mean() == pytest.approx(expected, abs=0.02)
+    assert np.abs(cases.command_rad).max() <= np.deg2rad(10.0)
+    assert protocol_from_options(protocol.options()) == protocol
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": 0}, "samples = 0: must be a whole number from 1"),
+        ({"samples": 2**31}, "samples"),
+        ({"samples": 10.5}, "whole number"),
+        ({"samples": True}, "whole number"),
+        ({"pose": "bent"}, "one of straight, random"),
+        ({"pose_range_deg": 46.0}, "from 0.0 to 45.0"),
+        ({"pose_range_deg": float("nan")}, "pose_range_deg = nan"),
+        ({"tare_samples": 0}, "tare_samples = 0"),
+        ({"force_low_n": -1.0}, "force_low_n = -1.0"),
+        ({"force_high_n": float("inf")}, "force_high_n = inf"),
+        ({"force_low_n": 50.0, "force_high_n": 20.0}, "must be below"),
+        ({"no_contact_fraction": 1.1}, "from 0.0 to 1.0"),
+        ({"noise": "yes"}, "true or false"),
+        ({"max_contacts": 2}, "unknown option 'max_contacts'; valid options: samples"),
+        ({"kind": "triple"}, "one of single, multi"),
+        ({"kind": ["single"]}, "one of single, multi"),
+        ({"kind": "multi", "max_contacts": 0}, "max_contacts = 0"),
+    ],
+)
+def test_refuses_options_out_of_range(options, message):
+    with pytest.raises(DatasetError, match=message):
+        protocol_from_options({"kind": "single", **options})
