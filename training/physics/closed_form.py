@@ -23,8 +23,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
+from cablesense_training.physics.compact import CompactKinematics, Pose
 
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
@@ -35,18 +35,16 @@ class Candidates(NamedTuple):
 
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
-        information: (B, N, 2, 2) inverse covariance of the force, 1/N².
+        covariance_n2: (B, N, 2, 2) of the force, N².
         misfit: (B, N) chi² of "a contact on segment s", 2N - 2 degrees of freedom.
         misfit_none: (B,) chi² of "no contact", 2N degrees of freedom.
-        pose_rad: (B, 2N) the true joint angles as the cables' stretch tells them.
         tensions_n: (B, M) tensions, slack ones zero.
     """
 
     force_n: Tensor
-    information: Tensor
+    covariance_n2: Tensor
     misfit: Tensor
     misfit_none: Tensor
-    pose_rad: Tensor
     tensions_n: Tensor
 
 
@@ -59,107 +57,85 @@ class ClosedForm(nn.Module):
         pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the command as the pose.
     """
 
+    stiffness_n_m: Tensor
+    pretension_n: Tensor
+
     def __init__(
         self, mechanism: Mechanism, reading_variance_n2: float, pose_corrections: int
     ) -> None:
         super().__init__()
-        self.mechanism = mechanism
+        self.kinematics = CompactKinematics(mechanism)
         self.reading_variance_n2 = max(reading_variance_n2, 1e-12)
         self.pose_corrections = pose_corrections
         self.slack_below_n = 4.0 * self.reading_variance_n2**0.5
-        constant = torch.as_tensor
-        self.register_buffer("stiffness_n_m", constant(mechanism.stiffness_n_m))
-        self.register_buffer("pretension_n", constant(mechanism.pretension_n))
+        self.register_buffer("stiffness_n_m", torch.as_tensor(mechanism.stiffness_n_m))
+        self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n))
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
-        command = joint_command_rad
-        lengths = self._span_sum(kinematics.spans(self.mechanism, command))
-        unloaded, unloaded_tension = self._unloaded(command, lengths)
+        """See `Candidates`."""
+        n = self.kinematics.segment_count
+        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2)
+        commanded = self.kinematics(angles)
+        unloaded_tension, unloaded_balance = self._unloaded(angles, commanded)
+        normal_cross = self.kinematics.normal_cross(commanded.rotations)
+        gram_rows = commanded.jacobian_t_m.transpose(1, 2)
+
         tension = unloaded_tension + tension_difference_n
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
         weight = taut + SLACK_WEIGHT * (1.0 - taut)
-        pose, jacobian, inverse = self._true_pose(command, lengths, tension, weight)
-        difference = tension - unloaded_tension
-        torque = _transposed_times(jacobian, difference)
-        if self.pose_corrections:
-            unloaded_jacobian = kinematics.cable_jacobian_m(self.mechanism, unloaded)
-            torque = (
-                torque
-                + _transposed_times(jacobian - unloaded_jacobian, unloaded_tension)
-                - kinematics.gravity_torques_n_m(self.mechanism, pose)
-                + kinematics.gravity_torques_n_m(self.mechanism, unloaded)
-            )
-        return self._least_squares(command, pose, tension, torque, inverse)
-
-    def _unloaded(self, command: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
-        """Pose and tensions under the arm's own weight, all cables taut, by Gauss-Newton on the balance."""
-        pose, tension = command, self.pretension_n.expand(command.shape[0], -1)
-        for _ in range(max(1, self.pose_corrections)):
-            span = kinematics.spans(self.mechanism, pose)
-            jacobian = kinematics.interleave(span)
-            tension = self.pretension_n + self.stiffness_n_m * (self._span_sum(span) - lengths)
-            left = kinematics.gravity_torques_n_m(self.mechanism, pose) - _transposed_times(
-                jacobian, tension
-            )
-            moved = _times(_gram_inverse(jacobian, self.stiffness_n_m), left)
-            tension = tension + self.stiffness_n_m * _times(jacobian, moved)
-            pose = pose + moved
-        return pose, tension
-
-    def _true_pose(
-        self, command: Tensor, lengths: Tensor, tension: Tensor, weight: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Pose, its cable Jacobian, and the inverse of J' W J there."""
-        pose = command
-        target = lengths + (tension - self.pretension_n) / self.stiffness_n_m
-        span = kinematics.spans(self.mechanism, pose)
-        jacobian = kinematics.interleave(span)
-        inverse = _gram_inverse(jacobian, weight)
+        pose = commanded
+        inverse = _inverse((commanded.jacobian_t_m * weight[:, None]) @ gram_rows)
+        stretch = (tension - self.pretension_n) / self.stiffness_n_m
         for _ in range(self.pose_corrections):
-            short = target - self._span_sum(span)
-            pose = pose + _times(inverse, _transposed_times(jacobian, weight * short))
-            span = kinematics.spans(self.mechanism, pose)
-            jacobian = kinematics.interleave(span)
-            inverse = _gram_inverse(jacobian, weight)
-        return pose, jacobian, inverse
+            short = stretch - (pose.span_sum_m - commanded.span_sum_m)
+            moved = inverse @ (pose.jacobian_t_m @ (weight * short)[..., None])
+            angles = angles + moved.reshape(-1, 2, n)
+            pose = self.kinematics(angles)
+            inverse = _inverse(
+                (pose.jacobian_t_m * weight[:, None]) @ pose.jacobian_t_m.transpose(1, 2)
+            )
+        torque = (pose.jacobian_t_m @ tension[..., None])[..., 0] - pose.gravity_n_m
+        torque = torque - unloaded_balance
+        lever = self.kinematics.levers(pose, normal_cross)
+        return self._least_squares(lever, inverse, torque[..., None], tension)
+
+    def _unloaded(self, angles: Tensor, commanded: Pose) -> tuple[Tensor, Tensor]:
+        """Tensions (B, M) under the arm's own weight, all taut, and what their torque leaves unbalanced (B, 2N)."""
+        pose, n = commanded, self.kinematics.segment_count
+        tension = self.pretension_n.expand(angles.shape[0], -1)
+        for _ in range(max(1, self.pose_corrections)):
+            balance = pose.gravity_n_m[..., None] - pose.jacobian_t_m @ tension[..., None]
+            gram = (pose.jacobian_t_m * self.stiffness_n_m) @ pose.jacobian_t_m.transpose(1, 2)
+            moved = _inverse(gram) @ balance
+            angles = angles + moved.reshape(-1, 2, n)
+            pose = self.kinematics(angles)
+            tension = self.pretension_n + self.stiffness_n_m * (
+                pose.span_sum_m - commanded.span_sum_m
+            )
+        balance = (pose.jacobian_t_m @ tension[..., None])[..., 0] - pose.gravity_n_m
+        return tension, balance
 
     def _least_squares(
-        self, command: Tensor, pose: Tensor, tension: Tensor, torque: Tensor, inverse: Tensor
+        self, lever: Tensor, inverse: Tensor, torque: Tensor, tension: Tensor
     ) -> Candidates:
-        """Generalised least squares of the torque on every segment's two force components."""
-        normal = kinematics.segment_rotations(self.mechanism, command)[..., 1:]
-        contact = kinematics.contact_jacobians_m(self.mechanism, pose)
-        lever = normal.transpose(-1, -2) @ contact
+        """Generalised least squares of torques (B, 2N, 1) on every segment's two force components."""
         precision = inverse / self.reading_variance_n2
         weighted = lever @ precision[:, None]
         information = weighted @ lever.transpose(-1, -2)
-        pull = (weighted @ torque[:, None, :, None])[..., 0]
-        force = (_inverse_2x2(information) @ pull[..., None])[..., 0]
-        misfit_none = (torque * _times(precision, torque)).sum(-1)
-        misfit = misfit_none[:, None] - (pull * force).sum(-1)
-        return Candidates(force, information, misfit, misfit_none, pose, tension)
-
-    def _span_sum(self, span: kinematics.Spans) -> Tensor:
-        length: Tensor = span.length_m
-        return length.sum(-1)
+        pull = weighted @ torque[:, None]
+        covariance = _inverse(information)
+        force = covariance @ pull
+        misfit_none = (torque * (precision @ torque)).sum((1, 2))
+        misfit = misfit_none[:, None] - (pull * force).sum((2, 3))
+        return Candidates(force[..., 0], covariance, misfit, misfit_none, tension)
 
 
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector[..., None])[..., 0]
-
-
-def _transposed_times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (vector[..., None, :] @ matrix)[..., 0, :]
-
-
-def _gram_inverse(jacobian: Tensor, weight: Tensor) -> Tensor:
-    gram = jacobian.transpose(-1, -2) @ (weight[..., None] * jacobian)
-    return torch.linalg.inv(gram)
-
-
-def _inverse_2x2(matrix: Tensor) -> Tensor:
-    a, b = matrix[..., 0, 0], matrix[..., 0, 1]
-    c, d = matrix[..., 1, 0], matrix[..., 1, 1]
-    adjugate = torch.stack([torch.stack([d, -b], -1), torch.stack([-c, a], -1)], -2)
-    return adjugate / (a * d - b * c)[..., None, None]
+def _inverse(matrix: Tensor) -> Tensor:
+    if torch.onnx.is_in_onnx_export():
+        # ONNX itself has no inverse; ONNX Runtime does, as an operator of its own.
+        inverted: Tensor = torch.onnx.ops.symbolic(
+            "com.microsoft::Inverse", (matrix,), dtype=matrix.dtype, shape=matrix.shape, version=1
+        )
+        return inverted
+    return torch.linalg.inv(matrix)

@@ -68,11 +68,12 @@ class CorrectedClosedForm(SingleContactNetwork):
         contact_logits = self._contact_logits(found)
         chosen = one_hot_of_argmax(contact_logits[:, 1:])
         force = (found.force_n * chosen[..., None]).sum(1)
-        information = (found.information * chosen[..., None, None]).sum(1)
+        covariance = (found.covariance_n2 * chosen[..., None, None]).sum(1)
         strength = _norm(force)
         radial = force / strength[:, None]
         tangential = torch.stack([radial[:, 1], -radial[:, 0]], -1)
-        radial_std, angular_std = _standard_deviations(information, radial)
+        radial_std = _std_along(radial, covariance)
+        angular_std = _std_along(tangential, covariance)
         hidden = self.hidden(_features(force, strength, chosen, found.tensions_n))
         shift = LARGEST_CORRECTION * torch.tanh(self.correction(hidden) / LARGEST_CORRECTION)
         force = force + (shift[:, :1] * radial_std[:, None]) * radial
@@ -93,7 +94,7 @@ class CorrectedClosedForm(SingleContactNetwork):
         With prior density 1 / (2 pi F F_max) the evidence integral over f is sqrt(det C) / (F F_max) at the best fit
         (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
         """
-        covariance_det = _determinant(found.information).clamp(min=1e-30).reciprocal()
+        covariance_det = _determinant(found.covariance_n2).clamp(min=1e-30)
         saved = 0.5 * (found.misfit_none[:, None] - found.misfit)
         weak = torch.sqrt((found.force_n**2).sum(-1) + torch.sqrt(covariance_det))
         occam = 0.5 * torch.log(covariance_det) - torch.log(weak * self.force_range_n)
@@ -137,11 +138,6 @@ def _determinant(matrix: Tensor) -> Tensor:
     return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
 
 
-def _standard_deviations(information: Tensor, radial: Tensor) -> tuple[Tensor, Tensor]:
-    """Along the force and across it, N, from the inverse of a 2 by 2 information matrix."""
-    a, b, d = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
-    det = (a * d - b * b).clamp(min=1e-30)
-    y, z = radial[:, 0], radial[:, 1]
-    along = (d * y * y - 2.0 * b * y * z + a * z * z) / det
-    across = (a * y * y + 2.0 * b * y * z + d * z * z) / det
-    return torch.sqrt(along.clamp(min=1e-18)), torch.sqrt(across.clamp(min=1e-18))
+def _std_along(direction: Tensor, covariance: Tensor) -> Tensor:
+    variance = (direction[:, None, :] @ covariance @ direction[:, :, None])[:, 0, 0]
+    return torch.sqrt(variance.clamp(min=1e-18))
