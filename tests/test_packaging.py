@@ -114,3 +114,20 @@ def test_a_set_up_without_a_fitting_python_says_what_to_do(
     assert "Python 3.11 or 3.12" in said[0]
     assert remedy in said[0]
     assert not venv.exists()
+
+
+def test_a_python_that_cannot_make_environments_says_what_to_install(tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1 ;; esac\n')
+    python.chmod(0o755)
+    venv = tmp_path / "venv"
+    done = subprocess.run(
+        ["make", f"PYTHON={python}", f"VENV={venv}", f"{venv}/bin/python"],
+        cwd=CHECKOUT,
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert done.returncode != 0
+    assert done.stderr.splitlines()[0].endswith("apt-get install python3-venv")
+    assert not venv.exists()
