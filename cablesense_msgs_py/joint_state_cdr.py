@@ -78,7 +78,8 @@ class JointStateReader:
 
     def _names(self, raw: bytes, order: str) -> tuple[tuple[str, ...], int]:
         """Names and where they end. The bytes between (frame and names) are looked up first: padding
-        between strings is not always zero, so a few variants of the same names are kept."""
+        between strings is not always zero, so a few variants of the same names are kept.
+        """
         end = _TEXT_AT + self._text_length
         if raw[:2] == self._known_order:
             names = self._known.get(raw[_TEXT_AT:end])
@@ -135,9 +136,7 @@ def _string(raw: bytes, at: int, order: str, field: str) -> tuple[str, int]:
     return text, at + length
 
 
-def _doubles(
-    raw: bytes, at: int, order: str, field: str
-) -> tuple[NDArray[np.float64], int]:
+def _doubles(raw: bytes, at: int, order: str, field: str) -> tuple[NDArray[np.float64], int]:
     count, at = _count(raw, at, order, field)
     if count:
         at = _aligned(at, 8)

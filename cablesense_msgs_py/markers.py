@@ -44,7 +44,9 @@ class ContactMarkers:
         arrow, sphere = self.array.markers[_ARROW], self.array.markers[_SPHERE]
         for marker in (arrow, sphere):
             marker.header.stamp = stamp
-            marker.header.frame_id = frames.segment(contact.segment) if contact.segment else frames.base
+            marker.header.frame_id = (
+                frames.segment(contact.segment) if contact.segment else frames.base
+            )
             marker.action = marker.ADD if contact.segment else marker.DELETE
         if not contact.segment:
             return

@@ -1,0 +1,287 @@
+"""The `estimator` node: cable tensions in, contact and force out (a lifecycle node)."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.qos import COMMAND, SENSOR
+from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
+from cablesense_ros.estimation import Estimation, Outcome
+from cablesense_ros.estimator_outputs import EstimatorOutputs
+from cablesense_ros.estimator_parameters import (
+    ESTIMATOR_PARAMETERS,
+    LIVE_PARAMETERS,
+    estimation_settings,
+)
+from cablesense_ros.estimator_report import cable_status, pose_status, tare_status
+from cablesense_ros.loaded_model import LoadedModel, load_model
+from cablesense_ros.node_parameters import declare_parameters, parameter_values
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_ros.tare import Tare, TareModel
+from cablesense_ros.throttled_log import ThrottledLog
+
+STALE_CHECK_S = 0.02
+"""How often the silence of the input is looked at; the zero wrench repeats at this period while it lasts."""
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class EstimatorNode(LifecycleNode):
+    """Configured: model and arm loaded. Active: every sample is answered with a wrench."""
+
+    def __init__(self) -> None:
+        super().__init__("estimator")
+        declare_parameters(self, ESTIMATOR_PARAMETERS, read_only=False)
+        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
+        self._loaded: LoadedModel | None = None
+        self._estimation: Estimation | None = None
+        self._outputs: EstimatorOutputs | None = None
+        self._tare_services: list[Service] = []
+        self._inputs: list[Subscription] = []
+        self._stale_timer: Timer | None = None
+        self._lost = 0
+        self._refused_commands = 0
+        self.add_post_set_parameters_callback(self._on_parameters)
+        DiagnosticsPublisher(
+            self, self._statuses, lambda: self._loaded.arm.identity if self._loaded else ""
+        )
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load arm and model, create the outputs; on failure say why and stay unconfigured."""
+        try:
+            self._configure()
+        except CableSenseError as error:
+            self._release()
+            self.get_logger().error(f"cannot configure: {error}")
+            return FAILURE
+        except Exception:  # rclpy would drop it without a word
+            self._release()
+            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
+            return FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Listen to tensions and commands."""
+        result = super().on_activate(state)
+        self._inputs = [
+            self.create_subscription(
+                JointState,
+                topics.CABLE_TENSIONS,
+                self._on_sample,
+                qos_profile(SENSOR),
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+                qos_overriding_options=overridable(),
+            ),
+            self.create_subscription(
+                JointState,
+                topics.JOINT_COMMANDS,
+                self._on_command,
+                qos_profile(COMMAND),
+                qos_overriding_options=overridable(),
+            ),
+        ]
+        self._stale_timer = self.create_timer(STALE_CHECK_S, self._check_stale)
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave a zero wrench behind and listen no more."""
+        self._publish_zero()
+        self._stop_listening()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget arm, model and tare."""
+        result = super().on_cleanup(state)
+        self._release()
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop from any state."""
+        self._stop_listening()
+        self._release()
+        return super().on_shutdown(state)
+
+    def autostart(self) -> None:
+        """Configure and activate, unless the parameter `autostart` leaves it to a lifecycle manager."""
+        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
+            self.trigger_activate()
+
+    def _configure(self) -> None:
+        given = parameter_values(self, ESTIMATOR_PARAMETERS)
+        self._loaded = load_model(given["arm"], given["model"])
+        self._estimation = Estimation(
+            self._loaded.arm, self._loaded.estimator, estimation_settings(given), time.monotonic()
+        )
+        frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
+        self._outputs = EstimatorOutputs(self, frames, given["markers"])
+        self._tare_services = [
+            self.create_service(Trigger, topics.TARE, self._on_tare),
+            self.create_service(Trigger, topics.TARE_UNDO, self._on_tare_undo),
+        ]
+        self.get_logger().info(
+            f"arm {self._loaded.arm.identity}, model {self._loaded.model}: configured"
+        )
+
+    def _stop_listening(self) -> None:
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._inputs = []
+        if self._stale_timer is not None:
+            self.destroy_timer(self._stale_timer)
+            self._stale_timer = None
+
+    def _release(self) -> None:
+        for service in self._tare_services:
+            self.destroy_service(service)
+        self._tare_services = []
+        if self._outputs is not None:
+            self._outputs.destroy()
+        self._loaded, self._estimation, self._outputs = None, None, None
+
+    def _on_sample(self, raw: bytes) -> None:
+        if self._estimation is None or self._outputs is None:
+            return
+        now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
+        outcome = self._estimation.sample(raw, now_ns, now_s)
+        self._outputs.publish(outcome, outcome.stamp_ns or now_ns, now_s)
+        if outcome.problem is not None:
+            self._warn(
+                outcome.problem.kind.name,
+                f"{topics.CABLE_TENSIONS}: sample refused: {outcome.problem}",
+            )
+        if outcome.new_tare is not None:
+            self._log_tare(outcome.new_tare, "by itself at start (auto_tare)")
+
+    def _on_command(self, message: JointState) -> None:
+        if self._estimation is None:
+            return
+        try:
+            self._estimation.command(message, time.monotonic())
+        except CableSenseError as error:
+            self._refused_commands += 1
+            self._warn(topics.JOINT_COMMANDS, f"{topics.JOINT_COMMANDS}: message refused: {error}")
+
+    def _check_stale(self) -> None:
+        now_s = time.monotonic()
+        if self._estimation is None or not self._estimation.stale(now_s):
+            return
+        self._publish_zero()
+        silence_s = self._estimation.health.silence_s(now_s)
+        self._warn(
+            "silence",
+            f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; the wrench is zero",
+        )
+
+    def _publish_zero(self) -> None:
+        if self._outputs is not None:
+            self._outputs.publish(Outcome(), self.get_clock().now().nanoseconds, time.monotonic())
+
+    def _on_tare(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, lambda tare: self._log_tare(tare.take(), "on request"))
+
+    def _on_tare_undo(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self._undo_tare)
+
+    def _answer(
+        self, response: Trigger.Response, do: Callable[[TareModel], str]
+    ) -> Trigger.Response:
+        if self._estimation is None or not self._inputs:
+            response.success, response.message = False, "the node is not active"
+            return response
+        try:
+            response.message = do(self._estimation.tare)
+            response.success = True
+        except CableSenseError as error:
+            response.success, response.message = False, str(error)
+            self.get_logger().warning(f"tare: {error}")
+        return response
+
+    def _undo_tare(self, tare: TareModel) -> str:
+        earlier = tare.undo()
+        message = (
+            "tare undone; there is none now, so no estimate"
+            if earlier is None
+            else f"tare undone; the one of {earlier.sample_count} readings before it counts again"
+        )
+        self.get_logger().info(message)
+        return message
+
+    def _log_tare(self, tare: Tare, how: str) -> str:
+        message = (
+            f"tare taken {how}: average of {tare.sample_count} readings, at most {tare.offset_n:.2f} N "
+            "from the arm file's unloaded tensions"
+        )
+        self.get_logger().info(message)
+        return message
+
+    def _on_lost(self, event: QoSMessageLostInfo) -> None:
+        self._lost += event.total_count_change
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        if self._estimation is not None and any(p.name in LIVE_PARAMETERS for p in parameters):
+            given = parameter_values(self, ESTIMATOR_PARAMETERS)
+            self._estimation.adjust(**{name: given[name] for name in LIVE_PARAMETERS})
+
+    def _statuses(self) -> list[Status]:
+        if self._estimation is None or self._loaded is None:
+            return [Status("model", Level.WARN, "not configured: no model loaded")]
+        model = Status(
+            "model",
+            Level.OK if self._inputs else Level.WARN,
+            "active" if self._inputs else "configured, not active",
+            {
+                "model": self._loaded.model,
+                "arm": self._loaded.arm.identity,
+                "contact threshold": str(self.get_parameter("contact_threshold").value),
+            },
+        )
+        if not self._inputs:
+            return [model]
+        now_s = time.monotonic()
+        missing = max(self._lost, self._estimation.clock.missing_since_last_report())
+        self._lost, refused, self._refused_commands = 0, self._refused_commands, 0
+        return [
+            model,
+            self._estimation.health.status(
+                now_s,
+                self.get_parameter("stale_after_s").value,
+                missing,
+                self.count_publishers(topics.CABLE_TENSIONS),
+            ),
+            cable_status(self._estimation),
+            pose_status(self._estimation, refused, now_s),
+            tare_status(self._estimation),
+        ]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+
+    def make_node() -> EstimatorNode:
+        node = EstimatorNode()
+        node.autostart()
+        return node
+
+    return run_node(make_node, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""What the estimator node publishes for each sample: the wrench first, all else after it."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.contact import (
+    Contact,
+    describe_probabilities,
+    put_contact_point,
+    put_force_direction,
+    put_probabilities,
+    put_wrench,
+)
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.markers import ContactMarkers
+from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_ros.estimation import Outcome
+from cablesense_ros.qos_profiles import overridable, qos_profile
+
+DISPLAY_PERIOD_S = 1.0 / 30.0
+"""Markers and probabilities come no faster than this: they are for eyes."""
+
+
+class EstimatorOutputs:
+    """The publishers of a configured estimator; messages are made once and reused."""
+
+    def __init__(self, node: LifecycleNode, frames: Frames, markers: bool) -> None:
+        self._node = node
+        self._frames = frames
+        self._next_display_s = float("-inf")
+        self._wrench, self._wrench_out = (
+            WrenchStamped(),
+            self._create(WrenchStamped, topics.WRENCH),
+        )
+        self._point, self._point_out = (
+            PointStamped(),
+            self._create(PointStamped, topics.CONTACT_POINT),
+        )
+        self._direction, self._direction_out = (
+            Vector3Stamped(),
+            self._create(Vector3Stamped, topics.FORCE_DIRECTION),
+        )
+        self._probabilities = Float64MultiArray()
+        self._probabilities.layout.dim = [MultiArrayDimension()]
+        describe_probabilities(self._probabilities.layout.dim[0], frames.segment_count)
+        self._probabilities_out = self._create(Float64MultiArray, topics.CONTACT_PROBABILITIES)
+        self._markers = ContactMarkers(MarkerArray(), Marker, Point) if markers else None
+        self._markers_out = self._create(MarkerArray, topics.MARKERS) if markers else None
+
+    def publish(self, outcome: Outcome, stamp_ns: int, now_s: float) -> None:
+        """Publish the answer to a sample.
+
+        Args:
+            outcome: the answer.
+            stamp_ns: time that the outputs bear.
+            now_s: monotonic time.
+        """
+        stamp = self._wrench.header.stamp
+        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        put_wrench(self._wrench, outcome.contact, self._frames)
+        self._wrench_out.publish(self._wrench)
+        if outcome.contact.segment:
+            self._publish_contact(outcome.contact, stamp)
+        if now_s >= self._next_display_s:
+            self._next_display_s = now_s + DISPLAY_PERIOD_S
+            self._publish_display(outcome, stamp)
+
+    def destroy(self) -> None:
+        """Take the topics away."""
+        for publisher in (
+            self._wrench_out,
+            self._point_out,
+            self._direction_out,
+            self._probabilities_out,
+            self._markers_out,
+        ):
+            if publisher is not None:
+                self._node.destroy_lifecycle_publisher(publisher)
+
+    def _create(self, kind: type, topic: str) -> LifecyclePublisher:
+        return self._node.create_lifecycle_publisher(
+            kind, topic, qos_profile(PUBLISHER), qos_overriding_options=overridable()
+        )
+
+    def _publish_contact(self, contact: Contact, stamp: Time) -> None:
+        if self._point_out.get_subscription_count():
+            self._point.header.stamp = stamp
+            put_contact_point(self._point, contact, self._frames)
+            self._point_out.publish(self._point)
+        if self._direction_out.get_subscription_count():
+            self._direction.header.stamp = stamp
+            put_force_direction(self._direction, contact, self._frames)
+            self._direction_out.publish(self._direction)
+
+    def _publish_display(self, outcome: Outcome, stamp: Time) -> None:
+        if outcome.probabilities and self._probabilities_out.get_subscription_count():
+            put_probabilities(self._probabilities, outcome.probabilities)
+            self._probabilities_out.publish(self._probabilities)
+        if self._markers and self._markers_out and self._markers_out.get_subscription_count():
+            self._markers.put(outcome.contact, self._frames, stamp)
+            self._markers_out.publish(self._markers.array)

@@ -1,0 +1,52 @@
+"""The estimator's health beyond its input: cables, pose, tare and model."""
+
+from __future__ import annotations
+
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_ros.estimation import Estimation
+
+
+def cable_status(estimation: Estimation) -> Status:
+    """Which cables are slack. The estimate goes on: statics holds with slack cables too."""
+    slack = estimation.check.slack
+    names = ", ".join(f"cable_{number}" for number in slack) or "none"
+    level, message = (Level.WARN, f"slack: {names}") if slack else (Level.OK, "all cables taut")
+    return Status(
+        "cables",
+        level,
+        message,
+        {"slack": names, "slack below (N)": f"{estimation.check.slack_below_n:g}"},
+    )
+
+
+def pose_status(estimation: Estimation, refused_commands: int, now_s: float) -> Status:
+    """What is known of the arm's pose."""
+    values = {
+        "commands refused": str(refused_commands),
+        "command (deg)": ", ".join(f"{angle:.2f}" for angle in estimation.command_deg),
+    }
+    if refused_commands:
+        return Status("joint_commands", Level.ERROR, "a command was refused; see the log", values)
+    if estimation.gate.moving(now_s):
+        return Status(
+            "joint_commands", Level.OK, "moving: no estimate until the arm rests", values
+        )
+    if not estimation.command_received:
+        return Status(
+            "joint_commands", Level.WARN, "none received: arm taken to be straight", values
+        )
+    return Status("joint_commands", Level.OK, "at rest", values)
+
+
+def tare_status(estimation: Estimation) -> Status:
+    """Whether there is a tare, and how far it lies from the arm's model."""
+    tare = estimation.tare.present
+    if tare is None:
+        return Status(
+            "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
+        )
+    values = {
+        "readings averaged": str(tare.sample_count),
+        "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
+    }
+    return Status("tare", Level.OK, "taken", values)

@@ -1,0 +1,29 @@
+"""The arm and the model that fits it, as the estimator node loads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cablesense_sim.arm import Arm, load_arm
+from cablesense_sim.arm_files import find_arm
+from cablesense_training.inference.estimator import Estimator, find_model
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """An arm, its estimator, and where the model came from."""
+
+    arm: Arm
+    estimator: Estimator
+    model: str
+
+
+def load_model(arm: str, model: str) -> LoadedModel:
+    """Load by name or path; an empty `model` takes the bundled one of the arm's name.
+
+    Raises:
+        CableSenseError: a file is missing or invalid, or the model was made for another arm.
+    """
+    description = load_arm(find_arm(arm))
+    path = find_model(model or description.name)
+    return LoadedModel(description, Estimator.load(path, description), str(path))

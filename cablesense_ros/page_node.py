@@ -1,0 +1,152 @@
+"""The `page` node: subscribes to the arm and the estimator, serves the live page, publishes what a person asks for."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, Final
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from cablesense_msgs_py import qos, topics
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.joint_state import put_joint_angles
+from cablesense_ros.contract_inputs import listen_to_arm, of_node
+from cablesense_ros.node_parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.page.controls import Actions, Push
+from cablesense_ros.page.live_arm import LiveArm
+from cablesense_ros.page.page import Page
+from cablesense_ros.page.snapshot import Array
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_sim.arm import load_arm
+from cablesense_sim.arm_files import find_arm
+
+PAGE_PARAMETERS: Final = (
+    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    NodeParameter(
+        "host", "127.0.0.1", "Address to serve on; 0.0.0.0 lets other machines see and push."
+    ),
+    NodeParameter("port", 8080, "Port to serve on; when busy, the next free one.", 1, 65535),
+    NodeParameter("rate_hz", 25.0, "How often the scene is drawn, Hz.", 1.0, 60.0),
+    NodeParameter("estimator", "estimator", "Name of the estimator node to show."),
+    NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
+    NodeParameter("controls", True, "Whether a person may push, move and tare from the page."),
+    NodeParameter(
+        "home_at_start",
+        False,
+        "Command the straight pose as soon as someone listens, so that arm and estimator agree on it.",
+    ),
+    NodeParameter(
+        "joint_speed_deg_s",
+        20.0,
+        "Peak speed at which joints approach a command, degrees per second; as in the sim node.",
+        0.1,
+        360.0,
+    ),
+)
+
+LISTENERS = 3
+"""Readers of a command: the arm, the estimator and the page itself."""
+
+
+class PageNode(Node):
+    """A thin shell around `LiveArm` (messages in) and `Page` (picture and controls out)."""
+
+    def __init__(self) -> None:
+        super().__init__("page")
+        declare_parameters(self, PAGE_PARAMETERS)
+        values = parameter_values(self, PAGE_PARAMETERS)
+        arm = load_arm(find_arm(values["arm"]))
+        self._home_due = values["home_at_start"]
+        self._joint_names = list(arm.joint_names)
+        self._live = LiveArm(
+            arm,
+            joint_speed_rad_s=float(np.deg2rad(values["joint_speed_deg_s"])),
+            frame_prefix=values["frame_prefix"],
+            estimator=values["estimator"],
+        )
+        self._load = self.create_publisher(
+            WrenchStamped,
+            topics.APPLIED_WRENCH,
+            qos_profile(qos.COMMAND),
+            qos_overriding_options=overridable(),
+        )
+        self._command = self.create_publisher(
+            JointState,
+            topics.JOINT_COMMANDS,
+            qos_profile(qos.COMMAND),
+            qos_overriding_options=overridable(),
+        )
+        self._tare = self.create_client(Trigger, of_node(values["estimator"], topics.TARE))
+        listen_to_arm(self, self._live, values["estimator"])
+        actions = Actions(self._push, self._move, self._ask_for_tare)
+        self._page = Page(
+            arm,
+            actions if values["controls"] else None,
+            host=values["host"],
+            port=values["port"],
+        )
+        if self._page.port != values["port"]:
+            self.get_logger().warning(
+                f"port {values['port']} is busy; serving on {self._page.port} instead"
+            )
+        self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
+        print(f"page: {self._page.url}", flush=True)
+        self.create_timer(1.0 / values["rate_hz"], self._draw)
+
+    def destroy_node(self) -> None:
+        """Closes the page, too."""
+        self._page.close()
+        super().destroy_node()
+
+    def _draw(self) -> None:
+        if self._home_due and self._command.get_subscription_count() >= LISTENERS:
+            self._home_due = False
+            self._move(np.zeros(len(self._joint_names)))
+        self._page.show(self._live.snapshot(time.monotonic()))
+
+    def _push(self, push: Push) -> None:
+        try:
+            loads = self._live.loads_of(push.segment, push.angle_deg, push.magnitude_n)
+        except CableSenseError as error:
+            self._page.notify("Not pushed", str(error))
+            return
+        for load in loads:
+            message = WrenchStamped()
+            message.header.stamp = self.get_clock().now().to_msg()
+            message.header.frame_id = self._live.frames.segment(load.segment)
+            force = message.wrench.force
+            force.x, force.y, force.z = (float(component) for component in load.force_base_n)
+            self._load.publish(message)
+
+    def _move(self, joint_angles_rad: Array) -> None:
+        message = JointState(name=self._joint_names)
+        message.header.stamp = self.get_clock().now().to_msg()
+        put_joint_angles(message, joint_angles_rad)
+        self._command.publish(message)
+
+    def _ask_for_tare(self) -> None:
+        if not self._tare.service_is_ready():
+            self._page.notify("Not tared", f"nothing answers {self._tare.srv_name}")
+            return
+        future = self._tare.call_async(Trigger.Request())
+        future.add_done_callback(self._tell_tare)
+
+    def _tell_tare(self, future: Any) -> None:
+        answer = future.result()
+        if answer is not None:
+            self._page.notify("Tared" if answer.success else "Not tared", answer.message)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node until it is told to end."""
+    sys.exit(run_node(PageNode, args))
+
+
+if __name__ == "__main__":
+    main()

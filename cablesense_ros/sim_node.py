@@ -1,0 +1,152 @@
+"""The `sim` node: the arm in MuJoCo at real time, as if it were the real one on the bus."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.joint_state import joint_command_rad, put_joint_angles, put_tensions
+from cablesense_msgs_py.load import read_load
+from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER, Qos
+from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
+from cablesense_ros.node_parameters import declare_parameters, parameter_values
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.sim_parameters import SIM_PARAMETERS
+from cablesense_ros.simulated_arm import SimulatedArm
+from cablesense_ros.spin import run_node
+from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_sim.arm import load_arm
+from cablesense_sim.arm_files import find_arm
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.urdf import urdf_xml
+
+TIMESTEP_S = 1e-3
+JOINT_STATES_HZ = 100.0
+"""`joint_states` come with the tensions, but no faster than this: they are for display."""
+
+_SLOWEST_FACTOR = 0.95
+
+
+class SimNode(Node):
+    """Publishes what the arm's sensors would read; takes commands and loads."""
+
+    def __init__(self) -> None:
+        super().__init__("sim")
+        declare_parameters(self, SIM_PARAMETERS, read_only=True)
+        given = parameter_values(self, SIM_PARAMETERS)
+        self._arm = load_arm(find_arm(given["arm"]))
+        self._frames = Frames(self._arm.segment_count, given["frame_prefix"])
+        self._joint_order = NamedOrder(self._arm.joint_names, "joints")
+        self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
+        self._rate_hz = given["rate_hz"] or min(self._arm.sensors.rate_hz, 1000.0)
+        self._simulated = SimulatedArm(
+            ArmDynamics(self._arm, TIMESTEP_S),
+            TIMESTEP_S,
+            math.radians(given["joint_speed_deg_s"]),
+            given["load_timeout_s"],
+            time.monotonic(),
+        )
+        self._refusals = 0
+        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
+        self._tensions = JointState(name=list(self._arm.cable_names))
+        self._joint_states = JointState(name=list(self._arm.joint_names))
+        self._tensions.header.frame_id = self._joint_states.header.frame_id = self._frames.base
+        self._tick_count = 0
+        self._ticks_per_joint_state = max(1, math.ceil(self._rate_hz / JOINT_STATES_HZ))
+        self._tensions_out = self._publisher(JointState, topics.CABLE_TENSIONS, PUBLISHER)
+        self._joint_states_out = self._publisher(JointState, topics.JOINT_STATES, PUBLISHER)
+        description_out = self._publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
+        description_out.publish(String(data=urdf_xml(self._arm)))
+        self._subscription(JointState, topics.JOINT_COMMANDS, self._on_command)
+        self._subscription(WrenchStamped, topics.APPLIED_WRENCH, self._on_load)
+        DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity)
+        self.create_timer(1.0 / self._rate_hz, self._tick)
+        self.get_logger().info(
+            f"arm {self._arm.identity}: {self._arm.cable_count} cables, tensions at {self._rate_hz:g} Hz"
+        )
+
+    def _publisher(self, kind: type, topic: str, qos: Qos) -> Publisher:
+        return self.create_publisher(
+            kind, topic, qos_profile(qos), qos_overriding_options=overridable()
+        )
+
+    def _subscription(self, kind: type, topic: str, callback: object) -> Subscription:
+        return self.create_subscription(
+            kind, topic, callback, qos_profile(COMMAND), qos_overriding_options=overridable()
+        )
+
+    def _tick(self) -> None:
+        self._simulated.advance_to(time.monotonic())
+        stamp = self.get_clock().now().to_msg()
+        self._tensions.header.stamp = stamp
+        put_tensions(self._tensions, self._simulated.reading_n(self._arm.sensors, self._rng))
+        self._tensions_out.publish(self._tensions)
+        if self._tick_count % self._ticks_per_joint_state == 0:
+            self._joint_states.header.stamp = stamp
+            put_joint_angles(self._joint_states, self._simulated.joint_angles_rad)
+            self._joint_states_out.publish(self._joint_states)
+        self._tick_count += 1
+
+    def _on_command(self, message: JointState) -> None:
+        try:
+            self._simulated.go_to(joint_command_rad(message, self._joint_order))
+        except CableSenseError as error:
+            self._refuse(topics.JOINT_COMMANDS, error)
+
+    def _on_load(self, message: WrenchStamped) -> None:
+        try:
+            self._simulated.push(read_load(message, self._frames), time.monotonic())
+        except CableSenseError as error:
+            self._refuse(topics.APPLIED_WRENCH, error)
+
+    def _refuse(self, topic: str, error: CableSenseError) -> None:
+        self._refusals += 1
+        self._warn(topic, f"{topic}: message refused, the arm keeps what it had: {error}")
+
+    def _statuses(self) -> list[Status]:
+        factor = self._simulated.real_time_factor(time.monotonic())
+        level, message = Level.OK, "at real time"
+        if factor < _SLOWEST_FACTOR:
+            level, message = Level.WARN, f"at {factor:.2f} of real time: the machine is too busy"
+        if self._simulated.resets:
+            level, message = (
+                Level.ERROR,
+                "the dynamics lost their footing and started afresh, unloaded",
+            )
+        loads = ", ".join(
+            f"segment_{segment}: {force:.1f}" for segment, force in self._simulated.loads_n.items()
+        )
+        values = {
+            "real time factor": f"{factor:.3f}",
+            "time let go (s)": f"{self._simulated.skipped_s:.3f}",
+            "rate (Hz)": f"{self._rate_hz:g}",
+            "loads (N)": loads or "none",
+            "messages refused": str(self._refusals),
+            "resets": str(self._simulated.resets),
+            "arm": self._arm.identity,
+        }
+        return [Status("simulation", level, message, values)]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+    return run_node(SimNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,132 @@
+"""The arm that the sim node shows to the outside: dynamics at real time, smooth commands, loads that may lapse."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablesense_msgs_py.load import Load
+from cablesense_ros.joint_motion import JointMotion
+from cablesense_ros.real_time import RealTimePacer
+from cablesense_sim.arm import Sensors
+from cablesense_sim.sensors import read_tensions_n
+
+Array = NDArray[np.float64]
+
+LONGEST_LAG_S = 0.1
+"""A process that was held up longer than this goes on from there instead of catching up."""
+
+
+class Dynamics(Protocol):
+    """What is needed of `cablesense_sim.dynamics.ArmDynamics`."""
+
+    def command(self, joint_angles_rad: ArrayLike) -> None: ...
+    def load(self, segment: int, force_base_n: ArrayLike) -> None: ...
+    def advance(self, duration_s: float) -> None: ...
+    def reset(self, command_rad: ArrayLike | None = None) -> None: ...
+    @property
+    def command_rad(self) -> Array: ...
+    @property
+    def tensions_n(self) -> Array: ...
+    @property
+    def joint_angles_rad(self) -> Array: ...
+
+
+class SimulatedArm:
+    """One arm in real time; times are of one monotonic clock, s.
+
+    Attributes:
+        resets: how often the dynamics had to start afresh because they lost their footing.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        timestep_s: float,
+        joint_speed_rad_s: float,
+        load_timeout_s: float,
+        now_s: float,
+    ) -> None:
+        """`load_timeout_s` of 0 lets loads hold until they are changed."""
+        self._dynamics = dynamics
+        self._timestep_s = timestep_s
+        self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
+        self._load_timeout_s = load_timeout_s
+        self._loads: dict[int, tuple[Array, float]] = {}
+        self._pacer = RealTimePacer(timestep_s, LONGEST_LAG_S, now_s)
+        self.resets = 0
+
+    def go_to(self, joint_angles_rad: Array) -> None:
+        """Head for commanded joint angles (2N,).
+
+        Raises:
+            CableSenseError: the arm cannot take such a command; it keeps the one it has.
+        """
+        before = self._dynamics.command_rad
+        try:
+            self._dynamics.command(joint_angles_rad)
+        finally:
+            self._dynamics.command(before)
+        self._motion.go_to(joint_angles_rad)
+
+    def push(self, load: Load, now_s: float) -> None:
+        """Put a load on its segment in place of the one that was there; a zero force takes it away."""
+        self._dynamics.load(load.segment, load.force_base_n)
+        self._loads[load.segment] = (load.force_base_n, now_s)
+        if not load.force_base_n.any():
+            del self._loads[load.segment]
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the time that has passed pass in the simulation as well."""
+        self._drop_old_loads(now_s)
+        due = self._pacer.steps_due(now_s)
+        while due > 0 and self._motion.moving:
+            self._dynamics.command(self._motion.advance(self._timestep_s))
+            self._dynamics.advance(self._timestep_s)
+            due -= 1
+        if due > 0:
+            self._dynamics.advance(due * self._timestep_s)
+        if not np.isfinite(self._dynamics.tensions_n).all():
+            self._start_afresh()
+
+    def reading_n(self, sensors: Sensors, rng: np.random.Generator | None) -> Array:
+        """(M,) tensions in N: as the sensors read them, or the true ones without `rng`."""
+        tensions = self._dynamics.tensions_n
+        return tensions if rng is None else read_tensions_n(tensions, sensors, rng)
+
+    @property
+    def joint_angles_rad(self) -> Array:
+        """(2N,) true joint angles."""
+        return self._dynamics.joint_angles_rad
+
+    @property
+    def loads_n(self) -> dict[int, float]:
+        """Magnitude of the load on each loaded segment, N."""
+        return {
+            segment: float(np.linalg.norm(force))
+            for segment, (force, _) in sorted(self._loads.items())
+        }
+
+    @property
+    def skipped_s(self) -> float:
+        """Time let go because the process was held up, s."""
+        return self._pacer.skipped_s
+
+    def real_time_factor(self, now_s: float) -> float:
+        """Simulated over real time since this was last asked; 1 when it keeps pace."""
+        return self._pacer.real_time_factor(now_s)
+
+    def _drop_old_loads(self, now_s: float) -> None:
+        if self._load_timeout_s <= 0.0:
+            return
+        for segment, (_, since_s) in list(self._loads.items()):
+            if now_s - since_s > self._load_timeout_s:
+                self._dynamics.load(segment, np.zeros(3))
+                del self._loads[segment]
+
+    def _start_afresh(self) -> None:
+        self._dynamics.reset(self._dynamics.command_rad)
+        self._loads.clear()
+        self.resets += 1

@@ -1,0 +1,159 @@
+"""The unloaded state: tensions measured with nothing touching, carried over to other commands by the arm's model.
+
+A tare is taken at one command. Elsewhere the unloaded tensions are
+
+    unloaded(c) = measured(c_tare) + [ predicted(c) - predicted(c_tare) ]
+
+with the prediction of the arm file's static equilibrium: what the sensors read beyond the model (offsets) stays,
+what gravity and geometry change is added.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_msgs_py.errors import CableSenseError
+
+Array = NDArray[np.float64]
+
+MOST_TARES_KEPT = 16
+"""How many times a tare can be undone."""
+
+
+class TareError(CableSenseError):
+    """No tare can be taken or undone now: says why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Tensions of the unloaded arm.
+
+    Attributes:
+        measured_n: (M,) average of the readings.
+        predicted_n: (M,) what the arm's model says at the same command.
+        sample_count: how many readings were averaged.
+    """
+
+    measured_n: Array
+    predicted_n: Array
+    sample_count: int
+
+    @property
+    def offset_n(self) -> float:
+        """Largest deviation of a cable from the model, N."""
+        return float(np.abs(self.measured_n - self.predicted_n).max())
+
+
+class TareModel:
+    """Takes tares from the readings of the last moment and knows the unloaded tensions at the present command."""
+
+    def __init__(
+        self,
+        predict_n: Callable[[Array], Array],
+        command_rad: Array,
+        sample_count: int,
+        steady_n: float,
+    ) -> None:
+        """Without a tare, at `command_rad` (2N,).
+
+        Args:
+            predict_n: unloaded tensions (M,) of the arm's model at a command (2N,).
+            command_rad: the present command.
+            sample_count: readings that a tare averages.
+            steady_n: largest standard deviation of a cable's readings, N, that still counts as holding still.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at this command.
+        """
+        self._predict_n = predict_n
+        self._predicted_n = predict_n(command_rad)
+        self._sample_count = sample_count
+        self._steady_n = steady_n
+        self._readings: deque[Array] = deque(maxlen=sample_count)
+        self._tares: deque[Tare] = deque(maxlen=MOST_TARES_KEPT)
+        self._unloaded_n: Array | None = None
+
+    @property
+    def present(self) -> Tare | None:
+        """The tare in use."""
+        return self._tares[-1] if self._tares else None
+
+    @property
+    def unloaded_n(self) -> Array | None:
+        """(M,) unloaded tensions at the present command; none before the first tare."""
+        return self._unloaded_n
+
+    def command(self, command_rad: Array) -> None:
+        """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at this command; nothing has changed.
+        """
+        self._predicted_n = self._predict_n(command_rad)
+        self._readings.clear()
+        self._carry_over()
+
+    def forget_readings(self) -> None:
+        """Readings before this moment do not belong to the next tare."""
+        self._readings.clear()
+
+    def add(self, reading_n: Array) -> None:
+        """A reading (M,) in N at the present command, with the arm at rest."""
+        self._readings.append(reading_n)
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough readings have come for a tare, and they hold still."""
+        return len(self._readings) == self._sample_count and self._unsteady() is None
+
+    def take(self) -> Tare:
+        """Take the average of the last readings as the unloaded state.
+
+        Raises:
+            TareError: too few readings yet, or they do not hold still.
+        """
+        if len(self._readings) < self._sample_count:
+            raise TareError(
+                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose yet; "
+                "wait a moment with the arm at rest and call again"
+            )
+        unsteady = self._unsteady()
+        if unsteady is not None:
+            raise TareError(unsteady)
+        tare = Tare(np.mean(self._readings, axis=0), self._predicted_n.copy(), self._sample_count)
+        self._tares.append(tare)
+        self._carry_over()
+        return tare
+
+    def undo(self) -> Tare | None:
+        """Go back to the tare before the last and give it; none when the last was the first.
+
+        Raises:
+            TareError: there is nothing to undo.
+        """
+        if not self._tares:
+            raise TareError("no tare has been taken, so there is nothing to undo")
+        self._tares.pop()
+        self._carry_over()
+        return self.present
+
+    def _carry_over(self) -> None:
+        tare = self.present
+        self._unloaded_n = (
+            None if tare is None else tare.measured_n + (self._predicted_n - tare.predicted_n)
+        )
+
+    def _unsteady(self) -> str | None:
+        spread = np.std(self._readings, axis=0)
+        worst = int(np.argmax(spread))
+        if spread[worst] <= self._steady_n:
+            return None
+        return (
+            f"cable_{worst + 1} varies by {spread[worst]:.2f} N (standard deviation; at most "
+            f"{self._steady_n:g} N); let the arm come to rest with nothing touching it and call again"
+        )
