@@ -81,9 +81,11 @@ def _groups(parts: Iterable[Dataset]) -> Iterator[Dataset]:
 def _beside(path: Path) -> Iterator[Path]:
     """A new file in the same folder that becomes `path` if the block ends well, else vanishes."""
     beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    if path.is_dir():
-        raise DatasetError(f"{path}: is a folder; give a file, such as {path / 'data.parquet'}")
     try:
+        if path.is_dir():
+            raise DatasetError(
+                f"{path}: is a folder; give a file, such as {path / 'data.parquet'}"
+            )
         beside.touch()
         try:
             yield beside

@@ -1,0 +1,258 @@
+"""A dataset comes back from its file as it was written, and only a whole, fitting file is read."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cablesense_sim.arm import load_arm, parse_arm
+from cablesense_training.data import (
+    Dataset,
+    DatasetError,
+    MultiContact,
+    SingleContact,
+    read_dataset,
+    write_dataset,
+    write_parts,
+)
+from cablesense_training.data.dataset import ARRAY_NAMES
+
+ARMS = Path(__file__).parent.parent / "config" / "arms"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm(ARMS / "cdsm.yaml")
+
+
+@pytest.fixture(scope="module")
+def dataset(arm):
+    return Dataset.from_protocol(arm, SingleContact(samples=200, pose="random"), seed=5)
+
+
+@pytest.fixture
+def path(dataset, tmp_path):
+    path = tmp_path / "data.parquet"
+    write_dataset(path, dataset, "cablesense dataset")
+    return path
+
+
+def altered(path, change):
+    """The file again, with its table changed."""
+    pq.write_table(change(pq.read_table(path)), path)
+    return path
+
+
+def with_metadata(table, **values):
+    metadata = dict(table.schema.metadata)
+    for key, value in values.items():
+        metadata[b"cablesense." + key.encode()] = value.encode()
+    return table.replace_schema_metadata(metadata)
+
+
+def with_value(table, name, row, value):
+    place = table.schema.get_field_index(name)
+    values = table.column(name).to_pylist()
+    values[row] = value
+    field = table.schema.field(place)
+    return table.set_column(place, field, pa.array(values, type=field.type))
+
+
+@pytest.mark.parametrize("protocol", [SingleContact, MultiContact])
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab", "cdsm_table2"])
+def test_comes_back_as_written(tmp_path, protocol, name):
+    arm = load_arm(ARMS / f"{name}.yaml")
+    options = {"samples": 50, "pose": "random", "force_high_n": 40.0}
+    written = Dataset.from_protocol(arm, protocol(**options), seed=9)
+    write_dataset(tmp_path / "data.parquet", written)
+    read = read_dataset(tmp_path / "data.parquet", arm)
+    assert (read.arm, read.protocol, read.seed) == (arm, written.protocol, 9)
+    for array in ARRAY_NAMES:
+        assert (getattr(read, array) == getattr(written, array)).all()
+        assert getattr(read, array).dtype == getattr(written, array).dtype
+    assert (read.forces_n == written.forces_n).all()
+
+
+def test_a_rigid_actuator_survives_the_file(tmp_path):
+    text = (ARMS / "cdsm.yaml").read_text().replace("kp_n_m: 1.0e8", "kp_n_m: .inf")
+    arm = parse_arm(text)
+    assert arm.actuators.kp_n_m == float("inf")
+    write_dataset(tmp_path / "a", Dataset.from_protocol(arm, SingleContact(samples=5)))
+    assert read_dataset(tmp_path / "a", arm).arm == arm
+
+
+def test_columns_have_units_and_the_file_its_provenance(path, arm):
+    schema = pq.read_schema(path)
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    assert units["tension_difference_cable_12_n"] == units["unloaded_cable_1_n"] == "N"
+    assert units["command_joint_1_pitch_rad"] == "rad"
+    assert (units["segment"], units["angle_deg"], units["magnitude_n"]) == ("1", "deg", "N")
+    stored = {
+        key.decode().removeprefix("cablesense."): value.decode()
+        for key, value in schema.metadata.items()
+    }
+    assert stored["arm_identity"] == arm.identity
+    assert parse_arm(stored["arm"]) == arm
+    assert json.loads(stored["cables"]) == list(arm.cable_names)
+    assert json.loads(stored["protocol"])["tare_samples"] == 50
+    assert (stored["seed"], stored["command"]) == ("5", "cablesense dataset")
+    assert "version" in stored
+
+
+def test_refuses_another_arm(path):
+    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    with pytest.raises(DatasetError, match=rf"comes from arm cdsm-.*{lab.identity} was asked for"):
+        read_dataset(path, lab)
+
+
+def test_refuses_what_is_no_dataset(tmp_path):
+    with pytest.raises(DatasetError, match="no such file; `cablesense dataset --out"):
+        read_dataset(tmp_path / "none.parquet")
+    with pytest.raises(DatasetError, match="not a Parquet file"):
+        read_dataset(tmp_path)
+    for content in (b"", b"PAR1", b"segment,angle\n1,2\n", b"PAR1" * 40):
+        (tmp_path / "text").write_bytes(content)
+        with pytest.raises(DatasetError, match="not a Parquet file, or cut short"):
+            read_dataset(tmp_path / "text")
+    pq.write_table(pa.table({"a": [1.0]}), tmp_path / "foreign")
+    with pytest.raises(DatasetError, match="not a CableSense dataset"):
+        read_dataset(tmp_path / "foreign")
+
+
+@settings(
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kept=st.floats(0.0, 0.999))
+def test_refuses_a_file_cut_short_anywhere(path, tmp_path, kept):
+    whole = path.read_bytes()
+    cut = tmp_path / "cut.parquet"
+    cut.write_bytes(whole[: int(kept * len(whole))])
+    with pytest.raises(DatasetError, match="not a Parquet file, or cut short"):
+        read_dataset(cut)
+
+
+def test_notices_a_byte_changed_among_the_values(path):
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 3] ^= 0x10
+    path.write_bytes(whole)
+    with pytest.raises(DatasetError):
+        read_dataset(path)
+
+
+CHANGES = {
+    "lacks column 'segment'; needed: sample_id": lambda t: t.drop_columns(["segment"]),
+    "unknown column 'extra'": lambda t: t.append_column("extra", [t.column("segment")]),
+    "unknown column 'one twice'": lambda t: t.append_column("segment", [t.column("segment")]),
+    "holds float, and must hold double": lambda t: t.cast(
+        t.schema.set(
+            t.schema.get_field_index("angle_deg"),
+            t.schema.field("angle_deg").with_type(pa.float32()),
+        )
+    ),
+    "'angle_deg' is in 'rad', and must be in 'deg'": lambda t: t.cast(
+        t.schema.set(
+            t.schema.get_field_index("angle_deg"),
+            t.schema.field("angle_deg").with_metadata({"unit": "rad"}),
+        )
+    ),
+    "is in 'no unit', and must be in 'rad'": lambda t: t.cast(
+        t.schema.set(1, t.schema.field(1).remove_metadata())
+    ),
+    "'tension_difference_cable_3_n' in row 7 is nan: must be a finite number": lambda t: (
+        with_value(t, "tension_difference_cable_3_n", 7, float("nan"))
+    ),
+    "'magnitude_n' in row 2 is inf": lambda t: with_value(t, "magnitude_n", 2, float("inf")),
+    "'segment' in row 4 is 5: must be 0": lambda t: with_value(t, "segment", 4, 5),
+    "'angle_deg' in row .* must be 0 without contact": lambda t: with_value(
+        t, "segment", int(np.flatnonzero(t.column("segment"))[0]), 0
+    ),
+    "is 900.0: must be from 0 to 200 N": lambda t: with_value(
+        t, "magnitude_n", int(np.flatnonzero(t.column("segment"))[0]), 900.0
+    ),
+    "is 360.0: must be from 0 to below 360 degrees": lambda t: with_value(
+        t, "angle_deg", int(np.flatnonzero(t.column("segment"))[0]), 360.0
+    ),
+    "holds no samples": lambda t: t.slice(0, 0),
+    "format '9'; this version reads format '1'": lambda t: with_metadata(t, format="9"),
+    "says arm cdsm-000000000000, but describes": lambda t: with_metadata(
+        t, arm_identity="cdsm-000000000000"
+    ),
+    "cablesense.arm: holds list": lambda t: with_metadata(t, arm="[]"),
+    "cablesense.cables = ": lambda t: with_metadata(t, cables='["cable_2", "cable_1"]'),
+    "protocol or cablesense.seed: .*one of single": lambda t: with_metadata(
+        t, protocol='{"kind": "some"}'
+    ),
+    "protocol or cablesense.seed": lambda t: with_metadata(t, protocol="[1, 2]"),
+    "protocol or cablesense.seed: invalid literal": lambda t: with_metadata(t, seed="x"),
+}
+
+
+@pytest.mark.parametrize("message", CHANGES)
+def test_refuses_altered_files(path, message):
+    with pytest.raises(DatasetError, match=message) as caught:
+        read_dataset(altered(path, CHANGES[message]))
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_refuses_empty_values(path):
+    def emptied(table):
+        field = table.schema.field("angle_deg")
+        place = table.schema.get_field_index("angle_deg")
+        values = pa.array([None, *table.column("angle_deg").to_pylist()[1:]], type=field.type)
+        return table.set_column(place, field.with_nullable(True), values)
+
+    with pytest.raises(DatasetError, match="'angle_deg' has 1 empty values"):
+        read_dataset(altered(path, emptied))
+
+
+def test_rows_may_be_taken_out(path, dataset):
+    half = read_dataset(altered(path, lambda t: t.slice(100)))
+    assert (half.sample_id == dataset.sample_id[100:]).all()
+
+
+def test_a_failure_leaves_nothing_and_keeps_what_was_there(tmp_path, dataset):
+    path = tmp_path / "data.parquet"
+    path.write_text("before")
+
+    def parts():
+        yield dataset
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_parts(path, parts(), dataset.arm, dataset.protocol, dataset.seed)
+    with pytest.raises(DatasetError, match="a part is of another run"):
+        write_parts(path, [dataset], dataset.arm, dataset.protocol, dataset.seed + 1)
+    assert [file.name for file in tmp_path.iterdir()] == ["data.parquet"]
+    assert path.read_text() == "before"
+    write_dataset(path, dataset)
+    assert len(read_dataset(path)) == 200
+
+
+def test_refuses_places_that_cannot_hold_a_file(tmp_path, dataset):
+    with pytest.raises(DatasetError, match="is a folder; give a file"):
+        write_dataset(tmp_path, dataset)
+    with pytest.raises(DatasetError, match=r"No such file or directory.*folder that exists"):
+        write_dataset(tmp_path / "none" / "data.parquet", dataset)
+    with pytest.raises(DatasetError, match="cannot be written"):
+        write_dataset(tmp_path / ("x" * 300), dataset)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_named(tmp_path, dataset, monkeypatch):
+    original = Path.touch
+
+    def full(self, *args, **options):
+        os.symlink("/dev/full", self)  # noqa: PTH211
+        original(self, *args, **options)
+
+    monkeypatch.setattr(Path, "touch", full)
+    with pytest.raises(DatasetError, match="cannot be written"):
+        write_dataset(tmp_path / "data.parquet", dataset)
+    assert not list(tmp_path.iterdir())
