@@ -42,7 +42,7 @@ class FitSettings:
             fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ
             (`ReduceLROnPlateau`). Read literally, (15) would set the rate to zero whenever the
             loss does improve; the text means this.
-        stop_patience: epochs without improvement after which training ends.
+        stop_patience: epochs without such an improvement after which training ends.
         validation_share: part of the samples held out to steer all that.
         threads: of PyTorch; the result is the same for the same seed and the same number of
             threads.
@@ -63,7 +63,7 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class EpochRecord:
-    """One pass over the data; losses are means over it, `validation` is (8) on held-out samples."""
+    """One pass over the data; losses are means over it, `validation` is (8) on the rest."""
 
     epoch: int
     learning_rate: float
@@ -181,8 +181,8 @@ def _fit(
         threshold=settings.tolerance,
     )
     records: list[EpochRecord] = []
-    best = math.inf
-    best_epoch = 0
+    best = mark = math.inf
+    best_epoch = mark_epoch = 0
     best_state: dict[str, Tensor] = {}
     for epoch in range(1, settings.epochs + 1):
         rate = float(optimiser.param_groups[0]["lr"])
@@ -200,7 +200,9 @@ def _fit(
         if held_out_loss < best:
             best, best_epoch = held_out_loss, epoch
             best_state = {name: value.clone() for name, value in network.state_dict().items()}
-        if epoch - best_epoch >= settings.stop_patience:
+        if held_out_loss < (1.0 - settings.tolerance) * mark:
+            mark, mark_epoch = held_out_loss, epoch
+        if epoch - mark_epoch >= settings.stop_patience:
             break
     network.load_state_dict(best_state)
     network.eval()

@@ -53,7 +53,7 @@ def direction_of(angle_deg: Tensor) -> Tensor:
 
 
 def angle_error_deg(direction: Tensor, angle_deg: Tensor) -> Tensor:
-    """Signed difference (B,), ±180 at most, of directions (B, 2) of any length from angles (B,)."""
+    """Signed difference (B,), ±180 at most, of directions (B, 2), any length, from angles (B,)."""
     true = direction_of(angle_deg)
     sine = direction[:, 0] * true[:, 1] - direction[:, 1] * true[:, 0]
     cosine = direction[:, 0] * true[:, 0] + direction[:, 1] * true[:, 1]

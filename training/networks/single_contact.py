@@ -66,7 +66,7 @@ class SingleContactNetwork(nn.Module, ABC):
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
     ) -> SingleContactOutput:
-        """Answers for tension differences (B, M); if `pose_aware`, commanded angles (B, 2N) too."""
+        """Answers for tension differences (B, M); if `pose_aware`, of commanded angles (B, 2N)."""
         answer = self.answer(tension_difference_n, joint_command_rad)
         std = self.spread(answer.features, tension_difference_n)
         return SingleContactOutput(

@@ -1,0 +1,134 @@
+"""Losses against values worked out by hand."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_training.losses import (
+    LossWeights,
+    MultiContactTarget,
+    SingleContactTarget,
+    angle_error_deg,
+    direction_loss,
+    direction_of,
+    gaussian_nll,
+    multi_contact_loss,
+    single_contact_loss,
+)
+from cablesense_training.networks.output import MultiContactOutput, SingleContactOutput
+
+ANGLES = st.floats(-720.0, 720.0)
+
+
+def _output(logits, angle_deg, magnitude_n, std=1.0):
+    magnitude = torch.tensor(magnitude_n)
+    return SingleContactOutput(
+        contact_logits=torch.tensor(logits),
+        direction=direction_of(torch.tensor(angle_deg)),
+        magnitude_n=magnitude,
+        magnitude_std_n=torch.full_like(magnitude, std),
+        angle_std_deg=torch.full_like(magnitude, std),
+    )
+
+
+def _target(segment, angle_deg, magnitude_n):
+    return SingleContactTarget(
+        torch.tensor(segment), torch.tensor(angle_deg), torch.tensor(magnitude_n)
+    )
+
+
+def test_direction_is_sine_then_cosine():
+    expected = torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
+    found = direction_of(torch.tensor([0.0, 90.0, 180.0, 270.0]))
+    torch.testing.assert_close(found, expected, atol=1e-6, rtol=0.0)
+
+
+def test_cross_entropy_of_even_logits_is_log_of_classes():
+    output = _output([[0.0] * 5], [10.0], [20.0])
+    terms = single_contact_loss(
+        output, _target([2], [10.0], [20.0]), torch.tensor(50.0), LossWeights()
+    )
+    assert float(terms.contact) == pytest.approx(math.log(5.0), rel=1e-5)
+    assert float(terms.total) == pytest.approx(math.log(5.0), rel=1e-5)
+
+
+def test_direction_loss_is_squared_chord_over_touched_samples_only():
+    output = direction_of(torch.tensor([60.0, 0.0, 123.0]))
+    true = torch.tensor([0.0, 180.0, 0.0])
+    touched = torch.tensor([True, True, False])
+    # a chord of 60 degrees is 1 long, one of 180 degrees is 2 long
+    assert float(direction_loss(output, true, touched)) == pytest.approx((1.0 + 4.0) / 2.0)
+
+
+def test_direction_loss_of_no_contact_at_all_is_zero():
+    none = torch.tensor([False, False])
+    loss = direction_loss(torch.ones(2, 2), torch.tensor([5.0, 6.0]), none)
+    assert float(loss) == 0.0
+
+
+def test_magnitude_loss_is_l1_in_standard_deviations():
+    output = _output([[9.0, 0.0], [0.0, 9.0]], [0.0, 0.0], [10.0, 100.0])
+    target = _target([0, 1], [0.0, 0.0], [0.0, 60.0])
+    terms = single_contact_loss(output, target, torch.tensor(50.0), LossWeights())
+    assert float(terms.magnitude) == pytest.approx((10.0 / 50.0 + 40.0 / 50.0) / 2.0)
+
+
+def test_total_weighs_the_three_terms():
+    output = _output([[1.0, 0.0]], [30.0], [10.0])
+    target = _target([1], [0.0], [20.0])
+    weights = LossWeights(alpha=2.0, beta=3.0, gamma=5.0)
+    terms = single_contact_loss(output, target, torch.tensor(10.0), weights)
+    expected = 2.0 * terms.contact + 3.0 * terms.direction + 5.0 * terms.magnitude
+    assert float(terms.total) == pytest.approx(float(expected))
+
+
+def test_spread_loss_leaves_the_answers_alone():
+    output = _output([[0.0, 1.0]], [30.0], [10.0])
+    output.magnitude_n.requires_grad_()
+    stds = torch.ones(1, requires_grad=True)
+    output = output._replace(magnitude_std_n=stds, angle_std_deg=stds)
+    terms = single_contact_loss(
+        output, _target([1], [0.0], [20.0]), torch.tensor(10.0), LossWeights()
+    )
+    terms.spread.backward()
+    assert output.magnitude_n.grad is None
+    assert stds.grad is not None
+
+
+def test_likelihood_is_best_where_the_deviation_is_the_error():
+    deviations = torch.linspace(0.5, 10.0, 1000)
+    losses = gaussian_nll(torch.tensor(-3.0), deviations)
+    assert float(deviations[losses.argmin()]) == pytest.approx(3.0, abs=0.02)
+    assert float(gaussian_nll(torch.tensor(2.0), torch.tensor(4.0))) == pytest.approx(
+        0.125 + math.log(4.0)
+    )
+
+
+@given(true=ANGLES, answered=ANGLES, turn=ANGLES, length=st.floats(0.01, 100.0))
+def test_angle_error_is_periodic_odd_and_blind_to_length(true, answered, turn, length):
+    def error(a, b):
+        direction = length * direction_of(torch.tensor([a], dtype=torch.float64))
+        return float(angle_error_deg(direction, torch.tensor([b], dtype=torch.float64)))
+
+    reference = error(answered, true)
+    assert abs(reference) <= 180.0 + 1e-9
+    around = (answered - true + 180.0) % 360.0 - 180.0
+    for other in (around, error(answered + turn, true + turn), -error(true, answered)):
+        assert (other - reference + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6)
+
+
+def test_multi_contact_loss_by_hand():
+    output = MultiContactOutput(
+        contact_logits=torch.tensor([[0.0, 0.0]]),
+        magnitude_n=torch.tensor([[10.0, 1.0]]),
+        magnitude_std_n=torch.tensor([[2.0, 7.0]]),
+    )
+    target = MultiContactTarget(torch.tensor([[1.0, 0.0]]), torch.tensor([[6.0, 0.0]]))
+    terms = multi_contact_loss(output, target, torch.tensor([4.0, 2.0]), LossWeights())
+    assert float(terms.contact) == pytest.approx(math.log(2.0))
+    assert float(terms.magnitude) == pytest.approx((1.0 + 0.5) / 2.0)
+    assert float(terms.direction) == 0.0
+    assert float(terms.spread) == pytest.approx(0.5 * 4.0 + math.log(2.0))

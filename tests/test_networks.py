@@ -1,0 +1,73 @@
+"""What every single-contact and multi-contact network keeps to."""
+
+import pytest
+import torch
+
+from cablesense_sim.arm import load_arm
+from cablesense_sim.config_files import config_path
+from cablesense_training.errors import TrainingError
+from cablesense_training.networks import MultiContactNetwork
+from cablesense_training.networks.registry import NETWORKS, build_network
+
+ARM = load_arm(config_path("arms/cdsm.yaml"))
+
+
+def _inputs(rows):
+    generator = torch.Generator().manual_seed(1)
+    tension = 40.0 * torch.randn(rows, 12, generator=generator)
+    return tension, 0.1 * torch.randn(rows, 8, generator=generator)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_answers_have_the_contract_shapes_and_positive_deviations(name):
+    network = build_network(name, ARM)
+    output = network(*_inputs(7))
+    if isinstance(network, MultiContactNetwork):
+        assert [tuple(part.shape) for part in output] == [(7, 4)] * 3
+    else:
+        assert [tuple(part.shape) for part in output] == [(7, 5), (7, 2), (7,), (7,), (7,)]
+        assert bool((output.angle_std_deg > 0).all())
+    assert bool((output.magnitude_std_n > 0).all())
+    assert all(bool(torch.isfinite(part).all()) for part in output)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_rows_do_not_influence_each_other(name):
+    network = build_network(name, ARM).double().eval()
+    tension, command = (part.double() for part in _inputs(6))
+    whole = network(tension, command)
+    single = network(tension[2:3], command[2:3])
+    for all_rows, row in zip(whole, single, strict=True):
+        torch.testing.assert_close(all_rows[2:3], row, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_nothing_at_all_is_answered_with_finite_numbers(name):
+    network = build_network(name, ARM)
+    output = network(torch.zeros(2, 12), torch.zeros(2, 8))
+    assert all(bool(torch.isfinite(part).all()) for part in output)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_seed_fixes_the_initial_weights_and_nothing_else(name):
+    torch.manual_seed(5)
+    expected_draw = torch.rand(3)
+    torch.manual_seed(5)
+    first, second = build_network(name, ARM, seed=3), build_network(name, ARM, seed=3)
+    torch.testing.assert_close(torch.rand(3), expected_draw, atol=0.0, rtol=0.0)
+    other = build_network(name, ARM, seed=4)
+    weights = [network.state_dict() for network in (first, second, other)]
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+    assert not all(torch.equal(weights[0][key], weights[2][key]) for key in weights[0])
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_committed_model_stays_below_two_megabytes(name):
+    network = build_network(name, ARM)
+    values = sum(part.numel() for part in network.state_dict().values())
+    assert 8 * values < 2_000_000
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(TrainingError, match="two-stage"):
+        build_network("three-stage", ARM)
