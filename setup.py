@@ -14,7 +14,9 @@ REQUIRES = [
     "array-api-compat",  # one kinematics for numpy and torch
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
+    "onnx",  # checks a model file before it is run, and splits its graph
     "onnxruntime",  # runs the trained model
+    "protobuf",  # names the error of a file that is no model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
     "rich",  # tables and progress bars in the terminal
@@ -37,7 +39,6 @@ EXTRAS = {
     "train": [
         "dask",  # datasets made on more than one machine
         "distributed",  # the scheduler and workers of dask
-        "onnx",  # writes and checks model files
         "onnxscript",  # torch exports through it
         "pyarrow",  # datasets are Parquet
         "scikit-learn",  # the gradient-boosting peer
@@ -56,6 +57,7 @@ EXTRAS = {
         "ruff",  # style
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml
+        "types-protobuf",  # types of google.protobuf
         "websockets",  # drives a real Chromium in the page's test
     ],
 }

@@ -1,4 +1,4 @@
-"""What a stranger installs: reasons, pins, the ROS manifest, the wheel, a failed set-up's words."""
+"""What a stranger installs: reasons, pins, the ROS manifest, the wheel, words of failure."""
 
 import re
 import subprocess
