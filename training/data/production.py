@@ -1,5 +1,6 @@
 """From options to a file: generate, write as it comes, count, show progress."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,4 +55,4 @@ def dataset_command(arm: str, protocol: Protocol, seed: int) -> str:
             words.append(f"--{option}" if value else f"--no-{option}")
         elif value is not None:
             words += [f"--{option}", f"{value}"]
-    return " ".join([*words, "--seed", f"{seed}"])
+    return shlex.join([*words, "--seed", f"{seed}"])
