@@ -17,8 +17,8 @@ class Contact:
 
     Attributes:
         segment: the touched segment, counted from 1; 0 when nothing touches.
-        angle_deg: direction of the force in the plane normal to the segment at the commanded joint angles,
-            from +z towards +y of that segment's frame.
+        angle_deg: direction of the force in the plane normal to the segment at the commanded joint
+            angles, from +z towards +y of that segment's frame.
         magnitude_n: of the force, N.
         contact_m: distance of the contact point from the segment's joint centre, along its axis.
     """
@@ -40,8 +40,8 @@ NO_CONTACT = Contact()
 def put_wrench(message: Any, contact: Contact, frames: Frames) -> None:
     """Put the contact's force into a `WrenchStamped`; the stamp is the caller's.
 
-    The frame is the touched segment's, the torque that of the force about this frame's origin. Nothing touches:
-    zero, in the base frame.
+    The frame is the touched segment's, the torque that of the force about this frame's origin.
+    Nothing touches: zero, in the base frame.
     """
     force, torque = message.wrench.force, message.wrench.torque
     if contact.segment == 0:
@@ -63,13 +63,13 @@ def put_contact_point(message: Any, contact: Contact, frames: Frames) -> None:
 
 
 def put_force_direction(message: Any, contact: Contact, frames: Frames) -> None:
-    """Put the unit vector of a contact's force into a `Vector3Stamped` in the touched segment's frame."""
+    """Put a force's unit vector into a `Vector3Stamped` in the touched segment's frame."""
     message.header.frame_id = frames.segment(contact.segment)
     message.vector.y, message.vector.z = contact.direction
 
 
 def put_probabilities(message: Any, probabilities: Sequence[float]) -> None:
-    """Put the probabilities of no contact, segment 1, … segment N into a `Float64MultiArray` with its layout set."""
+    """Put P(no contact), P(segment 1), … into a `Float64MultiArray` whose layout is set."""
     message.data = array.array("d", probabilities)
 
 

@@ -6,4 +6,4 @@ from cablesense_msgs_py.errors import CableSenseError
 
 
 class ContractError(CableSenseError):
-    """A message that breaks the contract: says which field, what it holds and what would be right."""
+    """A message that breaks the contract: says which field, its content, what would be right."""

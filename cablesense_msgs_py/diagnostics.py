@@ -19,7 +19,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """One line of a node's health: a level, one sentence, and figures with their units in the key."""
+    """One line of a node's health: a level, one sentence, figures with their units in the key."""
 
     name: str
     level: Level

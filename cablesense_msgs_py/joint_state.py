@@ -13,7 +13,7 @@ from cablesense_msgs_py.contract_error import ContractError
 from cablesense_msgs_py.named_values import NamedOrder
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)
-"""Commands beyond this are refused: a universal joint between two guide plates does not reach it."""
+"""Commands beyond this are refused: no universal joint between guide plates reaches it."""
 
 
 def put_tensions(message: Any, tensions_n: NDArray[np.float64]) -> None:
@@ -30,13 +30,14 @@ def joint_command_rad(message: Any, order: NamedOrder) -> NDArray[np.float64]:
     """The (2N,) joint angles that a `JointState` commands, in the arm's order.
 
     Raises:
-        ContractError: a joint is missing, unknown or repeated, or an angle is not finite or out of reach.
+        ContractError: a joint is missing, unknown or repeated, or an angle is not finite or out of
+        reach.
     """
     angles = order.arrange(message.name, message.position, "position")
     for name, angle in zip(order.names, angles, strict=True):
         if not abs(angle) <= MAX_JOINT_ANGLE_RAD:
             raise ContractError(
                 f"position of {name} is {angle:g} rad; it must be finite and within "
-                f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (±{math.degrees(MAX_JOINT_ANGLE_RAD):.0f} degrees)"
+                f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (a third of pi)"
             )
     return angles

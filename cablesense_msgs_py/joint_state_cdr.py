@@ -1,10 +1,11 @@
-"""A reader of serialized `sensor_msgs/JointState` (CDR), many times faster than deserializing to a message.
+"""A reader of serialized `sensor_msgs/JointState` (CDR), faster than making a message of it.
 
 Layout after the four bytes of encapsulation, every number aligned to its size from there on::
 
     int32 sec, uint32 nanosec, string frame_id, string[] name, double[] position, velocity, effort
 
-A sequence is a uint32 count and its elements; a string a uint32 length, which counts the closing NUL, and its bytes.
+A sequence is a uint32 count and its elements; a string a uint32 length, which counts the closing
+NUL, and its bytes.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class JointStateArrays:
 
 
 class JointStateReader:
-    """Reads serialized joint states; remembers the names of recent messages so as not to decode them again."""
+    """Reads serialized joint states; remembers recent names so as not to decode them again."""
 
     def __init__(self) -> None:
         self._known: dict[bytes, tuple[str, ...]] = {}
@@ -77,8 +78,10 @@ class JointStateReader:
         )
 
     def _names(self, raw: bytes, order: str) -> tuple[tuple[str, ...], int]:
-        """Names and where they end. The bytes between (frame and names) are looked up first: padding
-        between strings is not always zero, so a few variants of the same names are kept.
+        """Names and where they end.
+
+        The bytes of frame and names are looked up first; padding between strings is not always
+        zero, so a few variants of the same names are kept.
         """
         end = _TEXT_AT + self._text_length
         if raw[:2] == self._known_order:
@@ -142,6 +145,6 @@ def _doubles(raw: bytes, at: int, order: str, field: str) -> tuple[NDArray[np.fl
         at = _aligned(at, 8)
     if 8 * count > len(raw) - at:
         raise ContractError(
-            f"{field}: {count} values announced, room for {max(0, len(raw) - at) // 8} left in the message"
+            f"{field}: {count} values announced, {max(0, len(raw) - at) // 8} left in the message"
         )
     return np.frombuffer(raw, dtype=order + "f8", count=count, offset=at), at + 8 * count

@@ -35,12 +35,12 @@ def read_load(message: Any, frames: Frames) -> Load:
     components = (force.x, force.y, force.z)
     if not math.hypot(*components) <= MAX_LOAD_N:
         raise ContractError(
-            f"wrench.force is {_shown(components)} N; it must be finite and at most {MAX_LOAD_N:g} N"
+            f"wrench.force is {_shown(components)} N; it must be finite, at most {MAX_LOAD_N:g} N"
         )
     if any(component != 0.0 for component in (torque.x, torque.y, torque.z)):
         raise ContractError(
-            f"wrench.torque is {_shown((torque.x, torque.y, torque.z))} N·m; it must be zero: a load is a "
-            "force at the contact point of the segment"
+            f"wrench.torque is {_shown((torque.x, torque.y, torque.z))} N·m; it must be zero: "
+            "a load is a force at the contact point of the segment"
         )
     return Load(segment, np.array(components, dtype=np.float64))
 

@@ -1,4 +1,4 @@
-"""A contact as markers for RViz and Foxglove: a sphere at the contact point and an arrow along the force."""
+"""A contact as markers for RViz and Foxglove: a sphere where it is, an arrow along the force."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _ARROW, _SPHERE = 0, 1
 
 
 class ContactMarkers:
-    """Fills a `MarkerArray` that is made once; the arrow ends at the contact point, as a push does."""
+    """Fills a `MarkerArray` made once; the arrow ends at the contact point, as a push does."""
 
     def __init__(
         self, array: Any, make_marker: Callable[[], Any], make_point: Callable[[], Any]
     ) -> None:
-        """`array` is an empty `MarkerArray`; the others are the classes `Marker` and `geometry_msgs.msg.Point`."""
+        """`array` is an empty `MarkerArray`; the others are the classes `Marker` and `Point`."""
         self.array = array
         arrow, sphere = make_marker(), make_marker()
         for number, marker in enumerate((arrow, sphere)):

@@ -20,7 +20,7 @@ class NamedOrder:
     """
 
     def __init__(self, names: Sequence[str], what: str) -> None:
-        """`names` is the order wanted; `what` says in errors what the names belong to ("cables")."""
+        """`names` is the order wanted; `what` says in errors what they name ("cables")."""
         self.names = tuple(names)
         self._what = what
         self._last_names: tuple[str, ...] = self.names
@@ -37,7 +37,8 @@ class NamedOrder:
             field: the message field the values come from, for errors.
 
         Raises:
-            ContractError: a name is missing, unknown or repeated, or there is not one value per name.
+            ContractError: a name is missing, unknown or repeated, or there is not one value per
+            name.
         """
         given = tuple(names)
         if given != self._last_names:

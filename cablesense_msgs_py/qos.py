@@ -1,4 +1,4 @@
-"""Quality of service by purpose, as plain values; `cablesense_ros.qos_profiles` makes rclpy profiles of them."""
+"""Quality of service by purpose, as plain values without rclpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Topic and service names, relative to a node's namespace; those with `~` belong to the estimator."""
+"""Topic and service names; those with `~` are relative to the estimator's own name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JOINT_STATES: Final = "joint_states"
 """`sensor_msgs/JointState`: joint names, `position` in rad as they are in the simulation."""
 
 APPLIED_WRENCH: Final = "applied_wrench"
-"""`geometry_msgs/WrenchStamped`: a known force on segment N (frame `segment_N`), in base axes, N."""
+"""`geometry_msgs/WrenchStamped`: a known force on segment N (frame `segment_N`), base axes, N."""
 
 ROBOT_DESCRIPTION: Final = "robot_description"
 """`std_msgs/String`, transient local: the URDF generated from the arm file."""
@@ -23,10 +23,10 @@ DIAGNOSTICS: Final = "/diagnostics"
 """`diagnostic_msgs/DiagnosticArray`, 1 Hz."""
 
 CONTACT_POINT: Final = "~/contact_point"
-"""`geometry_msgs/PointStamped` in frame `segment_N`, only while something touches."""
+"""`geometry_msgs/PointStamped` in frame `segment_N`, only during a contact."""
 
 FORCE_DIRECTION: Final = "~/force_direction"
-"""`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only while something touches."""
+"""`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 
 WRENCH: Final = "~/wrench"
 """`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cablesense_msgs_py.contact import NO_CONTACT, Contact
 from cablesense_msgs_py.contract_error import ContractError
+from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.joint_state import joint_command_rad
 from cablesense_msgs_py.joint_state_cdr import JointStateArrays, JointStateReader
 from cablesense_msgs_py.named_values import NamedOrder
@@ -19,7 +20,7 @@ from cablesense_ros.input_health import InputHealth
 from cablesense_ros.motion_gate import MotionGate
 from cablesense_ros.sample_check import SampleCheck
 from cablesense_ros.sample_clock import SampleClock
-from cablesense_ros.sample_problem import ProblemKind, SampleProblem
+from cablesense_ros.sample_error import ProblemKind, SampleError
 from cablesense_ros.tare import Tare, TareModel
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -32,22 +33,27 @@ class Estimate(Protocol):
     """What is read of `cablesense_training.inference.estimator.Estimate`."""
 
     @property
-    def probabilities(self) -> Array: ...
+    def probabilities(self) -> Array:
+        """(N+1,) of no contact, segment 1, …."""
+
     @property
-    def angle_deg(self) -> float: ...
+    def angle_deg(self) -> float:
+        """Contact angle."""
+
     @property
-    def magnitude_n(self) -> float: ...
+    def magnitude_n(self) -> float:
+        """Of the force."""
 
 
 class EstimatesContacts(Protocol):
     """What is used of `cablesense_training.inference.estimator.Estimator`."""
 
     @property
-    def pose_aware(self) -> bool: ...
+    def pose_aware(self) -> bool:
+        """Whether `estimate` takes the joint command."""
 
-    def estimate(
-        self, tension_difference_n: Array, joint_command_rad: Array | None
-    ) -> Estimate: ...
+    def estimate(self, tension_difference_n: Array, joint_command_rad: Array | None) -> Estimate:
+        """The contact that explains a tension difference (M,)."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +85,18 @@ class Outcome:
     contact: Contact = NO_CONTACT
     probabilities: Sequence[float] = field(default=())
     stamp_ns: int = 0
-    problem: SampleProblem | None = None
+    problem: SampleError | None = None
     new_tare: Tare | None = None
 
 
 class Estimation:
-    """Takes samples and commands as they come; never gives a force from a sample that cannot be trusted.
+    """Takes samples and commands as they come; gives no force from what cannot be trusted.
 
     Attributes:
+        largest_force_n: of the contacts since the reporter last set it to zero, N.
         health, clock, check, tare, gate: the parts, for diagnostics and services.
-        command_received: whether any joint command has come; until then the arm is taken to be straight.
+        command_received: whether any joint command has come; until then the arm is taken to be
+            straight.
     """
 
     def __init__(
@@ -105,6 +113,7 @@ class Estimation:
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._command_rad = np.zeros(arm.joint_count)
         self.command_received = False
+        self.largest_force_n = 0.0
         self.health = InputHealth(now_s)
         self.clock = SampleClock(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
@@ -119,11 +128,17 @@ class Estimation:
         self._stale_after_s = self.clock.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
 
+    def start(self, now_s: float) -> None:
+        """Samples begin, or begin again, now; those from before count no more."""
+        self.health = InputHealth(now_s)
+        self.tare.forget_readings()
+
     def command(self, message: Any, now_s: float) -> None:
         """Take note of a `JointState` of commanded angles.
 
         Raises:
-            CableSenseError: the message breaks the contract, or the arm has no rest at this command; the
+            CableSenseError: the message breaks the contract, or the arm has no rest at this
+            command; the
                 command before it stays.
         """
         command = joint_command_rad(message, self._joint_order)
@@ -148,7 +163,7 @@ class Estimation:
             tensions = self._arrange(sample)
             self.check.check(tensions)
             return self._answer(tensions, sample.stamp_ns, now_s)
-        except SampleProblem as problem:
+        except SampleError as problem:
             self.health.refused(problem)
             return Outcome(problem=problem)
 
@@ -165,13 +180,13 @@ class Estimation:
         try:
             return self._reader.read(raw)
         except ContractError as error:
-            raise SampleProblem(ProblemKind.MALFORMED, str(error)) from error
+            raise SampleError(ProblemKind.MALFORMED, str(error)) from error
 
     def _arrange(self, sample: JointStateArrays) -> Array:
         try:
             return self._cable_order.arrange(sample.names, sample.effort, "effort")
         except ContractError as error:
-            raise SampleProblem(ProblemKind.NAMES, str(error)) from error
+            raise SampleError(ProblemKind.NAMES, str(error)) from error
 
     def _answer(self, tensions: Array, stamp_ns: int, now_s: float) -> Outcome:
         if self.gate.moving(now_s):
@@ -185,7 +200,10 @@ class Estimation:
         if unloaded is None:
             return Outcome(stamp_ns=stamp_ns)
         command = self._command_rad if self._estimator.pose_aware else None
-        estimate = self._estimator.estimate(tensions - unloaded, command)
+        try:
+            estimate = self._estimator.estimate(tensions - unloaded, command)
+        except CableSenseError as error:
+            raise SampleError(ProblemKind.ESTIMATE, str(error)) from error
         probabilities = estimate.probabilities.tolist()
         contact = self._contact(probabilities, estimate)
         return Outcome(contact, probabilities, stamp_ns, None, new_tare)
@@ -194,11 +212,12 @@ class Estimation:
         touched = 1.0 - probabilities[0]
         angle, magnitude = float(estimate.angle_deg), float(estimate.magnitude_n)
         if not (isfinite(sum(probabilities)) and isfinite(angle) and isfinite(magnitude)):
-            raise SampleProblem(
+            raise SampleError(
                 ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
             )
         if touched < self._contact_threshold or magnitude <= 0.0:
             return NO_CONTACT
+        self.largest_force_n = max(self.largest_force_n, magnitude)
         segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
         return Contact(segment, angle, magnitude, self._contact_m[segment - 1])
 

@@ -29,7 +29,7 @@ from cablesense_ros.estimator_parameters import (
     LIVE_PARAMETERS,
     estimation_settings,
 )
-from cablesense_ros.estimator_report import cable_status, pose_status, tare_status
+from cablesense_ros.estimator_report import cable_status, model_status, pose_status, tare_status
 from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
@@ -38,7 +38,7 @@ from cablesense_ros.tare import Tare, TareModel
 from cablesense_ros.throttled_log import ThrottledLog
 
 STALE_CHECK_S = 0.02
-"""How often the silence of the input is looked at; the zero wrench repeats at this period while it lasts."""
+"""How often silence of the input is looked for; while it lasts, so often comes a zero wrench."""
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -80,6 +80,8 @@ class EstimatorNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen to tensions and commands."""
         result = super().on_activate(state)
+        if self._estimation is not None:
+            self._estimation.start(time.monotonic())
         self._inputs = [
             self.create_subscription(
                 JointState,
@@ -120,7 +122,7 @@ class EstimatorNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def autostart(self) -> None:
-        """Configure and activate, unless the parameter `autostart` leaves it to a lifecycle manager."""
+        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
         if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
             self.trigger_activate()
 
@@ -226,8 +228,8 @@ class EstimatorNode(LifecycleNode):
 
     def _log_tare(self, tare: Tare, how: str) -> str:
         message = (
-            f"tare taken {how}: average of {tare.sample_count} readings, at most {tare.offset_n:.2f} N "
-            "from the arm file's unloaded tensions"
+            f"tare taken {how}: average of {tare.sample_count} readings, at most "
+            f"{tare.offset_n:.2f} N from the arm file's unloaded tensions"
         )
         self.get_logger().info(message)
         return message
@@ -243,17 +245,10 @@ class EstimatorNode(LifecycleNode):
     def _statuses(self) -> list[Status]:
         if self._estimation is None or self._loaded is None:
             return [Status("model", Level.WARN, "not configured: no model loaded")]
-        model = Status(
-            "model",
-            Level.OK if self._inputs else Level.WARN,
-            "active" if self._inputs else "configured, not active",
-            {
-                "model": self._loaded.model,
-                "arm": self._loaded.arm.identity,
-                "contact threshold": str(self.get_parameter("contact_threshold").value),
-            },
-        )
-        if not self._inputs:
+        active = bool(self._inputs)
+        model = model_status(self._loaded, self._estimation.largest_force_n, active)
+        self._estimation.largest_force_n = 0.0
+        if not active:
             return [model]
         now_s = time.monotonic()
         missing = max(self._lost, self._estimation.clock.missing_since_last_report())
@@ -267,7 +262,9 @@ class EstimatorNode(LifecycleNode):
                 self.count_publishers(topics.CABLE_TENSIONS),
             ),
             cable_status(self._estimation),
-            pose_status(self._estimation, refused, now_s),
+            pose_status(
+                self._estimation, self._loaded.estimator.metadata.pose_range_deg, refused, now_s
+            ),
             tare_status(self._estimation),
         ]
 

@@ -61,8 +61,8 @@ ESTIMATOR_PARAMETERS: Final = (
     NodeParameter(
         "settle_s",
         0.5,
-        "After the joints must have arrived at a new command: time for the arm to come to rest, s. Until "
-        "then the wrench is zero.",
+        "Time for the arm to come to rest after the joints must have arrived at a new command, s; "
+        "until then the wrench is zero.",
         0.0,
         60.0,
     ),

@@ -1,9 +1,10 @@
-"""The estimator's health beyond its input: cables, pose, tare and model."""
+"""The estimator's health beyond its input: model, pose, cables and tare."""
 
 from __future__ import annotations
 
 from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_ros.estimation import Estimation
+from cablesense_ros.loaded_model import LoadedModel
 
 
 def cable_status(estimation: Estimation) -> Status:
@@ -19,8 +20,27 @@ def cable_status(estimation: Estimation) -> Status:
     )
 
 
-def pose_status(estimation: Estimation, refused_commands: int, now_s: float) -> Status:
-    """What is known of the arm's pose."""
+def model_status(loaded: LoadedModel, largest_force_n: float, active: bool) -> Status:
+    """Which model and arm, and whether the latest forces were within its training."""
+    metadata = loaded.estimator.metadata
+    values = {
+        "model": loaded.model,
+        "network": metadata.network,
+        "arm": loaded.arm.identity,
+        "trained up to (N)": f"{metadata.force_range_n:g}",
+        "largest force (N)": f"{largest_force_n:.1f}",
+    }
+    if not active:
+        return Status("model", Level.WARN, "configured, not active", values)
+    if largest_force_n > metadata.force_range_n:
+        return Status("model", Level.WARN, "forces beyond those it was trained on", values)
+    return Status("model", Level.OK, "active", values)
+
+
+def pose_status(
+    estimation: Estimation, pose_range_deg: float, refused_commands: int, now_s: float
+) -> Status:
+    """What is known of the arm's pose; the model was trained within ± `pose_range_deg`."""
     values = {
         "commands refused": str(refused_commands),
         "command (deg)": ", ".join(f"{angle:.2f}" for angle in estimation.command_deg),
@@ -30,6 +50,13 @@ def pose_status(estimation: Estimation, refused_commands: int, now_s: float) -> 
     if estimation.gate.moving(now_s):
         return Status(
             "joint_commands", Level.OK, "moving: no estimate until the arm rests", values
+        )
+    if max(map(abs, estimation.command_deg)) > pose_range_deg + 1e-6:
+        return Status(
+            "joint_commands",
+            Level.WARN,
+            f"beyond the poses that the model was trained on (±{pose_range_deg:g} degrees)",
+            values,
         )
     if not estimation.command_received:
         return Status(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_ros.sample_problem import ProblemKind, SampleProblem
+from cablesense_ros.sample_error import ProblemKind, SampleError
 
 
 class InputHealth:
@@ -32,7 +32,7 @@ class InputHealth:
         """The age of a sample that was taken."""
         self._oldest_s = max(self._oldest_s, age_s)
 
-    def refused(self, problem: SampleProblem) -> None:
+    def refused(self, problem: SampleError) -> None:
         """A sample was of no use."""
         self._refused[problem.kind] += 1
         self._last_problem = str(problem)

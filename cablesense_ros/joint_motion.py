@@ -1,4 +1,4 @@
-"""How commanded joint angles are approached: along minimum-jerk curves, no faster than the actuators go."""
+"""How commanded joint angles are approached: smoothly, no faster than the actuators go."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def move_duration_s(largest_turn_rad: float, joint_speed_rad_s: float) -> float:
 class JointMotion:
     """Set-points from the present state to the last target; a new target may come at any time.
 
-    The curve is the fifth-order polynomial that starts with the present angle, speed and acceleration and ends at
-    rest (Flash and Hogan 1985), so the actuators never jump: a jump of half a degree would pull some cables of a
-    stiff arm with thousands of newtons.
+    The curve is the fifth-order polynomial that starts with the present angle, speed and
+    acceleration and ends at rest (Flash and Hogan 1985), so the actuators never jump: a jump of
+    half a degree would pull some cables of a stiff arm with thousands of newtons.
     """
 
     def __init__(self, angles_rad: Array, joint_speed_rad_s: float) -> None:
-        """At rest at `angles_rad` (2N,); `joint_speed_rad_s` is the peak speed of a move from rest."""
+        """At rest at `angles_rad` (2N,); `joint_speed_rad_s`: peak speed of a move from rest."""
         self._speed_rad_s = joint_speed_rad_s
         self._coefficients = np.zeros((6, len(angles_rad)))
         self._coefficients[0] = angles_rad

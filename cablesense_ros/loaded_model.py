@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cablesense_sim.arm import Arm, load_arm
-from cablesense_sim.arm_files import find_arm
-from cablesense_training.inference.estimator import Estimator, find_model
+from cablesense_sim.arm import Arm
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.model_files import find_model
 
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """An arm, its estimator, and where the model came from."""
+    """An arm, its estimator, and the file that this came from."""
 
     arm: Arm
     estimator: Estimator
@@ -24,6 +25,6 @@ def load_model(arm: str, model: str) -> LoadedModel:
     Raises:
         CableSenseError: a file is missing or invalid, or the model was made for another arm.
     """
-    description = load_arm(find_arm(arm))
+    description = open_arm(arm)
     path = find_model(model or description.name)
     return LoadedModel(description, Estimator.load(path, description), str(path))

@@ -1,4 +1,4 @@
-"""Whether the arm may be moving to a command: while it is, its tensions tell nothing of contacts."""
+"""Whether the arm may be moving: while it is, its tensions tell nothing of contacts."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ Array = NDArray[np.float64]
 
 
 class MotionGate:
-    """Closed from a changed command until the actuators must have arrived and the arm come to rest.
+    """Closed from a changed command until the arm must have arrived and come to rest.
 
-    How far the joints have got is not known, only what they were commanded: while moving, any angle between the
-    commands since the last rest counts as possible, and the longest way from there is waited for.
+    How far the joints have got is not known, only what they were commanded: while moving, any
+    angle between the commands since the last rest counts as possible, and the longest way from
+    there is waited for.
     """
 
     def __init__(self, command_rad: Array, joint_speed_rad_s: float, settle_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Node parameters as a table: name, default, description, range; declared together, NaN refused."""
+"""Node parameters as a table: name, default, description, range; NaN is refused."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cablesense_msgs_py.errors import CableSenseError
 
 
 class ParameterError(CableSenseError):
-    """A parameter given at start that does not fit: names it, its value and what would be valid."""
+    """A parameter given at start that does not fit: names it and what would be valid."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class NodeParameter:
         return f"{what}{within}"
 
 
-def declare_parameters(node: Node, table: Sequence[NodeParameter], read_only: bool) -> None:
+def declare_parameters(node: Node, table: Sequence[NodeParameter], read_only: bool = True) -> None:
     """Declare all of a table; `read_only` ones keep the value given at start.
 
     Raises:

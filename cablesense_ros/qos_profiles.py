@@ -21,5 +21,8 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def overridable() -> QoSOverridingOptions:
-    """History, depth and reliability may be overridden, as `qos_overrides.<topic>.<publisher|subscription>.<policy>`."""
+    """History, depth and reliability may be overridden by parameters.
+
+    Their names are `qos_overrides.<topic>.<publisher|subscription>.<policy>`.
+    """
     return QoSOverridingOptions.with_default_policies()

@@ -1,4 +1,4 @@
-"""Keeping a simulation at real time: how much of it is due, and what is let go when it falls behind."""
+"""Keeping a simulation at real time: how much is due, and what is let go when it falls behind."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from __future__ import annotations
 class RealTimePacer:
     """Says how many time steps are due; never more than `longest_lag_s` of them at once.
 
-    What lies further behind is let go and counted: catching up on it would make the simulation fall behind further.
-    Times are of one monotonic clock, s.
+    What lies further behind is let go and counted: catching up on it would make the simulation
+    fall behind further. Times are of one monotonic clock, s.
     """
 
     def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from cablesense_ros.sample_problem import ProblemKind, SampleProblem
+from cablesense_ros.sample_error import ProblemKind, SampleError
 
 _STAMPS_KEPT = 2048
 
@@ -26,25 +26,25 @@ class SampleClock:
         """Age of a sample, s.
 
         Raises:
-            SampleProblem: the stamp cannot be that of a present sample.
+            SampleError: the stamp cannot be that of a present sample.
         """
         if stamp_ns == 0:
             return 0.0
         age_s = (now_ns - stamp_ns) * 1e-9
         if abs(age_s) > self.stale_after_s:
-            raise SampleProblem(ProblemKind.CLOCK, self._clock_message(age_s))
+            raise SampleError(ProblemKind.CLOCK, self._clock_message(age_s))
         if 0 <= self._last_ns - stamp_ns < self.stale_after_s * 1e9:
-            raise SampleProblem(
+            raise SampleError(
                 ProblemKind.CLOCK,
-                f"header.stamp lies {(self._last_ns - stamp_ns) * 1e-9:.6f} s before that of the last sample; "
-                "stamps must ascend (is there more than one publisher?)",
+                f"header.stamp lies {(self._last_ns - stamp_ns) * 1e-9:.6f} s before that of the "
+                "last sample; stamps must ascend (is there more than one publisher?)",
             )
         self._last_ns = stamp_ns
         self._stamps_ns.append(stamp_ns)
         return age_s
 
     def missing_since_last_report(self) -> int:
-        """Samples that the stamps say are missing: usual periods between first and last, less samples seen."""
+        """How many samples lack, by the usual period between the stamps of those that came."""
         stamps = np.array(self._stamps_ns, dtype=np.int64)
         if self._stamps_ns:
             last = self._stamps_ns[-1]
@@ -58,6 +58,6 @@ class SampleClock:
     def _clock_message(self, age_s: float) -> str:
         where = "old" if age_s > 0 else "ahead of this machine's clock"
         return (
-            f"header.stamp is {abs(age_s):.3f} s {where}; at most {self.stale_after_s:g} s is taken "
-            "(synchronise the clocks; for a replay set use_sim_time)"
+            f"header.stamp is {abs(age_s):.3f} s {where}; at most {self.stale_after_s:g} s is "
+            "taken (synchronise the clocks; for a replay set use_sim_time)"
         )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -30,8 +31,7 @@ from cablesense_ros.sim_parameters import SIM_PARAMETERS
 from cablesense_ros.simulated_arm import SimulatedArm
 from cablesense_ros.spin import run_node
 from cablesense_ros.throttled_log import ThrottledLog
-from cablesense_sim.arm import load_arm
-from cablesense_sim.arm_files import find_arm
+from cablesense_sim.arm_files import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.urdf import urdf_xml
 
@@ -49,7 +49,7 @@ class SimNode(Node):
         super().__init__("sim")
         declare_parameters(self, SIM_PARAMETERS, read_only=True)
         given = parameter_values(self, SIM_PARAMETERS)
-        self._arm = load_arm(find_arm(given["arm"]))
+        self._arm = open_arm(given["arm"])
         self._frames = Frames(self._arm.segment_count, given["frame_prefix"])
         self._joint_order = NamedOrder(self._arm.joint_names, "joints")
         self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
@@ -68,24 +68,24 @@ class SimNode(Node):
         self._tensions.header.frame_id = self._joint_states.header.frame_id = self._frames.base
         self._tick_count = 0
         self._ticks_per_joint_state = max(1, math.ceil(self._rate_hz / JOINT_STATES_HZ))
-        self._tensions_out = self._publisher(JointState, topics.CABLE_TENSIONS, PUBLISHER)
-        self._joint_states_out = self._publisher(JointState, topics.JOINT_STATES, PUBLISHER)
-        description_out = self._publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
+        self._tensions_out = self._make_publisher(JointState, topics.CABLE_TENSIONS, PUBLISHER)
+        self._joint_states_out = self._make_publisher(JointState, topics.JOINT_STATES, PUBLISHER)
+        description_out = self._make_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
         description_out.publish(String(data=urdf_xml(self._arm)))
-        self._subscription(JointState, topics.JOINT_COMMANDS, self._on_command)
-        self._subscription(WrenchStamped, topics.APPLIED_WRENCH, self._on_load)
+        self._subscribe(JointState, topics.JOINT_COMMANDS, self._on_command)
+        self._subscribe(WrenchStamped, topics.APPLIED_WRENCH, self._on_load)
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity)
         self.create_timer(1.0 / self._rate_hz, self._tick)
         self.get_logger().info(
-            f"arm {self._arm.identity}: {self._arm.cable_count} cables, tensions at {self._rate_hz:g} Hz"
+            f"arm {self._arm.identity}: {self._arm.cable_count} cables at {self._rate_hz:g} Hz"
         )
 
-    def _publisher(self, kind: type, topic: str, qos: Qos) -> Publisher:
+    def _make_publisher(self, kind: type, topic: str, qos: Qos) -> Publisher:
         return self.create_publisher(
             kind, topic, qos_profile(qos), qos_overriding_options=overridable()
         )
 
-    def _subscription(self, kind: type, topic: str, callback: object) -> Subscription:
+    def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> Subscription:
         return self.create_subscription(
             kind, topic, callback, qos_profile(COMMAND), qos_overriding_options=overridable()
         )

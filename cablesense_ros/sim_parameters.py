@@ -11,7 +11,7 @@ SIM_PARAMETERS: Final = (
     NodeParameter(
         "rate_hz",
         0.0,
-        "Rate of cable_tensions and joint_states, Hz; 0 takes the sensors' rate from the arm file.",
+        "Rate of cable_tensions, Hz; 0 takes the sensors' rate from the arm file.",
         0.0,
         1000.0,
     ),
@@ -27,14 +27,14 @@ SIM_PARAMETERS: Final = (
     NodeParameter(
         "load_timeout_s",
         0.0,
-        "A load on applied_wrench lapses this many seconds after its last message; 0: it holds until changed.",
+        "A load lapses this many seconds after its last message; 0: it holds until changed.",
         0.0,
         3600.0,
     ),
     NodeParameter(
         "joint_speed_deg_s",
         20.0,
-        "Peak speed at which joints approach a command, degrees per second; the estimator must know the same.",
+        "Peak speed at which joints approach a command, deg/s; the estimator must know it too.",
         0.1,
         360.0,
     ),

@@ -1,4 +1,4 @@
-"""The arm that the sim node shows to the outside: dynamics at real time, smooth commands, loads that may lapse."""
+"""The arm that the sim node shows: dynamics at real time, smooth commands, loads that may end."""
 
 from __future__ import annotations
 
@@ -22,16 +22,29 @@ LONGEST_LAG_S = 0.1
 class Dynamics(Protocol):
     """What is needed of `cablesense_sim.dynamics.ArmDynamics`."""
 
-    def command(self, joint_angles_rad: ArrayLike) -> None: ...
-    def load(self, segment: int, force_base_n: ArrayLike) -> None: ...
-    def advance(self, duration_s: float) -> None: ...
-    def reset(self, command_rad: ArrayLike | None = None) -> None: ...
+    def command(self, joint_angles_rad: ArrayLike) -> None:
+        """Hold the cable lengths of these angles (2N,)."""
+
+    def load(self, segment: int, force_base_n: ArrayLike) -> None:
+        """Push a segment with a force (3,), base axes, N."""
+
+    def advance(self, duration_s: float) -> None:
+        """Step time."""
+
+    def reset(self, command_rad: ArrayLike | None = None) -> None:
+        """Rest, unloaded, at a command."""
+
     @property
-    def command_rad(self) -> Array: ...
+    def command_rad(self) -> Array:
+        """(2N,) commanded joint angles."""
+
     @property
-    def tensions_n(self) -> Array: ...
+    def tensions_n(self) -> Array:
+        """(M,) true tensions."""
+
     @property
-    def joint_angles_rad(self) -> Array: ...
+    def joint_angles_rad(self) -> Array:
+        """(2N,) true joint angles."""
 
 
 class SimulatedArm:
@@ -72,7 +85,7 @@ class SimulatedArm:
         self._motion.go_to(joint_angles_rad)
 
     def push(self, load: Load, now_s: float) -> None:
-        """Put a load on its segment in place of the one that was there; a zero force takes it away."""
+        """Put a load on its segment in place of the one before; a zero force takes it away."""
         self._dynamics.load(load.segment, load.force_base_n)
         self._loads[load.segment] = (load.force_base_n, now_s)
         if not load.force_base_n.any():

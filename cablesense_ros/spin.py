@@ -1,4 +1,4 @@
-"""How every node's process runs: one executor, clean ends, no tracebacks for what a person can cause."""
+"""How every node's process runs: one executor, clean ends, one line for what cannot start."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import rclpy
+import rclpy.signals
+import rclpy.utilities
 from rclpy.executors import ExternalShutdownException
-from rclpy.experimental import EventsExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -22,12 +24,16 @@ _RCLError = rclpy_implementation.RCLError
 
 
 def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or a shutdown of its context; give the process's exit code.
+    """Run one node until SIGINT, SIGTERM or shutdown; give the process's exit code.
 
-    0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node cannot start.
+    0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
+    cannot start.
     """
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.ALL)
+        rclpy.init(
+            args=None if args is None else list(args),
+            signal_handler_options=SignalHandlerOptions.ALL,
+        )
     except (_RCLError, ValueError) as error:
         return _cannot_start(error)
     node: Node | None = None
@@ -43,19 +49,21 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     if node is not None:
         with suppress(_RCLError):
             node.destroy_node()
-    rclpy.try_shutdown()
+    rclpy.utilities.try_shutdown()
     return code
 
 
 def _spin(node: Node) -> None:
-    """The events executor has the least latency of rclpy's; its own `spin` does not return at shutdown, hence
+    """Spin in the events executor, which has the least latency.
+
+    Its own `spin` does not return at shutdown, hence
     the loop over a future that never completes.
     """
     executor = EventsExecutor()
     executor.add_node(node)
     never: Future = Future()
     try:
-        while rclpy.ok():
+        while rclpy.utilities.ok():
             executor.spin_until_future_complete(never, timeout_sec=_WAKE_S)
     finally:
         _ignore_further_interrupts()

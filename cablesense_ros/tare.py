@@ -1,11 +1,11 @@
-"""The unloaded state: tensions measured with nothing touching, carried over to other commands by the arm's model.
+"""The unloaded state: tensions with nothing touching, carried over to other commands by a model.
 
 A tare is taken at one command. Elsewhere the unloaded tensions are
 
     unloaded(c) = measured(c_tare) + [ predicted(c) - predicted(c_tare) ]
 
-with the prediction of the arm file's static equilibrium: what the sensors read beyond the model (offsets) stays,
-what gravity and geometry change is added.
+with the prediction of the arm file's static equilibrium: what the sensors read beyond the model
+(offsets) stays, what gravity and geometry change is added.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Tare:
 
 
 class TareModel:
-    """Takes tares from the readings of the last moment and knows the unloaded tensions at the present command."""
+    """Takes tares from the latest readings; knows the unloaded tensions at the present command."""
 
     def __init__(
         self,
@@ -65,7 +65,8 @@ class TareModel:
             predict_n: unloaded tensions (M,) of the arm's model at a command (2N,).
             command_rad: the present command.
             sample_count: readings that a tare averages.
-            steady_n: largest standard deviation of a cable's readings, N, that still counts as holding still.
+            steady_n: largest standard deviation of a cable's readings, N, that still counts as
+                holding still.
 
         Raises:
             CableSenseError: the model has no unloaded state at this command.
@@ -119,8 +120,8 @@ class TareModel:
         """
         if len(self._readings) < self._sample_count:
             raise TareError(
-                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose yet; "
-                "wait a moment with the arm at rest and call again"
+                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "
+                "yet; wait a moment with the arm at rest and call again"
             )
         unsteady = self._unsteady()
         if unsteady is not None:
@@ -155,5 +156,5 @@ class TareModel:
             return None
         return (
             f"cable_{worst + 1} varies by {spread[worst]:.2f} N (standard deviation; at most "
-            f"{self._steady_n:g} N); let the arm come to rest with nothing touching it and call again"
+            f"{self._steady_n:g} N); let the arm rest with nothing touching it and call again"
         )

@@ -19,7 +19,7 @@ class ProblemKind(Enum):
     ESTIMATE = "no finite estimate"
 
 
-class SampleProblem(CableSenseError):
+class SampleError(CableSenseError):
     """A sample of no use: its kind, and a sentence on what it holds and what would be right."""
 
     def __init__(self, kind: ProblemKind, message: str) -> None:
