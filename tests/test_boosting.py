@@ -1,0 +1,47 @@
+"""The gradient-boosting peer learns, and knows what it cannot."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm import load_arm
+from cablesense_sim.config_files import config_path
+from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.answers import single_contact_truth
+from cablesense_training.evaluation.metrics import single_contact_metrics
+from cablesense_training.peers.boosting import BoostingPeer, BoostingSettings
+
+ARM = load_arm(config_path("arms/cdsm.yaml"))
+SMALL = BoostingSettings(rounds=20, leaves=31)
+
+
+@pytest.fixture(scope="module")
+def data():
+    samples = Dataset.from_protocol(ARM, SingleContact(samples=4000), seed=0)
+    return samples.select(slice(0, 3000)), samples.select(slice(3000, 4000))
+
+
+@pytest.mark.parametrize("pose_aware", [False, True])
+def test_finds_most_contacts_and_roughly_their_force(data, pose_aware):
+    training, test = data
+    peer = BoostingPeer(training, dataclasses.replace(SMALL, pose_aware=pose_aware))
+    found = single_contact_metrics(single_contact_truth(test), peer.answer(test), 4)
+    assert found.contact_accuracy > 0.9
+    assert found.errors.direction_mae_deg < 20.0
+    assert found.errors.magnitude_mae_n < 20.0
+    assert 0.88 < found.coverage95 < 0.99
+
+
+def test_same_seed_same_answers(data):
+    training, test = data
+    few = dataclasses.replace(SMALL, rounds=5)
+    first, second = BoostingPeer(training, few), BoostingPeer(training, few)
+    np.testing.assert_array_equal(first.answer(test).magnitude_n, second.answer(test).magnitude_n)
+
+
+def test_refuses_data_without_contacts(data):
+    training, _ = data
+    with pytest.raises(TrainingError, match="contact"):
+        BoostingPeer(training.select(training.segment == 0), SMALL)
