@@ -36,16 +36,16 @@ class Candidates(NamedTuple):
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
         covariance_n2: (B, N, 2, 2) of the force, N².
-        misfit: (B, N) chi² of "a contact on segment s", 2N - 2 degrees of freedom.
+        explained: (B, N) chi² that a contact on the segment explains, of `misfit_none`.
         misfit_none: (B,) chi² of "no contact", 2N degrees of freedom.
-        tensions_n: (B, M) tensions, slack ones zero.
+        taut: (B, M) one for taut cables, zero for slack ones.
     """
 
     force_n: Tensor
     covariance_n2: Tensor
-    misfit: Tensor
+    explained: Tensor
     misfit_none: Tensor
-    tensions_n: Tensor
+    taut: Tensor
 
 
 class ClosedForm(nn.Module):
@@ -57,7 +57,7 @@ class ClosedForm(nn.Module):
         pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the command as the pose.
     """
 
-    stiffness_n_m: Tensor
+    compliance_m_n: Tensor
     pretension_n: Tensor
 
     def __init__(
@@ -68,67 +68,81 @@ class ClosedForm(nn.Module):
         self.reading_variance_n2 = max(reading_variance_n2, 1e-12)
         self.pose_corrections = pose_corrections
         self.slack_below_n = 4.0 * self.reading_variance_n2**0.5
-        self.register_buffer("stiffness_n_m", torch.as_tensor(mechanism.stiffness_n_m))
-        self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n))
+        compliance = 1.0 / mechanism.stiffness_n_m
+        self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
+        self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
         """See `Candidates`."""
         n = self.kinematics.segment_count
-        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2)
+        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
         commanded = self.kinematics(angles)
-        unloaded_tension, unloaded_balance = self._unloaded(angles, commanded)
-        normal_cross = self.kinematics.normal_cross(commanded.rotations)
-        gram_rows = commanded.jacobian_t_m.transpose(1, 2)
+        normal_cross = self.kinematics.normal_cross(commanded)
+        unloaded_tension, unloaded_torque = self._unloaded(angles, commanded, normal_cross)
 
-        tension = unloaded_tension + tension_difference_n
+        tension = tension_difference_n[:, :, None] + unloaded_tension
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
-        weight = taut + SLACK_WEIGHT * (1.0 - taut)
+        weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
+        stretch = (tension - self.pretension_n) * self.compliance_m_n
         pose = commanded
-        inverse = _inverse((commanded.jacobian_t_m * weight[:, None]) @ gram_rows)
-        stretch = (tension - self.pretension_n) / self.stiffness_n_m
-        for _ in range(self.pose_corrections):
-            short = stretch - (pose.span_sum_m - commanded.span_sum_m)
-            moved = inverse @ (pose.jacobian_t_m @ (weight * short)[..., None])
-            angles = angles + moved.reshape(-1, 2, n)
+        inverse = _gram_inverse(commanded.jacobian_t_m, weight)
+        for step in range(self.pose_corrections):
+            if step:
+                stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
+                inverse = _gram_inverse(pose.jacobian_t_m, weight)
+                moved = inverse @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
+            else:
+                moved = inverse @ (pose.jacobian_t_m @ (weight * stretch))
+            angles = angles + moved
             pose = self.kinematics(angles)
-            inverse = _inverse(
-                (pose.jacobian_t_m * weight[:, None]) @ pose.jacobian_t_m.transpose(1, 2)
-            )
-        torque = (pose.jacobian_t_m @ tension[..., None])[..., 0] - pose.gravity_n_m
-        torque = torque - unloaded_balance
-        lever = self.kinematics.levers(pose, normal_cross)
-        return self._least_squares(lever, inverse, torque[..., None], tension)
+        lever, weight_torque = self.kinematics.levers(pose, normal_cross)
+        torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
+        return self._least_squares(lever, inverse, torque, taut)
 
-    def _unloaded(self, angles: Tensor, commanded: Pose) -> tuple[Tensor, Tensor]:
-        """Tensions (B, M) under the arm's own weight, all taut, and what their torque leaves unbalanced (B, 2N)."""
-        pose, n = commanded, self.kinematics.segment_count
-        tension = self.pretension_n.expand(angles.shape[0], -1)
+    def _unloaded(
+        self, angles: Tensor, commanded: Pose, normal_cross: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Tensions (B, M, 1) under the arm's own weight, all taut, and the torque (B, 2N, 1) they leave unbalanced."""
+        pose = commanded
+        stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
+        tension = self.pretension_n + stretched
         for _ in range(max(1, self.pose_corrections)):
-            balance = pose.gravity_n_m[..., None] - pose.jacobian_t_m @ tension[..., None]
-            gram = (pose.jacobian_t_m * self.stiffness_n_m) @ pose.jacobian_t_m.transpose(1, 2)
-            moved = _inverse(gram) @ balance
-            angles = angles + moved.reshape(-1, 2, n)
+            _, weight_torque = self.kinematics.levers(pose, normal_cross)
+            stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
+            inverse = _gram_inverse(pose.jacobian_t_m, stiffness)
+            angles = angles + inverse @ (weight_torque - pose.jacobian_t_m @ tension)
             pose = self.kinematics(angles)
-            tension = self.pretension_n + self.stiffness_n_m * (
-                pose.span_sum_m - commanded.span_sum_m
-            )
-        balance = (pose.jacobian_t_m @ tension[..., None])[..., 0] - pose.gravity_n_m
-        return tension, balance
+            stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
+            tension = self.pretension_n + stretched / self.compliance_m_n
+        _, weight_torque = self.kinematics.levers(pose, normal_cross)
+        return tension, pose.jacobian_t_m @ tension - weight_torque
 
     def _least_squares(
-        self, lever: Tensor, inverse: Tensor, torque: Tensor, tension: Tensor
+        self, lever: Tensor, inverse: Tensor, torque: Tensor, taut: Tensor
     ) -> Candidates:
         """Generalised least squares of torques (B, 2N, 1) on every segment's two force components."""
-        precision = inverse / self.reading_variance_n2
-        weighted = lever @ precision[:, None]
-        information = weighted @ lever.transpose(-1, -2)
-        pull = weighted @ torque[:, None]
+        n = self.kinematics.segment_count
+        precision = inverse * (1.0 / self.reading_variance_n2)
+        weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
+        pull = (weighted @ torque).reshape(-1, n, 2, 1)
+        information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
         covariance = _inverse(information)
         force = covariance @ pull
+        explained = (pull * force).sum((2, 3))
         misfit_none = (torque * (precision @ torque)).sum((1, 2))
-        misfit = misfit_none[:, None] - (pull * force).sum((2, 3))
-        return Candidates(force[..., 0], covariance, misfit, misfit_none, tension)
+        return Candidates(
+            force_n=force.reshape(-1, n, 2),
+            covariance_n2=covariance,
+            explained=explained,
+            misfit_none=misfit_none,
+            taut=taut[..., 0],
+        )
+
+
+def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+    """Inverse (B, 2N, 2N) of J' W J, with weights (B, M, 1)."""
+    return _inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
 
 
 def _inverse(matrix: Tensor) -> Tensor:

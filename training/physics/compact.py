@@ -1,21 +1,26 @@
 """Kinematics in few tensor operations, for a graph that runs a thousand times a second.
 
-A small ONNX graph costs what its operators' dispatch costs, so this says what `cablesense_sim.kinematics` says in about
-forty operators instead of four hundred. With a = (1, cos, sin) of a joint's pitch and b = (1, cos, sin) of its yaw, the
-nine products a_i b_j are features in which the joint's rotation `Ry Rz`, the squared cable spans and their derivatives
-are all linear. Joint angles and joint torques are ordered *all pitches, then all yaws* in here.
+A small ONNX graph costs what its operators' dispatch costs, so this says what `cablesense_sim.kinematics` says in thirty
+operators instead of three hundred. With a = (1, cos, sin) of a joint's pitch and b = (1, cos, sin) of its yaw, the nine
+products a_i b_j are features in which the joint's rotation `Ry Rz`, the squared cable spans and their derivatives are
+all linear, so constant matrices do the rest. In here vectors are columns (B, ·, 1), and joint angles and torques are
+ordered *all pitches, then all yaws*.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
+
+Matrix = NDArray[np.float64]
 
 _PITCH = np.array(
     [
@@ -47,103 +52,108 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 
 class Pose(NamedTuple):
-    """Kinematics at B poses.
+    """Kinematics at B poses of an arm with N segments and M cables.
 
     Attributes:
-        span_sum_m: (B, M) summed cable spans, to a constant.
+        span_m: (B, 1, N, M) cable spans across the joints; 1 where a cable does not pass.
         jacobian_t_m: (B, 2N, M) transposed derivative of the cable lengths.
-        rotations: (B, 3, 3N) segment frames side by side: x_1 y_1 z_1 x_2 …
-        joint_axes: (B, 3, 2N) unit axes of the joint angles.
-        gravity_n_m: (B, 2N) joint torques of the weight.
+        frames: (B, 3, 3N + 3) base frame and segment frames side by side: x_0 y_0 z_0 x_1 y_1 …
     """
 
-    span_sum_m: Tensor
+    span_m: Tensor
     jacobian_t_m: Tensor
-    rotations: Tensor
-    joint_axes: Tensor
-    gravity_n_m: Tensor
+    frames: Tensor
 
 
 class CompactKinematics(nn.Module):
-    """`Pose` of joint angles (B, 2, N): pitches, then yaws."""
+    """`Pose` of joint angles (B, 2N, 1): pitches, then yaws."""
 
+    trig_map: Tensor
+    trig_shift: Tensor
+    pitch_feature: Tensor
+    yaw_feature: Tensor
     span_map: Tensor
     rotation_map: Tensor
-    gravity_map: Tensor
     lever_map: Tensor
-    trig_scale: Tensor
-    trig_shift: Tensor
+    joint_axes: Tensor
+    segment_axes: Tensor
+    normal_axes: Tensor
     cross: Tensor
+    gravity: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
-        self.segment_count = mechanism.segment_count
+        n = mechanism.segment_count
+        self.segment_count = n
         self.cable_count = mechanism.cable_count
         rotation = np.einsum("ikm,jml->ijkl", _PITCH, _YAW)
+        first, second = np.divmod(np.arange(9), 3)
+        joint = np.repeat(np.arange(n), 9)
+        segment = np.arange(n)
         for name, value in (
+            ("trig_map", np.kron(np.eye(2 * n), [[0.0], [1.0], [1.0]])),
+            ("trig_shift", np.tile([0.0, 0.0, -0.5 * np.pi], 2 * n)[:, None]),
+            ("pitch_feature", 3 * joint + np.tile(first, n)),
+            ("yaw_feature", 3 * (n + joint) + np.tile(second, n)),
             ("span_map", _span_map(mechanism, rotation)),
-            ("rotation_map", rotation.reshape(9, 9)),
-            ("gravity_map", _gravity_map(mechanism)),
+            ("rotation_map", _rotation_map(n, rotation)),
             ("lever_map", _lever_map(mechanism)),
-            ("trig_scale", np.array([0.0, 1.0, 1.0])),
-            ("trig_shift", np.array([0.0, 0.0, -0.5 * np.pi])),
+            ("joint_axes", np.concatenate([3 * segment + 1, 3 * (segment + 1) + 2])),
+            ("segment_axes", 3 * (segment + 1)),
+            ("normal_axes", np.concatenate([[3 * s + 1, 3 * s + 2] for s in segment + 1])),
             ("cross", _LEVI_CIVITA.transpose(1, 0, 2).reshape(3, 9)),
+            ("gravity", np.stack([mechanism.gravity_m_s2, np.zeros(3)])),
         ):
             self.register_buffer(name, torch.as_tensor(value))
 
     def forward(self, joint_angles_rad: Tensor) -> Pose:
         """See `Pose`."""
         n, m = self.segment_count, self.cable_count
-        trig = torch.cos(joint_angles_rad[..., None] * self.trig_scale + self.trig_shift)
-        features = (trig[:, 0, :, :, None] * trig[:, 1, :, None, :]).reshape(-1, n, 1, 9)
-        spans = (features @ self.span_map).reshape(-1, n, 3, m)
-        length = torch.sqrt(spans[:, :, :1])
-        jacobian_t = (spans[:, :, 1:] / length).transpose(1, 2).reshape(-1, 2 * n, m)
-        rotations, axes = self._chain((features @ self.rotation_map).reshape(-1, n, 3, 3))
-        moment = (rotations[:, :, 0::3].reshape(-1, 3 * n) @ self.gravity_map).reshape(
-            -1, 3, 2 * n
+        trig = torch.cos(self.trig_map @ joint_angles_rad + self.trig_shift)
+        features = trig.index_select(1, self.pitch_feature) * trig.index_select(
+            1, self.yaw_feature
         )
+        spans = (self.span_map @ features).reshape(-1, 3, n, m)
+        span = torch.sqrt(spans[:, :1])
+        joints = (self.rotation_map @ features).reshape(-1, n + 1, 3, 3).split(1, dim=1)
+        frames = [joints[0], joints[1]]
+        for turn in joints[2:]:
+            frames.append(frames[-1] @ turn)
         return Pose(
-            span_sum_m=length.sum((1, 2)),
-            jacobian_t_m=jacobian_t,
-            rotations=rotations,
-            joint_axes=axes,
-            gravity_n_m=(axes * moment).sum(1),
+            span_m=span,
+            jacobian_t_m=(spans[:, 1:] / span).reshape(-1, 2 * n, m),
+            frames=torch.cat(frames, dim=-1).reshape(-1, 3, 3 * n + 3),
         )
 
-    def _chain(self, joints: Tensor) -> tuple[Tensor, Tensor]:
-        """Segment frames (B, 3, 3N) and joint axes (B, 3, 2N) from the joints' own rotations (B, N, 3, 3)."""
-        frame = joints[:, 0]
-        frames = [frame]
-        for n in range(1, self.segment_count):
-            frame = frame @ joints[:, n]
-            frames.append(frame)
-        base = torch.eye(3, dtype=joints.dtype) + 0.0 * frame
-        rotations = torch.cat(frames, dim=-1)
-        before = torch.cat([base, *frames[:-1]], dim=-1)
-        return rotations, torch.cat([before[:, :, 1::3], rotations[:, :, 2::3]], dim=-1)
+    def normal_cross(self, pose: Pose) -> Tensor:
+        """Cross products with the segments' y and z axes and with gravity: (B, 3 · 2(N + 1), 3).
 
-    def normal_cross(self, rotations: Tensor) -> Tensor:
-        """Cross products with the segments' y and z axes: (B, 3 · 2N, 3), rows (component, segment, axis)."""
-        n = self.segment_count
-        normals = rotations.reshape(-1, 3, n, 3)[..., 1:].permute(0, 2, 3, 1).reshape(-1, 2 * n, 3)
-        return (normals @ self.cross).reshape(-1, 2 * n, 3, 3).transpose(1, 2).reshape(
-            -1, 6 * n, 3
-        )
+        Rows are (component, segment, axis); the last segment's two axes are gravity's acceleration and nothing.
+        """
+        rows = 2 * self.segment_count + 2
+        normals = pose.frames.index_select(2, self.normal_axes).transpose(1, 2)
+        gravity = self.gravity + 0.0 * normals[:, :2]
+        crossed = (torch.cat([normals, gravity], dim=1) @ self.cross).reshape(-1, rows, 3, 3)
+        return crossed.transpose(1, 2).reshape(-1, 3 * rows, 3)
 
-    def levers(self, pose: Pose, normal_cross: Tensor) -> Tensor:
-        """Joint torques (B, N, 2, 2N) of unit forces at the contact points, along given normals.
+    def levers(self, pose: Pose, normal_cross: Tensor) -> tuple[Tensor, Tensor]:
+        """Joint torques (B, N, 2, 2N) of unit normal forces at the contact points, and (B, 2N, 1) of the weight.
 
         The torque on axis w of a force e at distance r is w · (r x e) = r · (e x w).
         """
         n = self.segment_count
-        crossed = (normal_cross @ pose.joint_axes).reshape(-1, 3, n, 2, 2 * n)
-        reach = (pose.rotations[:, :, 0::3] @ self.lever_map).reshape(-1, 3, n, 1, 2 * n)
-        return (crossed * reach).sum(1)
+        crossed = (normal_cross @ pose.frames.index_select(2, self.joint_axes)).reshape(
+            -1, 3, n + 1, 2, 2 * n
+        )
+        reach = (pose.frames.index_select(2, self.segment_axes) @ self.lever_map).reshape(
+            -1, 3, n + 1, 1, 2 * n
+        )
+        torques = (crossed * reach).sum(1)
+        return torques[:, :n], torques[:, n, 0, :, None]
 
 
-def _span_map(mechanism: Mechanism, rotation: np.ndarray) -> np.ndarray:
-    """(N, 9, 3M): features to squared span, and halves of its derivatives by pitch and yaw.
+def _span_map(mechanism: Mechanism, rotation: Matrix) -> Matrix:
+    """(3 · N · M, 9N): features to squared span, and halves of its derivatives by pitch and yaw.
 
     A cable that does not pass a joint has span 1 there, which no derivative and no difference sees.
     """
@@ -156,33 +166,36 @@ def _span_map(mechanism: Mechanism, rotation: np.ndarray) -> np.ndarray:
     by_yaw = 0.5 * np.einsum("bj,ijm->ibm", _DERIVATIVE, squared)
     absent = np.zeros_like(squared)
     absent[0, 0] = 1.0
-    nothing = np.zeros_like(squared)
-    maps = []
-    for passes in mechanism.passes_joint.T:
-        parts = [
-            np.where(passes, part, otherwise).reshape(9, -1)
-            for part, otherwise in ((squared, absent), (by_pitch, nothing), (by_yaw, nothing))
-        ]
-        maps.append(np.concatenate(parts, axis=1))
-    return np.stack(maps)
+    parts = np.stack([squared, by_pitch, by_yaw]).reshape(3, 9, -1)
+    otherwise = np.stack([absent, 0.0 * absent, 0.0 * absent]).reshape(3, 9, -1)
+    n, m = mechanism.segment_count, mechanism.cable_count
+    whole = np.zeros((3, n, m, n, 9))
+    for joint, passes in enumerate(mechanism.passes_joint.T):
+        whole[:, joint, :, joint] = np.where(passes, parts, otherwise).transpose(0, 2, 1)
+    return whole.reshape(3 * n * m, 9 * n)
 
 
-def _gravity_map(mechanism: Mechanism) -> np.ndarray:
-    """(3N, 3 · 2N): segment axes to the moments that each joint carries, rows (component, segment)."""
+def _rotation_map(segment_count: int, rotation: Matrix) -> Matrix:
+    """(9 (N + 1), 9N): features to the identity and the joints' own rotations."""
+    whole = np.zeros((segment_count + 1, 9, segment_count, 9))
+    whole[0, :, 0, 0] = np.eye(3).ravel()
+    for joint in range(segment_count):
+        whole[joint + 1, :, joint] = rotation.reshape(9, 9).T
+    return whole.reshape(9 * (segment_count + 1), 9 * segment_count)
+
+
+def _lever_map(mechanism: Mechanism) -> Matrix:
+    """(N, (N + 1) · 2N): segment axes to the vectors from each joint to each contact point, zero beyond it.
+
+    The last block gives the first moments of the mass that each joint carries, kg·m.
+    """
     n = mechanism.segment_count
-    arms = kinematics.load_arms(mechanism, np.zeros((n, 3)))
-    moment = np.einsum("cab,nb->nca", _LEVI_CIVITA, arms)
-    carries = (np.arange(n)[:, None] >= np.arange(n)[None, :]).astype(float)
-    per_joint = np.einsum("nca,nj->ancj", moment, carries)
-    return np.concatenate([per_joint, per_joint], axis=-1).reshape(3 * n, 3 * 2 * n)
-
-
-def _lever_map(mechanism: Mechanism) -> np.ndarray:
-    """(N, N · 2N): segment axes to the vectors from each joint to each contact point, zero beyond it."""
-    n = mechanism.segment_count
-    reach = np.zeros((n, n, n))
-    for segment in range(n):
-        for joint in range(segment + 1):
+    reach = np.zeros((n, n + 1, n))
+    unit_weight = replace(mechanism, gravity_m_s2=np.array([0.0, 0.0, 1.0]))
+    mass_arm_kg_m = kinematics.load_arms(unit_weight, np.zeros((n, 3)))[:, 2]
+    for joint in range(n):
+        for segment in range(joint, n):
             reach[joint:segment, segment, joint] = mechanism.segment_length_m[joint:segment]
             reach[segment, segment, joint] = mechanism.contact_m[segment]
-    return np.concatenate([reach, reach], axis=-1).reshape(n, n * 2 * n)
+        reach[joint:, n, joint] = mass_arm_kg_m[joint:]
+    return np.concatenate([reach, reach], axis=-1).reshape(n, (n + 1) * 2 * n)

@@ -8,18 +8,20 @@ training data still gets an answer by statics.
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.networks.layers import one_hot_of_argmax, perceptron
+from cablesense_training.networks.layers import one_hot_of_argmax
 from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
 from cablesense_training.networks.spread import Spread
 from cablesense_training.physics.closed_form import Candidates, ClosedForm
 
-LARGEST_CORRECTION = 3.0
+LARGEST_CORRECTION = 2.0
 """In standard deviations of the closed form."""
 
 _FORCE_SCALE_N = 100.0
@@ -37,6 +39,8 @@ class CorrectedClosedForm(SingleContactNetwork):
     """
 
     pose_aware: ClassVar[bool] = True
+    quarter_turn: Tensor
+    half_trace: Tensor
 
     def __init__(
         self,
@@ -44,17 +48,19 @@ class CorrectedClosedForm(SingleContactNetwork):
         reading_variance_n2: float,
         pose_corrections: int,
         force_range_n: float = 200.0,
-        widths: tuple[int, ...] = (32, 32),
+        width: int = 64,
     ) -> None:
         segments, cables = mechanism.segment_count, mechanism.cable_count
         super().__init__(cables, segments, features=2)
-        self.spread = ScaledSpread(widths[-1])
+        self.spread = ScaledSpread(width)
         self.closed_form = ClosedForm(mechanism, reading_variance_n2, pose_corrections)
-        self.force_range_n = force_range_n
+        self.log_force_range = math.log(force_range_n)
         self.log_trust = nn.Parameter(torch.zeros(()))
         self.segment_bias = nn.Parameter(torch.zeros(segments))
-        self.hidden = perceptron(3 + segments + cables, widths)
-        self.correction = _silent(widths[-1], 2)
+        self.hidden = nn.Linear(3 + segments + cables, width)
+        self.correction = _silent(width, 2)
+        self.register_buffer("quarter_turn", torch.tensor([[0.0, -1.0], [1.0, 0.0]]))
+        self.register_buffer("half_trace", 0.5 * torch.eye(2))
         self.double()
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
@@ -65,41 +71,41 @@ class CorrectedClosedForm(SingleContactNetwork):
         """See the base class; features are the closed form's two standard deviations and the hidden layer."""
         assert joint_command_rad is not None
         found = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
-        contact_logits = self._contact_logits(found)
-        chosen = one_hot_of_argmax(contact_logits[:, 1:])
-        force = (found.force_n * chosen[..., None]).sum(1)
-        covariance = (found.covariance_n2 * chosen[..., None, None]).sum(1)
-        strength = _norm(force)
-        radial = force / strength[:, None]
-        tangential = torch.stack([radial[:, 1], -radial[:, 0]], -1)
-        radial_std = _std_along(radial, covariance)
-        angular_std = _std_along(tangential, covariance)
-        hidden = self.hidden(_features(force, strength, chosen, found.tensions_n))
-        shift = LARGEST_CORRECTION * torch.tanh(self.correction(hidden) / LARGEST_CORRECTION)
-        force = force + (shift[:, :1] * radial_std[:, None]) * radial
-        force = force + (shift[:, 1:] * angular_std[:, None]) * tangential
-        magnitude = _norm(force)
-        angle_std_deg = torch.rad2deg(angular_std / magnitude)
-        stds = torch.stack([radial_std, angle_std_deg], -1)
+        evidence = self._evidence(found)
+        chosen = one_hot_of_argmax(evidence)[:, None]
+        force = chosen @ found.force_n
+        covariance = (chosen @ found.covariance_n2.reshape(-1, self.segment_count, 4)).reshape(
+            -1, 2, 2
+        )
+        strength = _length(force)
+        radial = force / strength
+        axes = torch.cat([radial, radial @ self.quarter_turn], dim=1)
+        stds = torch.sqrt((axes @ covariance * axes).sum(-1))
+        features = [radial, strength * (1.0 / _FORCE_SCALE_N), chosen, found.taut[:, None]]
+        hidden = torch.tanh(self.hidden(torch.cat(features, dim=-1)[:, 0]))
+        shift = LARGEST_CORRECTION * torch.tanh(self.correction(hidden))
+        force = force + (shift * stds)[:, None] @ axes
+        magnitude = _length(force)
+        angle_std_deg = torch.rad2deg(stds[:, 1:] / magnitude[:, 0])
         return Answer(
-            contact_logits=contact_logits,
-            direction=force / magnitude[:, None],
-            magnitude_n=magnitude,
-            features=torch.cat([stds, hidden], -1),
+            contact_logits=functional.pad(evidence, (1, 0)),
+            direction=(force / magnitude)[:, 0],
+            magnitude_n=magnitude[:, 0, 0],
+            features=torch.cat([stds[:, :1], angle_std_deg, hidden], -1),
         )
 
-    def _contact_logits(self, found: Candidates) -> Tensor:
-        """Log evidence against no contact: misfit saved, less the Occam factor of two free components.
+    def _evidence(self, found: Candidates) -> Tensor:
+        """Log evidence (B, N) against no contact: misfit explained, less the Occam factor of two free components.
 
-        With prior density 1 / (2 pi F F_max) the evidence integral over f is sqrt(det C) / (F F_max) at the best fit
-        (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
+        With prior density 1 / (2 pi F F_max) the evidence integral over f is v / (F F_max) at the best fit, v being
+        the variance of a component (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
+        chapter 28).
         """
-        covariance_det = _determinant(found.covariance_n2).clamp(min=1e-30)
-        saved = 0.5 * (found.misfit_none[:, None] - found.misfit)
-        weak = torch.sqrt((found.force_n**2).sum(-1) + torch.sqrt(covariance_det))
-        occam = 0.5 * torch.log(covariance_det) - torch.log(weak * self.force_range_n)
-        evidence = torch.exp(self.log_trust) * saved + occam + self.segment_bias
-        return torch.cat([torch.zeros_like(evidence[:, :1]), evidence], dim=-1)
+        variance = (found.covariance_n2 * self.half_trace).sum((2, 3))
+        squared = (found.force_n * found.force_n).sum(-1) + variance
+        occam = torch.log(variance * variance / squared)
+        explained = torch.exp(self.log_trust) * found.explained
+        return 0.5 * (explained + occam) + (self.segment_bias - self.log_force_range)
 
 
 class ScaledSpread(Spread):
@@ -112,7 +118,7 @@ class ScaledSpread(Spread):
     def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
         """Standard deviations (N, degrees) from the first two features; the rest is the hidden layer."""
         known = features.detach()
-        scale = torch.exp(2.0 * torch.tanh(self.log_scale(known[:, 2:])))
+        scale = torch.exp(torch.tanh(self.log_scale(known[:, 2:])))
         return known[:, :2] * scale * self.factor
 
 
@@ -124,20 +130,6 @@ def _silent(inputs: int, outputs: int) -> nn.Linear:
     return layer
 
 
-def _features(force: Tensor, strength: Tensor, chosen: Tensor, tensions_n: Tensor) -> Tensor:
-    level = torch.log(strength / _FORCE_SCALE_N)[:, None] / 5.0
-    scaled = torch.tanh(tensions_n / _FORCE_SCALE_N)
-    return torch.cat([force / _FORCE_SCALE_N, level, chosen, scaled], dim=-1)
-
-
-def _norm(force: Tensor) -> Tensor:
-    return torch.sqrt((force**2).sum(-1) + _WEAKEST_N**2)
-
-
-def _determinant(matrix: Tensor) -> Tensor:
-    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-
-
-def _std_along(direction: Tensor, covariance: Tensor) -> Tensor:
-    variance = (direction[:, None, :] @ covariance @ direction[:, :, None])[:, 0, 0]
-    return torch.sqrt(variance.clamp(min=1e-18))
+def _length(force: Tensor) -> Tensor:
+    """Length (B, 1, 1) of forces (B, 1, 2), kept off zero."""
+    return torch.sqrt((force * force).sum(-1, keepdim=True) + _WEAKEST_N**2)

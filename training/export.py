@@ -1,0 +1,151 @@
+"""From a trained network to one ONNX file: raw tension differences in, answers in physical units out."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import os
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import Tensor, nn
+
+from cablesense_training.errors import TrainingError
+from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
+from cablesense_training.inference.metadata import ModelMetadata
+from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
+from cablesense_training.inference.session import COMMAND, TENSION
+from cablesense_training.networks import MultiContactNetwork, Network
+
+OPSET = 20
+
+AGREEMENT = 1e-5
+"""Largest difference allowed between PyTorch and ONNX Runtime on the same input."""
+
+_TRIAL_ROWS = 64
+
+
+def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
+    """Write a trained network as an ONNX file, in float64, and check that it answers as PyTorch does.
+
+    The file is written beside and then renamed, so a failure leaves nothing behind.
+
+    Raises:
+        TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder cannot be written.
+    """
+    answers = _answers(network).double().eval()
+    trial = _trial_inputs(metadata)
+    inputs = [TENSION, COMMAND] if metadata.pose_aware else [TENSION]
+    outputs = MULTI_OUTPUTS if isinstance(network, MultiContactNetwork) else SINGLE_OUTPUTS
+    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, list(outputs))
+    properties = metadata.to_properties()
+    onnx.helper.set_model_props(model, properties)
+    onnx.checker.check_model(model, full_check=False)
+    content = model.SerializeToString()
+    _require_agreement(answers, content, dict(zip(inputs, trial, strict=True)))
+    _write_whole(path, content)
+
+
+class _SingleAnswers(nn.Module):
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        output = self.network(*inputs)
+        direction = output.direction
+        length = torch.sqrt((direction * direction).sum(-1, keepdim=True) + 1e-24)
+        return (
+            torch.softmax(output.contact_logits, dim=-1),
+            direction / length,
+            output.magnitude_n,
+            output.magnitude_std_n,
+            output.angle_std_deg,
+        )
+
+
+class _MultiAnswers(nn.Module):
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        output = self.network(*inputs)
+        return torch.sigmoid(output.contact_logits), output.magnitude_n, output.magnitude_std_n
+
+
+def _answers(network: Network) -> nn.Module:
+    return (
+        _MultiAnswers(network)
+        if isinstance(network, MultiContactNetwork)
+        else _SingleAnswers(network)
+    )
+
+
+def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
+    rng = np.random.default_rng(0)
+    tension = torch.as_tensor(rng.normal(0.0, 20.0, (_TRIAL_ROWS, metadata.arm.cable_count)))
+    if not metadata.pose_aware:
+        return (tension,)
+    reach = np.deg2rad(metadata.pose_range_deg)
+    command = rng.uniform(-reach, reach, (_TRIAL_ROWS, metadata.arm.joint_count))
+    return tension, torch.as_tensor(command)
+
+
+def _to_onnx(
+    answers: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]
+) -> onnx.ModelProto:
+    """The exporter reports its steps on standard output and in warnings about itself; neither helps a user."""
+    batch = torch.export.Dim("batch", min=1)
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            answers,
+            example,
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=inputs,
+            output_names=outputs,
+            dynamic_shapes=(tuple({0: batch} for _ in example),),
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    for node in model.graph.node:
+        del node.metadata_props[:]
+        node.doc_string = ""
+    del model.metadata_props[:]
+    return model
+
+
+def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Tensor]) -> None:
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    found = session.run(None, {name: value.numpy() for name, value in inputs.items()})
+    with torch.no_grad():
+        expected = answers(*inputs.values())
+    for entry, there, here in zip(session.get_outputs(), found, expected, strict=True):
+        difference = float(np.abs(there - here.numpy()).max())
+        if not difference <= AGREEMENT:
+            raise TrainingError(
+                f"output {entry.name} differs by {difference:.2g} between PyTorch and ONNX Runtime; "
+                f"at most {AGREEMENT:g} is allowed"
+            )
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
+            beside.write(content)
+        os.chmod(beside.name, 0o644)
+        Path(beside.name).replace(path)
+    except OSError as error:
+        raise TrainingError(f"{path}: cannot be written ({error.strerror})") from error

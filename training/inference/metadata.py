@@ -1,0 +1,113 @@
+"""What a model file says about itself, and the error for one that does not fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm import Arm
+
+FORMAT = "cablesense-model/1"
+"""Name and version of the format; a reader refuses any other."""
+
+UNITS = {
+    "tension_difference_n": "N",
+    "joint_command_rad": "rad",
+    "contact_probability": "1",
+    "direction": "1",
+    "magnitude_n": "N",
+    "magnitude_std_n": "N",
+    "angle_std_deg": "deg",
+}
+"""Unit of every input and output."""
+
+_KEY = "cablesense"
+
+
+class ModelFileError(CableSenseError):
+    """A model file that does not fit: says what it is, and what was needed."""
+
+
+class ModelMetadata(BaseModel):
+    """What a model was made for and how; one JSON text in the ONNX file's metadata.
+
+    Attributes:
+        format: `FORMAT`.
+        kind: single contact with direction, or several contacts with magnitudes.
+        network: the network's name, as `cablesense train --network` takes it.
+        arm: the whole arm description.
+        arm_identity: name and hash of that arm.
+        cable_names, joint_names: order of the inputs.
+        units: of every input and output.
+        pose_aware: whether the commanded joint angles are an input.
+        pose_range_deg: joint angles within ± this were trained on.
+        force_range_n: forces up to this were trained on.
+        tare_samples: readings averaged into the unloaded state in training.
+        command, seed: what makes the file again.
+        version: of CableSense.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: str = FORMAT
+    kind: Literal["single-contact", "multi-contact"]
+    network: str
+    arm: Arm
+    arm_identity: str
+    cable_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    units: dict[str, str] = Field(default_factory=lambda: dict(UNITS))
+    pose_aware: bool
+    pose_range_deg: float
+    force_range_n: float
+    tare_samples: int
+    command: str
+    seed: int
+    version: str
+
+    def to_properties(self) -> dict[str, str]:
+        """As ONNX metadata properties."""
+        return {_KEY: json.dumps(self.model_dump(mode="json"), sort_keys=True)}
+
+    @classmethod
+    def from_properties(cls, properties: Mapping[str, str], source: str) -> ModelMetadata:
+        """From ONNX metadata properties.
+
+        Raises:
+            ModelFileError: not a CableSense model, or one of another format.
+        """
+        if _KEY not in properties:
+            raise ModelFileError(
+                f"{source}: an ONNX file, but not a CableSense model (no metadata {_KEY!r}); "
+                "make one with `cablesense train`"
+            )
+        try:
+            content = json.loads(properties[_KEY])
+            if isinstance(content, dict) and content.get("format") != FORMAT:
+                raise ModelFileError(
+                    f"{source}: format {content.get('format')!r}; this version reads {FORMAT!r}, "
+                    "so train the model again"
+                )
+            metadata = cls.model_validate(_with_infinities(content))
+        except (ValueError, ValidationError, RecursionError) as error:
+            line = " ".join(str(error).split())[:200]
+            raise ModelFileError(f"{source}: its metadata cannot be read ({line})") from error
+        if metadata.arm.identity != metadata.arm_identity:
+            raise ModelFileError(
+                f"{source}: says arm {metadata.arm_identity} but describes {metadata.arm.identity}; "
+                "the file was altered"
+            )
+        return metadata
+
+
+def _with_infinities(content: object) -> object:
+    """JSON has no infinity; a rigid actuator's stiffness was written as null."""
+    if isinstance(content, dict) and isinstance(content.get("arm"), dict):
+        actuators = content["arm"].get("actuators")
+        if isinstance(actuators, dict) and actuators.get("kp_n_m") is None:
+            actuators["kp_n_m"] = float("inf")
+    return content
