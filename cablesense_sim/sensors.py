@@ -25,3 +25,8 @@ def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Gene
 def reading_variance_n2(sensors: Sensors) -> float:
     """Variance of one reading, N²: noise, and a rounding error uniform over one step (step² / 12)."""
     return sensors.noise_std_n**2 + sensors.step_n**2 / 12.0
+
+
+def difference_variance_n2(sensors: Sensors, tare_samples: int) -> float:
+    """Variance of a reading less the mean of `tare_samples` unloaded ones, N²."""
+    return reading_variance_n2(sensors) * (1.0 + 1.0 / tare_samples)

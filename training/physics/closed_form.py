@@ -20,14 +20,37 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.physics.compact import CompactKinematics, Pose
 
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
+
+
+MOST_POSE_CORRECTIONS = 4
+
+POSE_TOLERANCE_RAD = 1e-5
+"""Where Gauss-Newton on the pose may stop: it moves a 200 N estimate by some millinewtons."""
+
+
+def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
+    """Gauss-Newton steps that this arm's give under a force at its tip calls for.
+
+    Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n) below the tolerance.
+    """
+    forces = np.zeros((2, mechanism.segment_count, 3))
+    forces[0, -1, 1] = forces[1, -1, 2] = force_n
+    straight = np.zeros(mechanism.joint_count)
+    give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
+    steps = 0
+    while give > POSE_TOLERANCE_RAD and steps < MOST_POSE_CORRECTIONS:
+        give, steps = give * give, steps + 1
+    return steps
 
 
 class Candidates(NamedTuple):

@@ -15,11 +15,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from cablesense_sim.arm import Arm
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.networks.layers import one_hot_of_argmax
 from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
 from cablesense_training.networks.spread import Spread
-from cablesense_training.physics.closed_form import Candidates, ClosedForm
+from cablesense_training.physics.closed_form import Candidates, ClosedForm, pose_corrections_for
 
 LARGEST_CORRECTION = 2.0
 """In standard deviations of the closed form."""
@@ -62,6 +64,13 @@ class CorrectedClosedForm(SingleContactNetwork):
         self.register_buffer("quarter_turn", torch.tensor([[0.0, -1.0], [1.0, 0.0]]))
         self.register_buffer("half_trace", 0.5 * torch.eye(2))
         self.double()
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
+        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
+        mechanism = Mechanism.from_arm(arm)
+        variance = difference_variance_n2(arm.sensors, tare_samples)
+        return cls(mechanism, variance, pose_corrections_for(mechanism))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Physics needs no scaling; only the loss does, and counts magnitudes in the sensors' own noise."""
