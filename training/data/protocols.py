@@ -219,10 +219,11 @@ def _number_touched(
     coordinate: NDArray[np.float64], contact_free: float, highest: int
 ) -> NDArray[np.int64]:
     """0 for the contact-free share of [0, 1), else 1 … highest in equal shares."""
+    number = np.zeros(len(coordinate), dtype=np.int64)
     touched = coordinate >= contact_free
-    place = (coordinate - contact_free) / max(1.0 - contact_free, np.finfo(float).tiny)
-    number = 1 + np.minimum(np.floor(place * highest), highest - 1)
-    return np.where(touched, number, 0.0).astype(np.int64)
+    place = (coordinate[touched] - contact_free) / (1.0 - contact_free)
+    number[touched] = 1 + np.minimum(np.floor(place * highest), highest - 1)
+    return number
 
 
 def _within(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
