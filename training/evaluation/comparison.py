@@ -1,0 +1,182 @@
+"""Every setting, every estimator, on fresh samples: the figures of `cablesense evaluate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.metrics import (
+    ContactAnswer,
+    ContactTruth,
+    MultiContactMetrics,
+    SingleContactMetrics,
+    multi_contact_metrics,
+    single_contact_metrics,
+)
+from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
+from cablesense_training.evaluation.settings import (
+    MULTI_ARM,
+    MULTI_MODEL,
+    SETTINGS,
+    WEAKEST_MULTI_N,
+    Setting,
+    multi_protocol,
+)
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.multi_estimator import MultiEstimator
+from cablesense_sim.arm_files import open_arm
+
+FIRM_N = 2.0
+"""Below this force the figures beside the noise bound are not compared: noise decides them."""
+
+
+@dataclass(frozen=True)
+class SettingFigures:
+    """One setting: the shipped model, its peers, and the bound, all on the same samples.
+
+    Attributes:
+        firm_ratio: magnitude MAE over that of the bound, contacts above `FIRM_N`.
+    """
+
+    setting: str
+    shipped: SingleContactMetrics
+    peers: dict[str, SingleContactMetrics]
+    bound: NoiseBound
+    firm_ratio: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All settings and the multi-contact model, for one seed."""
+
+    seed: int
+    samples: int
+    settings: tuple[SettingFigures, ...]
+    multi: MultiContactMetrics
+
+    @property
+    def coverage95(self) -> float:
+        """Share of the shipped models' stated 95 % magnitude intervals that hold the truth, pose known."""
+        known = [s.shipped.errors for s in self.settings]
+        total = sum(e.found for e in known)
+        return sum(e.magnitude_coverage95 * e.found for e in known) / total
+
+
+def compare(
+    seed: int, samples: int, workers: int = 1, on_setting: Callable[[str], None] | None = None
+) -> Comparison:
+    """Draw `samples` fresh samples a setting and let every bundled model answer.
+
+    Raises:
+        ModelFileError: a bundled model is missing or does not fit its arm.
+    """
+    figures = []
+    for setting in SETTINGS:
+        if on_setting is not None:
+            on_setting(setting.name)
+        dataset = Dataset.from_protocol(
+            setting.arm, setting.protocol(samples), seed, workers=workers
+        )
+        figures.append(setting_figures(setting, dataset))
+    if on_setting is not None:
+        on_setting("multi")
+    arm = open_arm(MULTI_ARM)
+    dataset = Dataset.from_protocol(arm, multi_protocol(samples), seed, workers=workers)
+    return Comparison(seed, samples, tuple(figures), multi_figures(dataset))
+
+
+def setting_figures(setting: Setting, dataset: Dataset) -> SettingFigures:
+    """Figures of one setting's models on its samples."""
+    shipped = single_figures(Estimator.load(find_model(setting.model), dataset.arm), dataset)
+    firm = dataset.select(dataset.magnitude_n > FIRM_N)
+    firm_error = single_figures(Estimator.load(find_model(setting.model)), firm).errors
+    return SettingFigures(
+        setting=setting.name,
+        shipped=shipped,
+        peers={
+            name: single_figures(Estimator.load(find_model(peer), dataset.arm), dataset)
+            for name, peer in setting.peers.items()
+        },
+        bound=noise_bound(dataset),
+        firm_ratio=firm_error.magnitude_mae_n / noise_bound(firm).magnitude_mae_n,
+    )
+
+
+def single_figures(estimator: Estimator, dataset: Dataset) -> SingleContactMetrics:
+    """Metrics of a single-contact model on a dataset."""
+    said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+    answer = ContactAnswer(
+        segment=said.segment,
+        angle_deg=said.angle_deg,
+        magnitude_n=said.magnitude_n,
+        magnitude_std_n=said.magnitude_std_n,
+        angle_std_deg=said.angle_std_deg,
+    )
+    truth = ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
+    return single_contact_metrics(truth, answer, dataset.arm.segment_count)
+
+
+def multi_figures(dataset: Dataset) -> MultiContactMetrics:
+    """Metrics of the shipped multi-contact model, contacts below `WEAKEST_MULTI_N` left out."""
+    estimator = MultiEstimator.load(find_model(MULTI_MODEL), dataset.arm)
+    said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+    return multi_contact_metrics(
+        dataset.contacts,
+        dataset.magnitudes_n,
+        said.probabilities > 0.5,
+        said.magnitude_n,
+        WEAKEST_MULTI_N,
+    )
+
+
+def as_json(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as `cablesense evaluate --json` prints it."""
+    settings = comparison.settings
+    peers: dict[str, dict[str, Any]] = {}
+    for figures in settings:
+        for name, metrics in figures.peers.items():
+            peers.setdefault(name, {})[figures.setting] = single_json(metrics)
+    return {
+        "seed": comparison.seed,
+        "samples": comparison.samples,
+        "single": {
+            f.setting: {**single_json(f.shipped), "mae_over_bound": f.firm_ratio} for f in settings
+        },
+        "multi": {
+            "recognition_accuracy": comparison.multi.recognition_accuracy,
+            "macro_f1": comparison.multi.macro_f1,
+            "magnitude_mae_n": list(comparison.multi.magnitude_mae_n),
+        },
+        "bound": {f.setting: asdict(f.bound) for f in settings},
+        "peers": peers,
+        "coverage95": comparison.coverage95,
+    }
+
+
+def single_json(metrics: SingleContactMetrics) -> dict[str, Any]:
+    """One model's figures in one setting."""
+    errors = metrics.errors
+    return {
+        "contact_accuracy": metrics.contact_accuracy,
+        "direction_mae_deg": errors.direction_mae_deg,
+        "magnitude_mae_n": errors.magnitude_mae_n,
+        "magnitude_rmse_n": errors.magnitude_rmse_n,
+        "macro_f1": metrics.macro_f1,
+        "coverage95": errors.magnitude_coverage95,
+        "by_force": list(_bins(metrics)),
+    }
+
+
+def _bins(metrics: SingleContactMetrics) -> Iterable[dict[str, float]]:
+    for force_bin in metrics.bins:
+        yield {
+            "low_n": force_bin.low_n,
+            "high_n": force_bin.high_n,
+            "contacts": force_bin.errors.contacts,
+            "contact_accuracy": force_bin.errors.contact_accuracy,
+            "direction_mae_deg": force_bin.errors.direction_mae_deg,
+            "magnitude_mae_n": force_bin.errors.magnitude_mae_n,
+        }

@@ -1,0 +1,77 @@
+"""The noise bound: how well any unbiased estimator could do on the very same samples (Cramér-Rao).
+
+With the segment known, the force's two components f are what is unknown, and the tension differences are Gaussian
+about dT(f) with variance v each. Their information is G' G / v, with G = d dT / d f from the equilibrium's own
+sensitivity, so no unbiased estimate of f has a covariance below C = v (G' G)^-1 (Kay, Fundamentals of Statistical
+Signal Processing, vol. I, 1993, section 3.8). Angle and magnitude follow by drawing from N(f, C), which also holds for
+weak forces, where an angle's error is not Gaussian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim import kinematics
+from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.metrics import angle_difference_deg
+
+Array = NDArray[np.float64]
+
+DRAWS = 64
+
+
+@dataclass(frozen=True)
+class NoiseBound:
+    """Errors of an efficient unbiased estimator over a set of contacts.
+
+    Attributes:
+        contacts: number of contacts.
+        magnitude_mae_n, magnitude_rmse_n, direction_mae_deg: its errors.
+    """
+
+    contacts: int
+    magnitude_mae_n: float
+    magnitude_rmse_n: float
+    direction_mae_deg: float
+
+
+def force_covariance_n2(dataset: Dataset) -> Array:
+    """Bound (C, 2, 2) on the covariance of the (y, z) force of each of the dataset's C contacts, in order."""
+    touched = np.flatnonzero(dataset.segment > 0)
+    mechanism = Mechanism.from_arm(dataset.arm)
+    command, forces = dataset.command_rad[touched], dataset.forces_n[touched]
+    rest = solve_equilibrium(mechanism, command, forces)
+    gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
+    rows, place = np.arange(len(touched)), dataset.segment[touched] - 1
+    normals = kinematics.segment_rotations(mechanism, command)[rows, place][:, :, 1:]
+    gain = gain[rows, :, place] @ normals
+    variance = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
+    return np.asarray(variance * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
+
+
+def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> NoiseBound:
+    """The bound over a single-contact dataset's contacts of at least `weakest_n`."""
+    touched = dataset.segment > 0
+    magnitude, angle_deg = dataset.magnitude_n[touched], dataset.angle_deg[touched]
+    covariance = force_covariance_n2(dataset)
+    kept = magnitude >= weakest_n
+    magnitude, angle_deg, covariance = magnitude[kept], angle_deg[kept], covariance[kept]
+    theta = np.deg2rad(angle_deg)
+    force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+    root = np.linalg.cholesky(covariance)
+    normal = np.random.default_rng(seed).normal(size=(DRAWS, len(force), 2, 1))
+    drawn = force + (root @ normal)[..., 0]
+    magnitude_error = np.hypot(drawn[..., 0], drawn[..., 1]) - magnitude
+    drawn_deg = np.rad2deg(np.arctan2(drawn[..., 0], drawn[..., 1]))
+    return NoiseBound(
+        contacts=len(force),
+        magnitude_mae_n=float(np.abs(magnitude_error).mean()),
+        magnitude_rmse_n=float(np.sqrt((magnitude_error**2).mean())),
+        direction_mae_deg=float(np.abs(angle_difference_deg(drawn_deg, angle_deg)).mean()),
+    )

@@ -1,0 +1,113 @@
+"""The main job on real input: the paper's Table II, the only tensions measured on the physical arm.
+
+Loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment, nine-cable arm, straight and level. The
+estimator is told nothing of that: it gets nine tension differences and answers segment, direction and newtons.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.config_files import config_path
+from cablesense_training.evaluation.metrics import angle_difference_deg
+from cablesense_training.inference.estimator import Estimator
+
+Array = NDArray[np.float64]
+
+STANDARD_GRAVITY_M_S2 = 9.81
+"""What the paper's newtons are worth: its 2 kg load counts as 19.62 N."""
+
+DOWN_DEG = 180.0
+"""Contact angle of a hung load on the level arm: -z."""
+
+CABLES = 9
+
+
+@dataclass(frozen=True)
+class HungLoad:
+    """One row of Table II.
+
+    Attributes:
+        source: `physical` or `simulated`, as the paper has it.
+        segment: where the load hung.
+        weight_n: its weight.
+        tension_difference_n: (9,) change of the cable tensions.
+    """
+
+    source: str
+    segment: int
+    weight_n: float
+    tension_difference_n: Array
+
+
+@dataclass(frozen=True)
+class HungLoadAnswer:
+    """True load against estimate.
+
+    Attributes:
+        load: the row.
+        segment: estimated; 0 is no contact.
+        angle_deg, magnitude_n: estimated.
+        angle_error_deg: estimated less down, signed.
+        magnitude_error: estimated over true weight, less 1.
+    """
+
+    load: HungLoad
+    segment: int
+    angle_deg: float
+    magnitude_n: float
+    angle_error_deg: float
+    magnitude_error: float
+
+
+def read_table2(path: Path | None = None) -> list[HungLoad]:
+    """The rows of Table II, physical and simulated, from the bundled file.
+
+    Raises:
+        CableSenseError: the file lacks a column or holds something that is not a number.
+    """
+    path = path or config_path("measurements/table2.csv")
+    cables = [f"cable_{i + 1}_n" for i in range(CABLES)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [
+                HungLoad(
+                    source=row["source"],
+                    segment=int(row["load_segment"]),
+                    weight_n=float(row["load_kg"]) * STANDARD_GRAVITY_M_S2,
+                    tension_difference_n=np.array([float(row[name]) for name in cables]),
+                )
+                for row in csv.DictReader(file)
+            ]
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise CableSenseError(
+            f"{path}: not Table II ({error}); needed are source, load_kg, load_segment and "
+            f"{cables[0]} … {cables[-1]}"
+        ) from error
+
+
+def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[HungLoadAnswer]:
+    """What a model of the three-segment arm says of the table's rows of one source."""
+    straight = np.zeros(estimator.metadata.arm.joint_count)
+    answers = []
+    for load in read_table2():
+        if load.source != source:
+            continue
+        said = estimator.estimate(load.tension_difference_n, straight)
+        answers.append(
+            HungLoadAnswer(
+                load=load,
+                segment=said.segment,
+                angle_deg=said.angle_deg,
+                magnitude_n=said.magnitude_n,
+                angle_error_deg=float(angle_difference_deg(said.angle_deg, DOWN_DEG)),
+                magnitude_error=said.magnitude_n / load.weight_n - 1.0,
+            )
+        )
+    return answers
