@@ -37,8 +37,7 @@ EXTRAS = {
         "viser",  # the 3D page in the browser
     ],
     "train": [
-        "dask",  # datasets made on more than one machine
-        "distributed",  # the scheduler and workers of dask
+        "distributed",  # datasets made on a Dask cluster of more than one machine
         "onnxscript",  # torch exports through it
         "pyarrow",  # datasets are Parquet
         "scikit-learn",  # the gradient-boosting peer

@@ -68,6 +68,11 @@ def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
     assert package.licenses == [ours.metadata["License"]]
 
 
+def test_every_program_exists() -> None:
+    for program in distribution("cablesense_ros").entry_points:
+        assert callable(program.load()), program
+
+
 def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()

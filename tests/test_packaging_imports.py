@@ -69,6 +69,12 @@ def test_every_import_is_declared(
         assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
 
 
+def test_every_declared_distribution_is_imported() -> None:
+    used = {name for module in imported(*ROOMS) for name in distributions_of(module)}
+    by_others = {"onnxscript", "ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}
+    assert declared("", "page", "train") - by_others <= used
+
+
 def test_the_ros_manifest_names_every_message_package(ros_modules: set[str]) -> None:
     messages = {name for name in imported("cablesense_ros") if name.endswith("_msgs")}
     assert messages <= ros_modules
