@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import array
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import cos, radians, sin
-from typing import Any
+from typing import Any, NamedTuple
 
 from cablesense_msgs_py.frames import Frames
 
 
-@dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(NamedTuple):
     """Where and how the environment pushes the arm, or that it does not.
 
     Attributes:
@@ -33,27 +31,20 @@ class Contact:
         """(y, z) of the force's unit vector in the segment's frame; x is zero."""
         return sin(radians(self.angle_deg)), cos(radians(self.angle_deg))
 
+    @property
+    def force_n(self) -> tuple[float, float, float]:
+        """The force, in the segment's frame."""
+        y, z = self.direction
+        return 0.0, self.magnitude_n * y, self.magnitude_n * z
+
+    @property
+    def torque_n_m(self) -> tuple[float, float, float]:
+        """The moment of the force about the origin of the segment's frame."""
+        _, y, z = self.force_n
+        return 0.0, -self.contact_m * z, self.contact_m * y
+
 
 NO_CONTACT = Contact()
-
-
-def put_wrench(message: Any, contact: Contact, frames: Frames) -> None:
-    """Put the contact's force into a `WrenchStamped`; the stamp is the caller's.
-
-    The frame is the touched segment's, the torque that of the force about this frame's origin.
-    Nothing touches: zero, in the base frame.
-    """
-    force, torque = message.wrench.force, message.wrench.torque
-    if contact.segment == 0:
-        message.header.frame_id = frames.base
-        force.y = force.z = torque.y = torque.z = 0.0
-        return
-    y, z = contact.direction
-    message.header.frame_id = frames.segment(contact.segment)
-    force.y = contact.magnitude_n * y
-    force.z = contact.magnitude_n * z
-    torque.y = -contact.contact_m * force.z
-    torque.z = contact.contact_m * force.y
 
 
 def put_contact_point(message: Any, contact: Contact, frames: Frames) -> None:

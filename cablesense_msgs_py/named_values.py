@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from operator import itemgetter
 
 from cablesense_msgs_py.contract_error import ContractError
 
@@ -24,12 +22,12 @@ class NamedOrder:
         self.names = tuple(names)
         self._what = what
         self._last_names: tuple[str, ...] = self.names
-        self._last_positions: NDArray[np.intp] | None = None
+        self._pick: itemgetter[tuple[float, ...]] | None = None
 
     def arrange(
-        self, names: Sequence[str], values: Sequence[float] | NDArray[np.float64], field: str
-    ) -> NDArray[np.float64]:
-        """The values in the order wanted, as a new array.
+        self, names: Sequence[str], values: Sequence[float], field: str
+    ) -> tuple[float, ...]:
+        """The values in the order wanted.
 
         Args:
             names: as the message has them.
@@ -38,22 +36,20 @@ class NamedOrder:
 
         Raises:
             ContractError: a name is missing, unknown or repeated, or there is not one value per
-            name.
+                name.
         """
         given = tuple(names)
         if given != self._last_names:
-            self._last_positions = self._find_positions(given)
+            self._pick = self._make_pick(given)
             self._last_names = given
         if len(values) != len(given):
             raise ContractError(
                 f"{field} holds {len(values)} values for {len(given)} names; "
                 f"it must hold one per name ({len(self.names)})"
             )
-        array = np.asarray(values, dtype=np.float64)
-        positions = self._last_positions
-        return array.copy() if positions is None else array[positions]
+        return tuple(values) if self._pick is None else self._pick(values)
 
-    def _find_positions(self, given: tuple[str, ...]) -> NDArray[np.intp] | None:
+    def _make_pick(self, given: tuple[str, ...]) -> itemgetter[tuple[float, ...]] | None:
         if given == self.names:
             return None
         problems = self._problems(given)
@@ -63,7 +59,7 @@ class NamedOrder:
                 f"{self.names[0]} … {self.names[-1]}, in any order, each once"
             )
         where = {name: position for position, name in enumerate(given)}
-        return np.array([where[name] for name in self.names], dtype=np.intp)
+        return itemgetter(*(where[name] for name in self.names))
 
     def _problems(self, given: tuple[str, ...]) -> list[str]:
         counts = Counter(given)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_msgs_py.contact import NO_CONTACT, Contact
 from cablesense_msgs_py.contract_error import ContractError
+from cablesense_msgs_py.effort_reader import EffortReader, Efforts
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.joint_state import joint_command_rad
-from cablesense_msgs_py.joint_state_cdr import JointStateArrays, JointStateReader
 from cablesense_msgs_py.named_values import NamedOrder
 from cablesense_ros.input_health import InputHealth
 from cablesense_ros.motion_gate import MotionGate
@@ -70,8 +70,7 @@ class EstimationSettings:
     settle_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """The answer to one sample.
 
     Attributes:
@@ -83,7 +82,7 @@ class Outcome:
     """
 
     contact: Contact = NO_CONTACT
-    probabilities: Sequence[float] = field(default=())
+    probabilities: Sequence[float] = ()
     stamp_ns: int = 0
     problem: SampleError | None = None
     new_tare: Tare | None = None
@@ -108,7 +107,7 @@ class Estimation:
         self._contact_threshold = settings.contact_threshold
         self._stale_after_s = settings.stale_after_s
         self._auto_tare = settings.auto_tare
-        self._reader = JointStateReader()
+        self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._command_rad = np.zeros(arm.joint_count)
@@ -176,19 +175,19 @@ class Estimation:
         """Whether the last message is too long ago for its answer to stand."""
         return self.health.silence_s(now_s) > self._stale_after_s
 
-    def _read(self, raw: bytes) -> JointStateArrays:
+    def _read(self, raw: bytes) -> Efforts:
         try:
             return self._reader.read(raw)
         except ContractError as error:
             raise SampleError(ProblemKind.MALFORMED, str(error)) from error
 
-    def _arrange(self, sample: JointStateArrays) -> Array:
+    def _arrange(self, sample: Efforts) -> tuple[float, ...]:
         try:
-            return self._cable_order.arrange(sample.names, sample.effort, "effort")
+            return self._cable_order.arrange(sample.names, sample.values, "effort")
         except ContractError as error:
             raise SampleError(ProblemKind.NAMES, str(error)) from error
 
-    def _answer(self, tensions: Array, stamp_ns: int, now_s: float) -> Outcome:
+    def _answer(self, tensions: tuple[float, ...], stamp_ns: int, now_s: float) -> Outcome:
         if self.gate.moving(now_s):
             return Outcome(stamp_ns=stamp_ns)
         self.tare.add(tensions)

@@ -15,11 +15,11 @@ from cablesense_msgs_py.contact import (
     put_contact_point,
     put_force_direction,
     put_probabilities,
-    put_wrench,
 )
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.markers import ContactMarkers
 from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_msgs_py.wrench_writer import WrenchWriter
 from cablesense_ros.estimation import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
 
@@ -34,10 +34,14 @@ class EstimatorOutputs:
         self._node = node
         self._frames = frames
         self._next_display_s = float("-inf")
-        self._wrench, self._wrench_out = (
-            WrenchStamped(),
-            self._create(WrenchStamped, topics.WRENCH),
-        )
+        self._wrench_out = self._create(WrenchStamped, topics.WRENCH)
+        self._wrench_in = [
+            WrenchWriter(frame)
+            for frame in (
+                frames.base,
+                *(frames.segment(n + 1) for n in range(frames.segment_count)),
+            )
+        ]
         self._point, self._point_out = (
             PointStamped(),
             self._create(PointStamped, topics.CONTACT_POINT),
@@ -61,15 +65,14 @@ class EstimatorOutputs:
             stamp_ns: time that the outputs bear.
             now_s: monotonic time.
         """
-        stamp = self._wrench.header.stamp
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        put_wrench(self._wrench, outcome.contact, self._frames)
-        self._wrench_out.publish(self._wrench)
-        if outcome.contact.segment:
-            self._publish_contact(outcome.contact, stamp)
+        contact = outcome.contact
+        writer = self._wrench_in[contact.segment]
+        self._wrench_out.publish(writer.write(stamp_ns, contact.force_n, contact.torque_n_m))
+        if contact.segment:
+            self._publish_contact(contact, stamp_ns)
         if now_s >= self._next_display_s:
             self._next_display_s = now_s + DISPLAY_PERIOD_S
-            self._publish_display(outcome, stamp)
+            self._publish_display(outcome, stamp_ns)
 
     def destroy(self) -> None:
         """Take the topics away."""
@@ -88,20 +91,25 @@ class EstimatorOutputs:
             kind, topic, qos_profile(PUBLISHER), qos_overriding_options=overridable()
         )
 
-    def _publish_contact(self, contact: Contact, stamp: Time) -> None:
+    def _publish_contact(self, contact: Contact, stamp_ns: int) -> None:
         if self._point_out.get_subscription_count():
-            self._point.header.stamp = stamp
+            self._point.header.stamp = _time(stamp_ns)
             put_contact_point(self._point, contact, self._frames)
             self._point_out.publish(self._point)
         if self._direction_out.get_subscription_count():
-            self._direction.header.stamp = stamp
+            self._direction.header.stamp = _time(stamp_ns)
             put_force_direction(self._direction, contact, self._frames)
             self._direction_out.publish(self._direction)
 
-    def _publish_display(self, outcome: Outcome, stamp: Time) -> None:
+    def _publish_display(self, outcome: Outcome, stamp_ns: int) -> None:
         if outcome.probabilities and self._probabilities_out.get_subscription_count():
             put_probabilities(self._probabilities, outcome.probabilities)
             self._probabilities_out.publish(self._probabilities)
         if self._markers and self._markers_out and self._markers_out.get_subscription_count():
-            self._markers.put(outcome.contact, self._frames, stamp)
+            self._markers.put(outcome.contact, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
+
+
+def _time(stamp_ns: int) -> Time:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import isfinite
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cablesense_ros.sample_error import ProblemKind, SampleError
-
-Array = NDArray[np.float64]
 
 PLAUSIBLE_N: Final = (-20.0, 20_000.0)
 """A cable pulls: readings below are a fault, not an offset; above, no such arm holds."""
@@ -28,28 +25,35 @@ class SampleCheck:
         self.slack_below_n = slack_below_n
         self.slack: tuple[int, ...] = ()
 
-    def check(self, tensions_n: Array) -> None:
+    def check(self, tensions_n: Sequence[float]) -> None:
         """Check (M,) readings in N; then `slack` holds the numbers (from 1) of slack cables.
 
         Raises:
             SampleError: a reading is not finite, saturated or implausible.
         """
-        lowest, highest = float(tensions_n.min()), float(tensions_n.max())
         low, high = self._range_n or PLAUSIBLE_N
-        if not (low < lowest and highest < high):  # also when one is NaN
+        lowest = min(tensions_n)
+        if not (isfinite(sum(tensions_n)) and low < lowest and max(tensions_n) < high):
             raise self._problem(tensions_n)
         self.slack = (
             ()
             if lowest >= self.slack_below_n
-            else tuple((np.flatnonzero(tensions_n < self.slack_below_n) + 1).tolist())
+            else tuple(
+                number
+                for number, tension in enumerate(tensions_n, start=1)
+                if tension < self.slack_below_n
+            )
         )
 
-    def _problem(self, tensions_n: Array) -> SampleError:
+    def _problem(self, tensions_n: Sequence[float]) -> SampleError:
         low, high = self._range_n or PLAUSIBLE_N
-        finite = np.isfinite(tensions_n)
-        cable = int(np.argmin(finite & (tensions_n > low) & (tensions_n < high)))
-        reading = f"effort of cable_{cable + 1} is {tensions_n[cable]:g} N"
-        if not finite[cable]:
+        cable, tension = next(
+            (number, tension)
+            for number, tension in enumerate(tensions_n, start=1)
+            if not low < tension < high
+        )
+        reading = f"effort of cable_{cable} is {tension:g} N"
+        if not isfinite(tension):
             return SampleError(ProblemKind.NOT_FINITE, f"{reading}; it must be a finite number")
         if self._range_n is None:
             return SampleError(

@@ -11,7 +11,7 @@ with the prediction of the arm file's static equilibrium: what the sensors read 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,7 @@ class TareModel:
         self._predicted_n = predict_n(command_rad)
         self._sample_count = sample_count
         self._steady_n = steady_n
-        self._readings: deque[Array] = deque(maxlen=sample_count)
+        self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
         self._tares: deque[Tare] = deque(maxlen=MOST_TARES_KEPT)
         self._unloaded_n: Array | None = None
 
@@ -103,7 +103,7 @@ class TareModel:
         """Readings before this moment do not belong to the next tare."""
         self._readings.clear()
 
-    def add(self, reading_n: Array) -> None:
+    def add(self, reading_n: Sequence[float]) -> None:
         """A reading (M,) in N at the present command, with the arm at rest."""
         self._readings.append(reading_n)
 

@@ -1,0 +1,319 @@
+"""Latency of the estimator node beside that of a relay that does nothing, in the same run.
+
+    python benchmarks/estimator_latency.py [--seconds 30] [--json] [--write]
+
+Three processes, each path in turn for a second at a time: publisher → estimator → sink, publisher
+→ relay → sink. There are two relays in the estimator's own executor: one passes the serialized
+message on (the leanest that rclpy allows), one takes it as a message and publishes it again (what
+a node usually does). At last the estimator alone, for as long as each path had, to see whether a
+sample is lost. A sample's latency is the time from just before it is published until the sink's
+callback begins.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState
+
+from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
+from cablesense_ros.qos_profiles import qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_sim.arm import Arm
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import read_tensions_n
+
+RATE_HZ = 1000
+BLOCK_S = 1.0
+WARM_UP_S = 2.0
+PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
+MEDIAN_BAR, P99_BAR = 1.3, 1.5
+RESULTS = Path(__file__).parent / "results" / "estimator_latency.json"
+PATHS = ("estimator", "raw_relay", "typed_relay")
+SINK_QOS = Qos(depth=1000, reliable=True)
+
+_STAMP = struct.Struct("<iI")
+_STAMP_AT = 4
+
+
+@dataclass(frozen=True)
+class PathFigures:
+    """One path's figures; latencies in µs."""
+
+    sent: int
+    received: int
+    lost: int
+    median_us: float
+    p90_us: float
+    p99_us: float
+    worst_us: float
+
+
+class RelayNode(Node):
+    """Publishes what it receives, untouched or as a message."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        publisher = self.create_publisher(JointState, f"{path}_out", qos_profile(PUBLISHER))
+        self.create_subscription(
+            JointState,
+            f"{path}_in",
+            publisher.publish,
+            qos_profile(SENSOR),
+            raw=path == "raw_relay",
+        )
+
+
+class SinkNode(Node):
+    """Notes when what arrives by each path was sent, and when it came."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__("sink")
+        self._file = file
+        self._times: dict[str, list[tuple[int, int]]] = {path: [] for path in PATHS}
+        for path in PATHS:
+            kind = WrenchStamped if path == "estimator" else JointState
+            self.create_subscription(
+                kind, f"{path}_out", self._note(path), qos_profile(SINK_QOS), raw=True
+            )
+
+    def _note(self, path: str) -> Callable[[bytes], None]:
+        append, unpack, now = self._times[path].append, _STAMP.unpack_from, time.time_ns
+
+        def note(raw: bytes) -> None:
+            arrived = now()
+            seconds, nanoseconds = unpack(raw, _STAMP_AT)
+            append((seconds * 1_000_000_000 + nanoseconds, arrived))
+
+        return note
+
+    def destroy_node(self) -> None:
+        """Write what was noted, then go."""
+        np.savez(self._file, **{path: np.array(pairs) for path, pairs in self._times.items()})
+        super().destroy_node()
+
+
+def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[str, list[int]]:
+    """Publish by each path in turn for so many seconds; give the stamps sent by each, ns."""
+    rclpy.init()
+    node = Node("source")
+    publishers = {
+        path: node.create_publisher(JointState, f"{path}_in", qos_profile(PUBLISHER))
+        for path in PATHS
+    }
+    deadline = time.monotonic() + 30.0
+    while not all(p.get_subscription_count() for p in publishers.values()):
+        if time.monotonic() > deadline:
+            raise SystemExit("the nodes under test did not come up within 30 s")
+        time.sleep(0.1)
+    time.sleep(1.0)  # the other half of the discovery: their outputs to the sink
+    unloaded, pushed = _samples(arm)
+    sent: dict[str, list[int]] = {path: [] for path in PATHS}
+    for path in PATHS:
+        _publish(publishers[path].publish, unloaded, WARM_UP_S)
+    for path, seconds in schedule:
+        sent[path] += _publish(publishers[path].publish, pushed, seconds)
+    time.sleep(1.0)
+    node.destroy_node()
+    try_shutdown()
+    return sent
+
+
+def _samples(arm: Arm) -> tuple[list[bytearray], list[bytearray]]:
+    """Serialized readings, unloaded and pushed, with the sensors' noise."""
+    mechanism = Mechanism.from_arm(arm)
+    command = np.zeros(arm.joint_count)
+    forces = normal_force_n(mechanism, command, **PUSH)
+    rng = np.random.default_rng(0)
+    serialized = []
+    for load in (np.zeros_like(forces), forces):
+        tensions = solve_equilibrium(mechanism, command, load).tensions_n
+        readings = read_tensions_n(np.tile(tensions, (100, 1)), arm.sensors, rng)
+        messages = [
+            JointState(name=list(arm.cable_names), effort=reading.tolist()) for reading in readings
+        ]
+        serialized.append([bytearray(serialize_message(message)) for message in messages])
+    return serialized[0], serialized[1]
+
+
+def _publish(
+    publish: Callable[[bytes], None], samples: Sequence[bytearray], seconds: float
+) -> list[int]:
+    count, stamps = round(seconds * RATE_HZ), []
+    start = time.perf_counter()
+    for i in range(count):
+        wait = start + i / RATE_HZ - time.perf_counter()
+        if wait > 0.0:
+            time.sleep(wait)
+        sample = samples[i % len(samples)]
+        stamp = time.time_ns()
+        _STAMP.pack_into(sample, _STAMP_AT, *divmod(stamp, 1_000_000_000))
+        publish(bytes(sample))
+        stamps.append(stamp)
+    return stamps
+
+
+def measure(arm_name: str, seconds: float) -> dict[str, object]:
+    """Run everything; figures by path."""
+    environment = {
+        **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(1 + os.getpid() % 100)),
+        "OMP_NUM_THREADS": "1",
+    }
+    os.environ.update(environment)
+    arm = open_arm(arm_name)
+    blocks = round(seconds / BLOCK_S)
+    schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "sink.npz")
+        commands = [
+            [sys.executable, __file__, "--role", "sink", "--file", str(file)],
+            [sys.executable, __file__, "--role", "raw_relay"],
+            [sys.executable, __file__, "--role", "typed_relay"],
+            [
+                sys.executable,
+                "-m",
+                "cablesense_ros.estimator_node",
+                *_estimator_arguments(arm_name),
+            ],
+        ]
+        processes = [subprocess.Popen(command, env=environment) for command in commands]
+        try:
+            sent = publish_schedule(arm, [*schedule, ("estimator", seconds)])
+        finally:
+            for process in processes:
+                process.send_signal(signal.SIGINT)
+            codes = [process.wait(timeout=20) for process in processes]
+        if any(codes):
+            raise SystemExit(f"a process under test ended with {codes}")
+        arrived = dict(np.load(file))
+    interleaved = blocks * round(BLOCK_S * RATE_HZ)
+    figures = {path: _figures(sent[path][:interleaved], arrived[path]) for path in PATHS}
+    sustained = _figures(sent["estimator"][interleaved:], arrived["estimator"])
+    return {
+        "paths": {path: asdict(figure) for path, figure in figures.items()},
+        "sustained": {"seconds": seconds, **asdict(sustained)},
+        "ratios": {
+            relay: {
+                "median": figures["estimator"].median_us / figures[relay].median_us,
+                "p99": figures["estimator"].p99_us / figures[relay].p99_us,
+            }
+            for relay in PATHS[1:]
+        },
+    }
+
+
+def _estimator_arguments(arm_name: str) -> list[str]:
+    """Between its turns the estimator is without samples, which is not to count as stale."""
+    parameters = {"arm": arm_name, "stale_after_s": "60.0", "tare_samples": "100"}
+    topics = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={value}"]
+    for name, value in topics.items():
+        arguments += ["-r", f"{name}:={value}"]
+    return arguments
+
+
+def _figures(sent: Sequence[int], arrived: NDArray[np.int64]) -> PathFigures:
+    wanted = np.isin(arrived[:, 0], np.asarray(sent))
+    latency = (arrived[wanted, 1] - arrived[wanted, 0]) * 1e-3
+    received = len(np.unique(arrived[wanted, 0]))
+    if not received:
+        raise SystemExit("nothing arrived at the sink; see the log above")
+    median, p90, p99 = np.percentile(latency, [50.0, 90.0, 99.0]).round(1)
+    return PathFigures(
+        len(sent), received, len(sent) - received, median, p90, p99, float(latency.max().round(1))
+    )
+
+
+def report(result: dict[str, object], arm_name: str, seconds: float) -> dict[str, object]:
+    """The result with what made it and the bars."""
+    ratios = result["ratios"]["raw_relay"]  # type: ignore[index]
+    lost = result["sustained"]["lost"]  # type: ignore[index]
+    return {
+        "command": f"python benchmarks/estimator_latency.py --seconds {seconds:g} --write",
+        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.2f}",
+        "rclpy": version("rclpy"),
+        "arm": arm_name,
+        "rate_hz": RATE_HZ,
+        **result,
+        "bars": {
+            "median at most 1.3 times the raw relay": ratios["median"] <= MEDIAN_BAR,
+            "p99 at most 1.5 times the raw relay": ratios["p99"] <= P99_BAR,
+            "none lost": lost == 0,
+        },
+    }
+
+
+def _print(result: dict[str, object]) -> None:
+    print(f"{'path':<22}{'sent':>8}{'lost':>6}{'median':>9}{'p90':>9}{'p99':>9}{'worst':>10}  µs")
+    rows = {**result["paths"], "estimator, sustained": result["sustained"]}  # type: ignore[dict-item]
+    for name, row in rows.items():
+        print(
+            f"{name:<22}{row['sent']:>8}{row['lost']:>6}{row['median_us']:>9}{row['p90_us']:>9}"
+            f"{row['p99_us']:>9}{row['worst_us']:>10}"
+        )
+    for relay, ratio in result["ratios"].items():  # type: ignore[attr-defined]
+        print(f"estimator over {relay}: median {ratio['median']:.2f}, p99 {ratio['p99']:.2f}")
+    for bar, kept in result["bars"].items():  # type: ignore[attr-defined]
+        print(f"{'kept  ' if kept else 'MISSED'} {bar}")
+
+
+def main() -> int:
+    """Measure, or play one of the parts."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seconds", type=float, default=30.0, help="time for each path")
+    parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name} as well")
+    parser.add_argument("--role", choices=("sink", *PATHS[1:]), help=argparse.SUPPRESS)
+    parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.role == "sink":
+        return run_node(lambda: SinkNode(given.file), [])
+    if given.role:
+        return run_node(lambda: RelayNode(given.role), [])
+    if given.seconds < BLOCK_S:
+        parser.error(f"--seconds must be at least {BLOCK_S:g}")
+    result = report(measure(given.arm, given.seconds), given.arm, given.seconds)
+    if given.json:
+        print(json.dumps(result, indent=2))
+    else:
+        _print(result)
+    if given.write:
+        RESULTS.parent.mkdir(exist_ok=True)
+        partial = RESULTS.with_suffix(".part")
+        partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        partial.replace(RESULTS)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

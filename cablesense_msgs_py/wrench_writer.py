@@ -1,0 +1,33 @@
+"""A writer of serialized `geometry_msgs/WrenchStamped` (CDR), faster than filling a message."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+_LITTLE_ENDIAN = b"\0\1\0\0"
+
+
+class WrenchWriter:
+    """Writes wrenches in one frame."""
+
+    def __init__(self, frame_id: str) -> None:
+        text = frame_id.encode() + b"\0"
+        before = 4 + 8 + 4 + len(text)
+        padding = (4 - before) % 8  # numbers of eight bytes align from after the encapsulation
+        self._layout = struct.Struct(f"<4siII{len(text)}s{padding}x6d")
+        self._length = len(text)
+        self._text = text
+
+    def write(self, stamp_ns: int, force_n: Sequence[float], torque_n_m: Sequence[float]) -> bytes:
+        """A message of a force (3,) and a torque (3,), stamped."""
+        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        return self._layout.pack(
+            _LITTLE_ENDIAN,
+            seconds,
+            nanoseconds,
+            self._length,
+            self._text,
+            *force_n,
+            *torque_n_m,
+        )
