@@ -86,7 +86,7 @@ def single_contact_loss(
     contact = functional.cross_entropy(output.contact_logits, target.segment)
     direction = direction_loss(output.direction, target.angle_deg, touched)
     error_n = output.magnitude_n - target.magnitude_n
-    magnitude = (error_n.abs() / magnitude_scale_n).mean()
+    magnitude = _mean_where(error_n.abs() / magnitude_scale_n, touched)
     total = weights.alpha * contact + weights.beta * direction + weights.gamma * magnitude
     angle_error = angle_error_deg(output.direction, target.angle_deg).detach()
     spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
