@@ -69,11 +69,11 @@ def test_direction_loss_of_no_contact_at_all_is_zero():
     assert float(loss) == 0.0
 
 
-def test_magnitude_loss_is_l1_in_standard_deviations():
-    output = _output([[9.0, 0.0], [0.0, 9.0]], [0.0, 0.0], [10.0, 100.0])
-    target = _target([0, 1], [0.0, 0.0], [0.0, 60.0])
+def test_magnitude_loss_is_l1_in_standard_deviations_over_the_contacts():
+    output = _output([[9.0, 0.0], [0.0, 9.0], [0.0, 9.0]], [0.0] * 3, [10.0, 100.0, 20.0])
+    target = _target([0, 1, 1], [0.0] * 3, [0.0, 60.0, 30.0])
     terms = single_contact_loss(output, target, torch.tensor(50.0), LossWeights())
-    assert float(terms.magnitude) == pytest.approx((10.0 / 50.0 + 40.0 / 50.0) / 2.0)
+    assert float(terms.magnitude) == pytest.approx((40.0 / 50.0 + 10.0 / 50.0) / 2.0)
 
 
 def test_total_weighs_the_three_terms():
