@@ -14,8 +14,10 @@ from cablesense_training.networks.multi_contact import TwoStageMultiContactNetwo
 from cablesense_training.networks.scale_aware import ScaleAwareNetwork
 from cablesense_training.networks.shared_backbone import SharedBackboneNetwork
 from cablesense_training.networks.two_stage import TwoStageNetwork
+from cablesense_training.physics.corrected import CorrectedClosedForm
 
 NETWORKS: dict[str, Callable[[Arm], Network]] = {
+    "closed-form-corrected": CorrectedClosedForm.for_arm,
     "decoupled": lambda arm: DecoupledNetwork(arm.cable_count, arm.segment_count),
     "shared-backbone": lambda arm: SharedBackboneNetwork(arm.cable_count, arm.segment_count),
     "two-stage": lambda arm: TwoStageNetwork(arm.cable_count, arm.segment_count),

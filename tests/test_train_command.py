@@ -1,0 +1,59 @@
+"""`cablesense train` as a user meets it."""
+
+import json
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cablesense_ros.cli.train import train
+from cablesense_training.errors import TrainingError
+
+app = typer.Typer(pretty_exceptions_enable=False)
+app.command()(train)
+SMALL = ["--network", "two-stage", "--samples", "400", "--epochs", "2", "--threads", "1"]
+
+
+@pytest.fixture(autouse=True)
+def small_test_set(monkeypatch):
+    monkeypatch.setattr("cablesense_training.train_model.TEST_SAMPLES", 300)
+
+
+def _run(*words):
+    return CliRunner().invoke(app, list(words), env={"COLUMNS": "200"})
+
+
+def test_writes_a_model_and_prints_its_figures(tmp_path):
+    out = tmp_path / "model.onnx"
+    result = _run(*SMALL, "--out", str(out))
+    assert result.exit_code == 0, result.output
+    assert out.is_file()
+    for words in ("contact accuracy", "direction MAE", "by force", "100 to 200"):
+        assert words in result.output
+
+
+def test_json_holds_the_figures_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "cablesense_training.train_model.export_model",
+        lambda network, path, metadata: path.write_bytes(metadata.command.encode()),
+    )
+    result = _run(*SMALL, "--json", "--out", str(tmp_path / "model.onnx"))
+    figures = json.loads(result.stdout)
+    command = (tmp_path / "model.onnx").read_text()
+    assert command.startswith("cablesense train --arm cdsm --network two-stage --samples 400")
+    assert command.endswith("--seed 0 --threads 1 --out model.onnx")
+    assert figures["network"] == "two-stage"
+    assert 0.0 <= figures["single"]["contact_accuracy"] <= 1.0
+
+
+def test_nothing_is_written_when_a_network_is_unknown(tmp_path):
+    result = _run("--network", "magic", "--out", str(tmp_path / "model.onnx"))
+    assert isinstance(result.exception, TrainingError)
+    assert "two-stage" in str(result.exception)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("word", ["--network", "--data", "--samples", "--seed", "--out"])
+def test_help_explains_the_options(word):
+    result = _run("--help")
+    assert word in result.output

@@ -1,0 +1,116 @@
+"""From samples to a model file that the estimator opens and that answers as it was trained."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data import DatasetError, write_dataset
+from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.answers import single_contact_truth
+from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
+from cablesense_training.fit import FitSettings
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.multi_estimator import MultiEstimator
+from cablesense_training.train_model import TEST_SEED_OFFSET, train_command, train_model
+from cablesense_training.training_data import draw_samples, read_samples
+
+ARM = open_arm("cdsm")
+QUICK = FitSettings(epochs=2, batch_size=256, threads=1)
+FEW = {"samples": 600, "pose": "random", "pose_range_deg": 5.0, "force_high_n": None}
+
+
+@pytest.fixture
+def stub_export(monkeypatch):
+    monkeypatch.setattr(
+        "cablesense_training.train_model.export_model",
+        lambda network, path, metadata: path.write_bytes(b"model"),
+    )
+
+
+@pytest.fixture(scope="module")
+def single():
+    return draw_samples(ARM, "two-stage", FEW, seed=0)
+
+
+@pytest.mark.parametrize("name", ["two-stage", "scale-aware"])
+def test_the_model_file_answers_as_the_report_says(name, single, tmp_path):
+    path = tmp_path / "model.onnx"
+    report = train_model(path, name, single, QUICK, command="made so", test_samples=200)
+    estimator = Estimator.load(path, ARM)
+    assert estimator.metadata.command == "made so"
+    assert estimator.metadata.pose_range_deg == 5.0
+    assert estimator.metadata.network == name
+    fresh = draw_samples(ARM, name, {**FEW, "samples": 200}, seed=TEST_SEED_OFFSET)
+    answers = estimator.estimate_batch(fresh.tension_difference_n)
+    found = single_contact_metrics(
+        single_contact_truth(fresh),
+        ContactAnswer(
+            answers.segment,
+            answers.angle_deg,
+            answers.magnitude_n,
+            answers.magnitude_std_n,
+            answers.angle_std_deg,
+        ),
+        ARM.segment_count,
+    )
+    assert report.single is not None
+    assert found.confusion == report.single.confusion
+    assert found.errors.magnitude_mae_n == pytest.approx(report.single.errors.magnitude_mae_n)
+    assert found.errors.direction_mae_deg == pytest.approx(report.single.errors.direction_mae_deg)
+
+
+def test_a_multi_contact_model_opens_and_answers(tmp_path):
+    dataset = draw_samples(ARM, "multi-contact", {"samples": 400}, seed=0)
+    path = tmp_path / "model.onnx"
+    report = train_model(path, "multi-contact", dataset, QUICK, command="", test_samples=200)
+    figures = report.figures()
+    assert figures["multi"]["judged"] == 800
+    assert figures["multi_firm"]["judged"] <= 800
+    assert "single" not in figures
+    answers = MultiEstimator.load(path, ARM).estimate_batch(dataset.tension_difference_n[:9])
+    assert answers.magnitude_n.shape == (9, 4)
+
+
+def test_the_figures_are_plain_json_values(single, tmp_path, stub_export):
+    report = train_model(
+        tmp_path / "m.onnx", "two-stage", single, QUICK, command="", test_samples=20
+    )
+    figures = json.loads(json.dumps(report.figures(), allow_nan=False))
+    assert figures["parameters"] > 1000
+    assert len(figures["single"]["bins"]) == 5
+
+
+def test_refuses_data_of_the_wrong_protocol(single, tmp_path):
+    with pytest.raises(TrainingError, match="--protocol multi"):
+        train_model(tmp_path / "m.onnx", "multi-contact", single, QUICK, command="")
+
+
+def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):
+    with pytest.raises(TrainingError, match="no folder"):
+        train_model(tmp_path / "gone" / "m.onnx", "two-stage", single, QUICK, command="")
+    with pytest.raises(TrainingError, match="is a folder"):
+        train_model(tmp_path, "two-stage", single, QUICK, command="")
+
+
+def test_the_command_names_what_was_chosen_and_quotes_it():
+    options = {"arm": "my arm.yaml", "samples": 5, "data": None, "pose_range_deg": 10.0}
+    assert train_command(options) == (
+        "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
+    )
+
+
+def test_samples_come_back_from_a_file_of_the_same_arm_only(single, tmp_path):
+    path = tmp_path / "data.parquet"
+    write_dataset(path, single)
+    np.testing.assert_array_equal(
+        read_samples(path, ARM).tension_difference_n, single.tension_difference_n
+    )
+    with pytest.raises(DatasetError, match="cdsm_lab"):
+        read_samples(path, open_arm("cdsm_lab"))
+
+
+def test_refuses_protocol_options_out_of_range():
+    with pytest.raises(DatasetError, match="pose"):
+        draw_samples(ARM, "two-stage", {**FEW, "pose": "bent"}, seed=0)

@@ -1,0 +1,70 @@
+"""How each network is trained unless told otherwise: the least that reached its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from cablesense_training.errors import TrainingError
+from cablesense_training.fit import FitSettings
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Number of samples to draw, and the training settings."""
+
+    samples: int
+    settings: FitSettings
+
+
+_PAPER = Recipe(100_000, FitSettings())
+
+RECIPES: dict[str, Recipe] = {
+    "closed-form-corrected": Recipe(50_000, FitSettings(epochs=20, batch_size=1024)),
+    "decoupled": _PAPER,
+    "shared-backbone": _PAPER,
+    "two-stage": _PAPER,
+    "scale-aware": Recipe(300_000, FitSettings(epochs=40, batch_size=1024, patience=1, decay=0.4)),
+    "multi-contact": _PAPER,
+}
+"""Recipes by the names of `networks.registry.NETWORKS`."""
+
+
+def recipe_for(network_name: str) -> Recipe:
+    """The recipe of a network.
+
+    Raises:
+        TrainingError: there is no network of that name; the message lists those there are.
+    """
+    if network_name not in RECIPES:
+        raise TrainingError(f"no network {network_name!r}; there are: {', '.join(RECIPES)}")
+    return RECIPES[network_name]
+
+
+def adjusted(
+    settings: FitSettings,
+    *,
+    seed: int,
+    threads: int,
+    epochs: int | None = None,
+    batch_size: int | None = None,
+    learning_rate: float | None = None,
+) -> FitSettings:
+    """A recipe's settings with what a caller chose otherwise.
+
+    Raises:
+        TrainingError: a value out of range.
+    """
+    chosen = replace(
+        settings,
+        seed=seed,
+        threads=threads,
+        epochs=settings.epochs if epochs is None else epochs,
+        batch_size=settings.batch_size if batch_size is None else batch_size,
+        learning_rate=settings.learning_rate if learning_rate is None else learning_rate,
+    )
+    for name in ("epochs", "batch_size", "threads"):
+        if getattr(chosen, name) < 1:
+            raise TrainingError(f"{name} = {getattr(chosen, name)}: must be at least 1")
+    if not 0.0 < chosen.learning_rate <= 1.0:
+        raise TrainingError(f"learning_rate = {chosen.learning_rate:g}: must be in (0, 1]")
+    return chosen
