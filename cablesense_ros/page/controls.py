@@ -52,7 +52,6 @@ class Controls:
         gui: viser.GuiApi,
         segment_count: int,
         actions: Actions,
-        on_reset_errors: Callable[[], None],
     ) -> None:
         self._actions = actions
         self._pushing = False
@@ -80,15 +79,13 @@ class Controls:
                 icon=viser.Icon.SCALE,
                 hint="takes the present tensions as those of the unloaded arm",
             )
-            reset = gui.add_button("Reset the errors", icon=viser.Icon.REFRESH)
         self._button.on_click(lambda _: self._toggle())
         for handle in (self._segment, self._angle, self._newtons):
             handle.on_update(lambda _: self._send_push())
         for joint in self._joints:
-            joint.on_update(lambda _: self._send_command())
+            joint.on_update(lambda event: self._send_command() if event.client else None)
         home.on_click(lambda _: self._go_home())
         tare.on_click(lambda _: actions.tare())
-        reset.on_click(lambda _: on_reset_errors())
 
     @property
     def wanted(self) -> Push:

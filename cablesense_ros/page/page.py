@@ -33,17 +33,17 @@ class Page:
     """A live view of an arm, served until `close`."""
 
     def __init__(
-        self, arm: Arm, actions: Actions, host: str = "127.0.0.1", port: int = 8080
+        self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
-        """Starts serving.
+        """Starts serving; without `actions` the page only shows.
 
         Raises:
             PageError: no port from `port` on can be bound on `host`.
         """
         mechanism = Mechanism.from_arm(arm)
-        port = free_port(host, port)
+        self._port = free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+            self._server = viser.ViserServer(host=host, port=self._port, verbose=False)
         self._host = host
         self._score = Score()
         self._lock = threading.Lock()
@@ -56,7 +56,8 @@ class Page:
         server.gui.set_panel_label("CableSense")
         _place_camera(server, mechanism)
         self._scene = ArmScene(server.scene, mechanism)
-        self._controls = Controls(server.gui, arm.segment_count, actions, self.reset_errors)
+        if actions is not None:
+            self._controls = Controls(server.gui, arm.segment_count, actions)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(320)
         panel = server.gui.add_panel()
@@ -65,6 +66,10 @@ class Page:
             self._forces = server.gui.add_html("")
             self._probabilities = server.gui.add_html("")
             self._errors = server.gui.add_html("")
+            reset = server.gui.add_button(
+                "Reset the errors", icon=viser.Icon.REFRESH, color="gray"
+            )
+            reset.on_click(lambda _: self.reset_errors())
             self._legend = server.gui.add_html("")
             self._traces = TracePlot(server.gui, mechanism)
             server.gui.add_html(readout.traces_legend_html(arm.segment_count))
@@ -72,17 +77,24 @@ class Page:
         panel.set_width(400)
 
     @property
+    def port(self) -> int:
+        """The port that is served on."""
+        return self._port
+
+    @property
     def url(self) -> str:
         """Where a browser finds the page."""
         host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self._server.get_port()}"
+        return f"http://{host}:{self._port}"
 
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment: the scene every time, figures and traces a few times a second."""
         with self._lock:
-            self._score.add(snapshot.time_s, snapshot.true, snapshot.estimate)
+            self._score.add(snapshot)
         if snapshot.tensions_n is not None:
             self._traces.add(snapshot.time_s, snapshot.tensions_n)
+        if not self._server.get_clients():
+            return
         scale_n = full_scale_n(self._traces.peak_n)
         with self._server.atomic():
             self._scene.pose(snapshot.joint_angles_rad)
@@ -97,6 +109,11 @@ class Page:
         """Starts the error so far anew."""
         with self._lock:
             self._score.reset()
+
+    def notify(self, title: str, body: str) -> None:
+        """Shows a note to everyone who looks at the page, for a few seconds."""
+        for client in self._server.get_clients().values():
+            client.add_notification(title, body, auto_close_seconds=5.0)
 
     def close(self) -> None:
         """Stops serving."""
@@ -142,7 +159,7 @@ def free_port(host: str, port: int) -> int:
 
 def _place_camera(server: viser.ViserServer, mechanism: Mechanism) -> None:
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-    server.initial_camera.position = (0.72 * reach, -1.5 * reach, 0.62 * reach)
-    server.initial_camera.look_at = (0.4 * reach, 0.0, -0.05 * reach)
+    server.initial_camera.position = (0.78 * reach, -1.55 * reach, 0.66 * reach)
+    server.initial_camera.look_at = (0.44 * reach, 0.0, -0.03 * reach)
     server.initial_camera.fov = 0.75
     server.initial_camera.near = 0.01

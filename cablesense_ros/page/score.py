@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cablesense_ros.page.snapshot import Contact
+import numpy as np
 
-SETTLING_S = 0.5
+from cablesense_ros.page.snapshot import Level, Snapshot
+
+SETTLING_S = 1.0
 """A comparison waits this long after the true load changed: the arm swings and the estimate follows within it."""
+STILL_N = 0.01
+STILL_RAD = 0.003
+"""Load and pose that change by less stand still."""
 
 
 def angle_error_deg(a_deg: float, b_deg: float) -> float:
@@ -37,8 +42,8 @@ class Score:
 
     def __init__(self, settling_s: float = SETTLING_S) -> None:
         self._settling_s = settling_s
-        self._load: tuple[int, float, float] | None = None
-        self._load_since_s: float | None = None
+        self._still: Snapshot | None = None
+        self._still_since_s = 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -46,15 +51,15 @@ class Score:
         self._count = self._right = self._contacts = 0
         self._angle_sum_deg = self._magnitude_sum_n = 0.0
 
-    def add(self, time_s: float, true: Contact | None, estimate: Contact | None) -> bool:
-        """Compares one moment; says whether it counted, which it does once the load has stood still for a while."""
-        load = None
-        if true is not None:
-            load = (true.segment, round(true.angle_deg, 2), round(true.magnitude_n, 2))
-        if load != self._load or self._load_since_s is None:
-            self._load, self._load_since_s = load, time_s
-        if time_s - self._load_since_s < self._settling_s:
+    def add(self, snapshot: Snapshot) -> bool:
+        """Compares one moment; says whether it counted, which it does once load and pose have stood still."""
+        if snapshot.status.level is Level.STALE:
             return False
+        if self._changed(snapshot):
+            self._still_since_s = snapshot.time_s
+        if snapshot.time_s - self._still_since_s < self._settling_s:
+            return False
+        true, estimate = snapshot.true, snapshot.estimate
         self._count += 1
         true_segment = true.segment if true is not None else 0
         estimated_segment = estimate.segment if estimate is not None else 0
@@ -64,6 +69,19 @@ class Score:
                 self._contacts += 1
                 self._angle_sum_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
                 self._magnitude_sum_n += abs(true.magnitude_n - estimate.magnitude_n)
+        return True
+
+    def _changed(self, snapshot: Snapshot) -> bool:
+        """Whether load or pose differ from those since which the arm has stood still."""
+        still, true = self._still, snapshot.true
+        if still is not None and (still.true is None) == (true is None):
+            force_moved = 0.0
+            if still.true is not None and true is not None:
+                force_moved = float(np.abs(still.true.force_base_n - true.force_base_n).max())
+            pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
+            if force_moved < STILL_N and pose_moved < STILL_RAD:
+                return False
+        self._still = snapshot
         return True
 
     @property

@@ -1,0 +1,161 @@
+"""An arm or a model in words and numbers, for `cablesense info`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm import load_arm
+from cablesense_sim.arm_files import find_arm
+from cablesense_sim.mechanism import Mechanism
+
+Description = dict[str, Any]
+
+
+def describe_arm(name: str) -> Description:
+    """An arm's identity, geometry, cables and sensors; SI units as the keys say.
+
+    Raises:
+        CableSenseError: no such arm file, or one that cannot be true.
+    """
+    path = find_arm(name)
+    arm = load_arm(path)
+    mechanism = Mechanism.from_arm(arm)
+    sensors = arm.sensors
+    angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
+    return {
+        "kind": "arm",
+        "file": str(path),
+        "name": arm.name,
+        "identity": arm.identity,
+        "segments": {
+            "count": arm.segment_count,
+            "length_m": mechanism.segment_length_m.tolist(),
+            "mass_kg": mechanism.mass_kg.tolist(),
+            "contact_m": mechanism.contact_m.tolist(),
+            "plate_offset_m": mechanism.plate_offset_m,
+        },
+        "cables": [
+            {
+                "name": cable_name,
+                "ends_on_segment": int(mechanism.cable_segment[i]),
+                "angle_deg": round(float(angle_deg[i]), 6) % 360.0,
+                "radius_m": math.hypot(mechanism.hole_y_m[i], mechanism.hole_z_m[i]),
+                "length_m": float(mechanism.straight_length_m[i]),
+                "stiffness_n_m": float(mechanism.stiffness_n_m[i]),
+                "pretension_n": float(mechanism.pretension_n[i]),
+            }
+            for i, cable_name in enumerate(arm.cable_names)
+        ],
+        "sensors": {
+            "rate_hz": sensors.rate_hz,
+            "noise_std_n": sensors.noise_std_n,
+            "step_n": sensors.step_n,
+            "range_n": sensors.range_n,
+        },
+        "joints": list(arm.joint_names),
+    }
+
+
+def describe_model(path: str) -> Description:
+    """A model file's inputs, outputs and metadata.
+
+    Raises:
+        CableSenseError: the file is missing or no model.
+    """
+    import onnxruntime
+
+    file = Path(path)
+    if not file.is_file():
+        raise CableSenseError(
+            f"no model file {path}; give the path of a .onnx file, such as config/models/cdsm.onnx"
+        )
+    try:
+        session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises classes of its own, of no common kind
+        line = " ".join(str(error).split())[:200]
+        raise CableSenseError(
+            f"{path}: not a model that ONNX Runtime can load ({line})"
+        ) from error
+    return {
+        "kind": "model",
+        "file": str(file),
+        "size_bytes": file.stat().st_size,
+        "inputs": [_port(port) for port in session.get_inputs()],
+        "outputs": [_port(port) for port in session.get_outputs()],
+        "metadata": dict(sorted(session.get_modelmeta().custom_metadata_map.items())),
+    }
+
+
+def _port(port: Any) -> dict[str, Any]:
+    return {"name": port.name, "type": port.type, "shape": list(port.shape)}
+
+
+def description_tables(description: Description) -> list[Table]:
+    """The description as tables for a terminal."""
+    return _arm_tables(description) if description["kind"] == "arm" else _model_tables(description)
+
+
+def _arm_tables(arm: Description) -> list[Table]:
+    segments, sensors = arm["segments"], arm["sensors"]
+    facts = _facts(f"Arm {arm['identity']}")
+    facts.add_row("file", arm["file"])
+    facts.add_row("segments", f"{segments['count']}, of {_listed(segments['length_m'])} m")
+    facts.add_row("mass", f"{_listed(segments['mass_kg'])} kg each")
+    facts.add_row("guide plates", f"{segments['plate_offset_m']:g} m before and after each joint")
+    facts.add_row("loads act", f"{_listed(segments['contact_m'])} m from each segment's joint")
+    facts.add_row(
+        "sensors",
+        f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
+        f"step {sensors['step_n']:g} N",
+    )
+    cables = Table(title="Cables", title_justify="left", header_style="bold")
+    cables.add_column("name")
+    for heading in (
+        "ends on segment",
+        "angle, °",
+        "radius, m",
+        "length, m",
+        "stiffness, N/m",
+        "pretension, N",
+    ):
+        cables.add_column(heading, justify="right")
+    for cable in arm["cables"]:
+        cables.add_row(
+            cable["name"],
+            str(cable["ends_on_segment"]),
+            f"{cable['angle_deg']:.0f}",
+            f"{cable['radius_m']:.3f}",
+            f"{cable['length_m']:.3f}",
+            f"{cable['stiffness_n_m']:.3g}",
+            f"{cable['pretension_n']:g}",
+        )
+    return [facts, cables]
+
+
+def _model_tables(model: Description) -> list[Table]:
+    facts = _facts(f"Model {model['file']}")
+    facts.add_row("size", f"{model['size_bytes'] / 1000:.0f} kB")
+    for way in ("inputs", "outputs"):
+        for port in model[way]:
+            shape = ", ".join(map(str, port["shape"]))
+            facts.add_row(way[:-1], f"{port['name']} ({shape}) {port['type']}")
+    for key, value in model["metadata"].items():
+        facts.add_row(key, value)
+    return [facts]
+
+
+def _facts(title: str) -> Table:
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column("what", style="bold")
+    table.add_column("value", overflow="fold")
+    return table
+
+
+def _listed(values: list[float]) -> str:
+    return f"{values[0]:g}" if len(set(values)) == 1 else ", ".join(f"{v:g}" for v in values)

@@ -1,0 +1,31 @@
+"""The demo's nodes as command lines, and the environment that keeps them on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+
+from cablesense_ros.demo.processes import ChildCommand
+
+DOMAINS = 100
+"""ROS domain ids that are safe on Linux go from 0 to 101; 0 is everyone's, so the demo takes 1 … 100."""
+
+
+def node_command(name: str, parameters: Mapping[str, str | int | float | bool]) -> ChildCommand:
+    """The command that runs `cablesense_ros.<name>_node` in this Python, with parameters."""
+    command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
+    for key, value in parameters.items():
+        command += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
+    return ChildCommand(name, command)
+
+
+def demo_environment() -> dict[str, str]:
+    """This process's environment, kept on this machine and, unless ROS_DOMAIN_ID is set, in a ROS domain of its own."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
+    environment.setdefault("OMP_NUM_THREADS", "1")
+    environment["PYTHONUNBUFFERED"] = "1"
+    return environment

@@ -1,0 +1,235 @@
+"""The picture of a headless demo: the arm at its hardest push, and true against estimated force over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_ros.demo.result import PushResult, Record, summary
+from cablesense_ros.page.colours import (
+    ESTIMATE_RGB,
+    TRUE_RGB,
+    css,
+    full_scale_n,
+    segment_rgb,
+    tension_rgb,
+)
+from cablesense_ros.page.geometry import arrow_tail_m, cable_pieces
+from cablesense_ros.page.meshes import PLATE_MARGIN, plate_positions_m, routing_radius_m
+from cablesense_ros.page.snapshot import Contact, Snapshot
+from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
+from cablesense_sim.mechanism import Mechanism
+
+GROUND, INK, DIM, GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
+SIZE_IN = (14.0, 8.0)
+DPI = 110
+
+
+def draw_picture(
+    path: Path, mechanism: Mechanism, record: Record, results: Sequence[PushResult]
+) -> None:
+    """Writes the picture as PNG, beside its place first, so that no half of one is ever seen."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    style = {
+        "figure.facecolor": GROUND,
+        "axes.facecolor": GROUND,
+        "savefig.facecolor": GROUND,
+        "text.color": INK,
+        "axes.labelcolor": INK,
+        "axes.edgecolor": GRID,
+        "xtick.color": DIM,
+        "ytick.color": DIM,
+        "grid.color": GRID,
+        "font.size": 10,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    }
+    with plt.rc_context(style):
+        figure = plt.figure(figsize=SIZE_IN)
+        grid = figure.add_gridspec(
+            3,
+            2,
+            width_ratios=(1.15, 1),
+            left=0.01,
+            right=0.985,
+            top=0.885,
+            bottom=0.075,
+            hspace=0.32,
+        )
+        moment = _hardest_moment(record, results)
+        _draw_arm(figure, grid[:, 0], mechanism, record.snapshots[moment])
+        _draw_time(figure, grid[:, 1], record, mechanism.segment_count, record.times_s[moment])
+        figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
+        figure.text(0.03, 0.912, _caption(results), size=10.5, color=DIM)
+        part = path.with_name(f".{path.name}.part")
+        figure.savefig(part, dpi=DPI, format="png")
+        plt.close(figure)
+    part.replace(path)
+
+
+def _caption(results: Sequence[PushResult]) -> str:
+    found = summary(results)
+    line = f"{found['segment_right']} of {found['pushes']} pushes on the right segment"
+    if found["direction_mae_deg"] is None:
+        return line
+    return (
+        f"{line}; mean error {found['direction_mae_deg']:.2f}° in direction, "
+        f"{found['magnitude_mae_n']:.2f} N in magnitude"
+    )
+
+
+def _hardest_moment(record: Record, results: Sequence[PushResult]) -> int:
+    """Late in the hardest push that was estimated on the outer half of the arm, where the picture shows most."""
+    found = [r for r in results if r.estimate is not None] or list(results)
+    half = max(r.push.segment for r in found) / 2
+    push = max(found, key=lambda r: (r.push.segment > half, r.push.magnitude_n)).push
+    moment = int(np.searchsorted(record.times_s, push.end_s - 0.3))
+    return min(moment, len(record.times_s) - 1)
+
+
+def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
+    pose = snapshot.joint_angles_rad
+    joints, rotations = joint_positions_m(mechanism, pose), segment_rotations(mechanism, pose)
+    _draw_plates(axes, mechanism, joints, rotations)
+    tensions = snapshot.tensions_n if snapshot.tensions_n is not None else mechanism.pretension_n
+    scale_n = full_scale_n(float(tensions.max()))
+    pieces = cable_pieces(mechanism, joints, rotations)
+    colours = tension_rgb(tensions, scale_n)[pieces.cable] / 255.0
+    axes.add_collection3d(
+        Line3DCollection(pieces.ends_m, colors=colours, linewidths=1.9, zorder=4)
+    )
+    points = contact_points_m(mechanism, pose)
+    for contact, rgb, word, width, zorder in (
+        (snapshot.true, TRUE_RGB, "true", 6.5, 5),
+        (snapshot.estimate, ESTIMATE_RGB, "estimated", 2.6, 6),
+    ):
+        if contact is not None:
+            _draw_arrow(axes, points[contact.segment - 1], contact, css(rgb), width, zorder)
+            axes.plot([], [], [], color=css(rgb), lw=width / 1.5, label=_words(word, contact))
+    axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.93), frameon=False, fontsize=11)
+    _frame(axes, mechanism)
+    stops = tension_rgb(np.linspace(0.0, scale_n, 64), scale_n) / 255.0
+    colour_map = LinearSegmentedColormap.from_list("tension", list(stops))
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0.0, scale_n), colour_map),
+        cax=axes.inset_axes((0.28, 0.05, 0.46, 0.018)),
+        orientation="horizontal",
+        label="cable tension, N (0 is slack)",
+    )
+    bar.outline.set_visible(False)
+
+
+def _words(word: str, contact: Contact) -> str:
+    return f"{word}: segment {contact.segment}, {contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
+
+
+def _draw_plates(
+    axes: Any,
+    mechanism: Mechanism,
+    joints: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    turn = np.linspace(0.0, 2 * np.pi, 49)
+    radius = PLATE_MARGIN * routing_radius_m(mechanism)
+    ring = np.stack([np.zeros_like(turn), radius * np.sin(turn), radius * np.cos(turn)], -1)
+    for segment in range(mechanism.segment_count + 1):
+        origin = joints[segment - 1] if segment else np.zeros(3)
+        rotation = rotations[segment - 1] if segment else np.eye(3)
+        for x in plate_positions_m(mechanism, segment):
+            rim = origin + (ring + [x, 0.0, 0.0]) @ rotation.T
+            axes.add_collection3d(
+                Poly3DCollection(
+                    [rim], facecolor="#7e8a9c2e", edgecolor="#7e8a9c", lw=0.8, zorder=2
+                )
+            )
+        if segment:
+            tip = origin + rotation @ [mechanism.segment_length_m[segment - 1], 0.0, 0.0]
+            axes.plot(*np.stack([origin, tip], -1), color="#5a667a", lw=6, zorder=3)
+            axes.scatter(*origin, color="#bcc4d0", s=26, zorder=3)
+
+
+def _draw_arrow(
+    axes: Any, point: NDArray[np.float64], contact: Contact, colour: str, width: float, zorder: int
+) -> None:
+    tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
+    neck = tip + 0.12 * (tail - tip)
+    axes.plot(*np.stack([tail, neck], -1), color=colour, lw=width, zorder=zorder)
+    axes.quiver(
+        *tail, *(tip - tail), color=colour, lw=width * 0.7, arrow_length_ratio=0.16, zorder=zorder
+    )
+
+
+def _frame(axes: Any, mechanism: Mechanism) -> None:
+    reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
+    low, high = -0.18 * reach, 1.04 * reach
+    half = 0.36 * reach
+    axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
+    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.42)
+    axes.set_proj_type("persp", focal_length=0.6)
+    axes.view_init(elev=22, azim=-62)
+    axes.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
+    axes.tick_params(labelsize=8, pad=0)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_facecolor("#181c23")
+        axis.pane.set_edgecolor(GRID)
+        axis.set_major_locator(_every(0.2 if axis is axes.xaxis else 0.1))
+
+
+def _every(step: float) -> Any:
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(step)
+
+
+def _draw_time(
+    figure: Any, place: Any, record: Record, segment_count: int, moment_s: float
+) -> None:
+    rows = place.subgridspec(3, 1, hspace=0.16, height_ratios=(1.3, 1, 1))
+    force, angle, segment = (figure.add_subplot(rows[i]) for i in range(3))
+    true = [snapshot.true for snapshot in record.snapshots]
+    estimate = [
+        snapshot.estimate if heard else None
+        for snapshot, heard in zip(record.snapshots, record.heard, strict=True)
+    ]
+    for contacts, rgb, word, width in (
+        (true, TRUE_RGB, "true", 4.5),
+        (estimate, ESTIMATE_RGB, "estimated", 1.6),
+    ):
+        style = {"color": css(rgb), "lw": width, "solid_capstyle": "butt", "label": word}
+        newtons = [contact.magnitude_n if contact else 0.0 for contact in contacts]
+        force.plot(record.times_s, newtons, **style)
+        angle.plot(record.times_s, [c.angle_deg if c else np.nan for c in contacts], **style)
+        segment.plot(record.times_s, [c.segment if c else 0 for c in contacts], **style)
+    force.set_ylabel("force, N")
+    force.set_ylim(bottom=0.0)
+    force.legend(loc="upper right", frameon=False, ncols=2, bbox_to_anchor=(1.0, 1.16))
+    angle.set(ylabel="direction, °", ylim=(0, 360), yticks=(0, 90, 180, 270, 360))
+    segment.set(
+        ylabel="segment",
+        yticks=range(segment_count + 1),
+        yticklabels=["none", *map(str, range(1, segment_count + 1))],
+        xlabel="time, s",
+    )
+    for row in (force, angle, segment):
+        row.grid(visible=True, lw=0.6)
+        row.axvline(moment_s, color=DIM, lw=0.8, ls=":")
+        row.set_xlim(0.0, record.times_s[-1])
+        if row is not segment:
+            row.tick_params(labelbottom=False)
+    for number in range(1, segment_count + 1):
+        segment.axhspan(number - 0.5, number + 0.5, color=css(segment_rgb(number)), alpha=0.06)
