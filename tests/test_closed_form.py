@@ -1,0 +1,179 @@
+"""Statics alone recovers contacts exactly without noise, and with noise states its own errors truly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from cablesense_sim import kinematics
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2
+from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.evaluation.noise_bound import noise_bound
+from cablesense_training.physics.closed_form import ClosedForm, pose_corrections_for
+
+VARIANCE_N2 = 0.005
+BARELY_TAUT_N = 0.3
+"""Tensions below this pass for none, at that variance."""
+
+
+def _mechanism(name):
+    return Mechanism.from_arm(open_arm(name))
+
+
+def _closed_form(mechanism, variance_n2=VARIANCE_N2):
+    return ClosedForm(mechanism, variance_n2, pose_corrections_for(mechanism))
+
+
+def _tensor(values):
+    return torch.as_tensor(np.ascontiguousarray(values))
+
+
+def _candidates(closed_form, tension_difference_n, command_rad):
+    with torch.no_grad():
+        found = closed_form(_tensor(tension_difference_n), _tensor(command_rad))
+    return type(found)(*(part.numpy() for part in found))
+
+
+def _tensions(mechanism, command, segment, angle_deg, magnitude_n):
+    """Noise-free tensions under load and without."""
+    forces = normal_force_n(mechanism, command, segment, angle_deg, magnitude_n)
+    loaded = solve_equilibrium(mechanism, command, forces).tensions_n
+    return loaded, solve_equilibrium(mechanism, command).tensions_n
+
+
+def _cases(mechanism, rows, reach_deg, seed=0):
+    rng = np.random.default_rng(seed)
+    reach = np.deg2rad(reach_deg)
+    command = rng.uniform(-reach, reach, (rows, mechanism.joint_count))
+    segment = rng.integers(1, mechanism.segment_count + 1, rows)
+    return command, segment, rng.uniform(0.0, 360.0, rows), rng.uniform(1.0, 200.0, rows)
+
+
+@pytest.mark.parametrize("reach_deg", [0.0, 10.0])
+@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
+def test_without_noise_segment_and_force_are_recovered_slack_or_not(arm, reach_deg):
+    mechanism = _mechanism(arm)
+    command, segment, angle_deg, magnitude = _cases(mechanism, 400, reach_deg)
+    loaded, unloaded = _tensions(mechanism, command, segment, angle_deg, magnitude)
+    slack = (loaded == 0.0).sum(axis=1)
+    # as many taut cables as joint angles tell the pose
+    told = slack <= mechanism.cable_count - mechanism.joint_count
+    told &= ~((loaded > 0.0) & (loaded < BARELY_TAUT_N)).any(axis=1)
+    assert told.sum() > 350
+    assert (slack[told] > 0).sum() > 50
+    found = _candidates(_closed_form(mechanism), loaded - unloaded, command)
+    np.testing.assert_array_equal(found.explained.argmax(axis=1)[told] + 1, segment[told])
+    np.testing.assert_array_equal((found.taut == 0.0).sum(axis=1)[told], slack[told])
+    theta = np.deg2rad(angle_deg)
+    force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=1)
+    error = np.hypot(*(found.force_n[np.arange(len(segment)), segment - 1] - force).T)
+    assert np.median(error[told]) < 0.01
+    assert np.quantile(error[told], 0.98) < 0.1
+    assert error[told & (slack == 0)].max() < 1e-4
+
+
+@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
+def test_covariance_is_that_of_the_estimates_over_many_readings(arm):
+    mechanism = _mechanism(arm)
+    rng = np.random.default_rng(1)
+    command = rng.uniform(-0.17, 0.17, (1, mechanism.joint_count))
+    for segment in (1, 4):
+        loaded, unloaded = _tensions(mechanism, command, segment, [40.0], [10.0])
+        assert (loaded > 1.0).all()
+        read = loaded - unloaded + rng.normal(0.0, VARIANCE_N2**0.5, (3000, mechanism.cable_count))
+        found = _candidates(
+            _closed_form(mechanism), read, np.repeat(command, 3000, axis=0)
+        )
+        own = found.force_n[:, segment - 1]
+        stated = found.covariance_n2[:, segment - 1].mean(axis=0)
+        whitened = np.linalg.solve(np.linalg.cholesky(stated), (own - own.mean(axis=0)).T)
+        np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.12)
+
+
+@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
+def test_without_contact_the_misfit_is_chi_squared(arm):
+    mechanism = _mechanism(arm)
+    rows = 4000
+    rng = np.random.default_rng(2)
+    command = rng.uniform(-0.17, 0.17, (rows, mechanism.joint_count))
+    noise = rng.normal(0.0, VARIANCE_N2**0.5, (rows, mechanism.cable_count))
+    misfit = _candidates(_closed_form(mechanism), noise, command).misfit_none
+    assert stats.kstest(misfit, stats.chi2(mechanism.joint_count).cdf).pvalue > 1e-3
+
+
+def test_what_a_contact_explains_leaves_chi_squared_of_two_degrees_less():
+    mechanism = _mechanism("cdsm")
+    rng = np.random.default_rng(3)
+    command = np.zeros((4000, mechanism.joint_count))
+    loaded, unloaded = _tensions(mechanism, command[:1], 2, [100.0], [12.0])
+    read = loaded - unloaded + rng.normal(0.0, VARIANCE_N2**0.5, (4000, mechanism.cable_count))
+    found = _candidates(_closed_form(mechanism), read, command)
+    left = found.misfit_none - found.explained[:, 1]
+    assert stats.kstest(left, stats.chi2(6).cdf).pvalue > 1e-3
+    assert (found.explained <= found.misfit_none[:, None] * (1.0 + 1e-9)).all()
+
+
+def test_at_the_commanded_pose_it_is_generalised_least_squares():
+    mechanism = _mechanism("cdsm")
+    rng = np.random.default_rng(4)
+    command = rng.uniform(-0.17, 0.17, (5, mechanism.joint_count))
+    difference = rng.normal(0.0, 3.0, (5, mechanism.cable_count))
+    found = _candidates(ClosedForm(mechanism, VARIANCE_N2, 0), difference, command)
+    for row in range(5):
+        q = command[row]
+        rest = solve_equilibrium(mechanism, q)
+        jacobian = kinematics.cable_jacobian_m(mechanism, q)
+        moved = kinematics.cable_jacobian_m(mechanism, rest.joint_angles_rad)
+        torque = (
+            jacobian.T @ (rest.tensions_n + difference[row])
+            - kinematics.gravity_torques_n_m(mechanism, q)
+            - moved.T @ rest.tensions_n
+            + kinematics.gravity_torques_n_m(mechanism, rest.joint_angles_rad)
+        )
+        root = np.linalg.cholesky(VARIANCE_N2 * jacobian.T @ jacobian)
+        white = np.linalg.solve(root, torque)
+        np.testing.assert_allclose(found.misfit_none[row], white @ white, rtol=1e-6)
+        normals = kinematics.segment_rotations(mechanism, q)[..., 1:]
+        contact = kinematics.contact_jacobians_m(mechanism, q)
+        for segment in range(mechanism.segment_count):
+            design = np.linalg.solve(root, contact[segment].T @ normals[segment])
+            force, misfit, *_ = np.linalg.lstsq(design, white)
+            np.testing.assert_allclose(found.force_n[row, segment], force, atol=1e-5)
+            np.testing.assert_allclose(
+                found.covariance_n2[row, segment], np.linalg.inv(design.T @ design), rtol=1e-8
+            )
+            explained = white @ white - misfit[0]
+            np.testing.assert_allclose(found.explained[row, segment], explained, rtol=1e-5)
+
+
+@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
+def test_the_error_is_close_to_the_noise_bound(arm):
+    description = open_arm(arm)
+    protocol = SingleContact(samples=1500, force_low_n=2.0, no_contact_fraction=0.0)
+    dataset = Dataset.from_protocol(description, protocol, seed=5)
+    variance = difference_variance_n2(description.sensors, protocol.tare_samples)
+    mechanism = Mechanism.from_arm(description)
+    found = _candidates(
+        _closed_form(mechanism, variance), dataset.tension_difference_n, dataset.command_rad
+    )
+    own = found.force_n[np.arange(len(dataset)), dataset.segment - 1]
+    error = np.abs(np.hypot(own[:, 0], own[:, 1]) - dataset.magnitude_n)
+    assert error.mean() < 1.5 * noise_bound(dataset).magnitude_mae_n
+
+
+def test_softer_arms_take_more_pose_corrections():
+    stiff = _mechanism("cdsm")
+    ones = np.ones(stiff.cable_count)
+    steps = [
+        pose_corrections_for(replace(stiff, stiffness_n_m=stiffness * ones))
+        for stiffness in (1e10, 1e7, 1e6, 1e5)
+    ]
+    assert steps == sorted(steps)
+    assert steps[0] < steps[-1]
+    assert pose_corrections_for(stiff, 1.0) <= pose_corrections_for(stiff, 400.0)
