@@ -40,4 +40,4 @@ def joint_command_rad(message: Any, order: NamedOrder) -> NDArray[np.float64]:
                 f"position of {name} is {angle:g} rad; it must be finite and within "
                 f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (a third of pi)"
             )
-    return np.array(angles, dtype=np.float64)
+    return angles

@@ -6,6 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from operator import itemgetter
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cablesense_msgs_py.contract_error import ContractError
 
 _SHOWN_NAMES = 6
@@ -22,12 +25,20 @@ class NamedOrder:
         self.names = tuple(names)
         self._what = what
         self._last_names: tuple[str, ...] = self.names
-        self._pick: itemgetter[tuple[float, ...]] | None = None
+        self._getter: itemgetter[tuple[float, ...]] | None = None
 
     def arrange(
         self, names: Sequence[str], values: Sequence[float], field: str
-    ) -> tuple[float, ...]:
-        """The values in the order wanted.
+    ) -> NDArray[np.float64]:
+        """The values in the order wanted, as an array.
+
+        Raises:
+            ContractError: as `pick`.
+        """
+        return np.array(self.pick(names, values, field), dtype=np.float64)
+
+    def pick(self, names: Sequence[str], values: Sequence[float], field: str) -> tuple[float, ...]:
+        """The values in the order wanted, as they are.
 
         Args:
             names: as the message has them.
@@ -40,16 +51,16 @@ class NamedOrder:
         """
         given = tuple(names)
         if given != self._last_names:
-            self._pick = self._make_pick(given)
+            self._getter = self._make_getter(given)
             self._last_names = given
         if len(values) != len(given):
             raise ContractError(
                 f"{field} holds {len(values)} values for {len(given)} names; "
                 f"it must hold one per name ({len(self.names)})"
             )
-        return tuple(values) if self._pick is None else self._pick(values)
+        return tuple(values) if self._getter is None else self._getter(values)
 
-    def _make_pick(self, given: tuple[str, ...]) -> itemgetter[tuple[float, ...]] | None:
+    def _make_getter(self, given: tuple[str, ...]) -> itemgetter[tuple[float, ...]] | None:
         if given == self.names:
             return None
         problems = self._problems(given)

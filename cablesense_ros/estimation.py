@@ -183,7 +183,7 @@ class Estimation:
 
     def _arrange(self, sample: Efforts) -> tuple[float, ...]:
         try:
-            return self._cable_order.arrange(sample.names, sample.values, "effort")
+            return self._cable_order.pick(sample.names, sample.values, "effort")
         except ContractError as error:
             raise SampleError(ProblemKind.NAMES, str(error)) from error
 
@@ -191,10 +191,9 @@ class Estimation:
         if self.gate.moving(now_s):
             return Outcome(stamp_ns=stamp_ns)
         self.tare.add(tensions)
-        new_tare = None
         if self._auto_tare and self.tare.ready:
-            new_tare = self.tare.take()
             self._auto_tare = False
+            return Outcome(stamp_ns=stamp_ns, new_tare=self.tare.take())
         unloaded = self.tare.unloaded_n
         if unloaded is None:
             return Outcome(stamp_ns=stamp_ns)
@@ -205,7 +204,7 @@ class Estimation:
             raise SampleError(ProblemKind.ESTIMATE, str(error)) from error
         probabilities = estimate.probabilities.tolist()
         contact = self._contact(probabilities, estimate)
-        return Outcome(contact, probabilities, stamp_ns, None, new_tare)
+        return Outcome(contact, probabilities, stamp_ns)
 
     def _contact(self, probabilities: list[float], estimate: Estimate) -> Contact:
         touched = 1.0 - probabilities[0]

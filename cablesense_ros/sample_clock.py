@@ -9,6 +9,7 @@ import numpy as np
 from cablesense_ros.sample_error import ProblemKind, SampleError
 
 _STAMPS_KEPT = 2048
+_LONGEST_OF_USUAL = 1.5
 
 
 class SampleClock:
@@ -52,8 +53,9 @@ class SampleClock:
             self._stamps_ns.append(last)
         if len(stamps) < 4:
             return 0
-        periods = (stamps[-1] - stamps[0]) / np.median(np.diff(stamps))
-        return max(0, round(float(periods)) - (len(stamps) - 1))
+        gaps = np.diff(stamps)
+        period = gaps[gaps <= _LONGEST_OF_USUAL * np.median(gaps)].mean()
+        return max(0, round(float(gaps.sum() / period)) - len(gaps))
 
     def _clock_message(self, age_s: float) -> str:
         where = "old" if age_s > 0 else "ahead of this machine's clock"

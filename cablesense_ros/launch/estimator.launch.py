@@ -1,0 +1,91 @@
+"""The estimator, brought up by its lifecycle, and a source of tensions: simulation or CAN bus."""
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.conditions import IfCondition
+from launch.events import matches_action
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import LifecycleNode, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from launch_ros.parameter_descriptions import ParameterValue
+from lifecycle_msgs.msg import Transition
+
+PACKAGE = "cablesense_ros"
+ARGUMENTS = (
+    # name, default, choices, description
+    (
+        "source",
+        "sim",
+        ["sim", "can"],
+        "where cable_tensions come from; can runs the node can_driver of this package",
+    ),
+    ("arm", "cdsm", None, "arm file: the name of a bundled one, or a path"),
+    ("model", "", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
+    ("namespace", "", None, "namespace of all nodes"),
+)
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What to start, and when."""
+    settings = PathJoinSubstitution([get_package_share_directory(PACKAGE), "config", "nodes"])
+    arm, model = _text("arm"), _text("model")
+    namespace = LaunchConfiguration("namespace")
+    estimator = LifecycleNode(
+        package=PACKAGE,
+        executable="estimator",
+        name="estimator",
+        namespace=namespace,
+        output="screen",
+        parameters=[
+            PathJoinSubstitution([settings, "estimator.yaml"]),
+            {"arm": arm, "model": model, "autostart": False},
+        ],
+    )
+    sources = [
+        Node(
+            package=PACKAGE,
+            executable=executable,
+            name=executable,
+            namespace=namespace,
+            output="screen",
+            parameters=parameters,
+            condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), source)),
+        )
+        for source, executable, parameters in (
+            ("sim", "sim", [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]),
+            ("can", "can_driver", [{"arm": arm}]),
+        )
+    ]
+    activate_when_configured = RegisterEventHandler(
+        OnStateTransition(
+            target_lifecycle_node=estimator,
+            start_state="configuring",
+            goal_state="inactive",
+            entities=[_change(estimator, Transition.TRANSITION_ACTIVATE)],
+        )
+    )
+    configure = _change(estimator, Transition.TRANSITION_CONFIGURE)
+    # the handler stands before the event that sets it off
+    return LaunchDescription(
+        [*_arguments(), *sources, estimator, activate_when_configured, configure]
+    )
+
+
+def _text(argument: str) -> ParameterValue:
+    """As text, whatever it looks like: an empty argument is no null, an arm named 1 no number."""
+    return ParameterValue(LaunchConfiguration(argument), value_type=str)
+
+
+def _arguments() -> list[DeclareLaunchArgument]:
+    return [
+        DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
+        for name, default, choices, text in ARGUMENTS
+    ]
+
+
+def _change(node: LifecycleNode, transition: int) -> EmitEvent:
+    return EmitEvent(
+        event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition)
+    )

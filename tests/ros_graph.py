@@ -1,0 +1,126 @@
+"""Real nodes in processes of their own, and one here that talks to them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+PATIENCE_S = 20.0
+
+
+class NodeProcess:
+    """One node started as a user would start it."""
+
+    def __init__(self, module: str, **parameters: object) -> None:
+        arguments = ["--ros-args"]
+        for name, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
+        handle, path = tempfile.mkstemp(suffix=".log")
+        self._log = Path(path)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdout=handle,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+            cwd=Path(__file__).parents[1],
+        )
+        os.close(handle)
+
+    @property
+    def log(self) -> str:
+        """What it has printed so far."""
+        return self._log.read_text(encoding="utf-8")
+
+    def wait(self) -> int:
+        """Its exit code."""
+        return self.process.wait(timeout=PATIENCE_S)
+
+    def stop(self) -> int:
+        """End it as Ctrl-C does; give its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.wait()
+
+
+class Graph:
+    """A node in this process: hears everything, can publish and call."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.node = Node("test")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.wrenches: list[WrenchStamped] = []
+        self.tensions: list[JointState] = []
+        self.descriptions: list[String] = []
+        self.statuses: dict[str, object] = {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        listen = self.node.create_subscription
+        listen(WrenchStamped, "/estimator/wrench", self.wrenches.append, 100)
+        listen(JointState, "/cable_tensions", self.tensions.append, qos_profile_sensor_data)
+        listen(String, "/robot_description", self.descriptions.append, latched)
+        listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.load = self.node.create_publisher(WrenchStamped, "/applied_wrench", 10)
+        self.command = self.node.create_publisher(JointState, "/joint_commands", 10)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.statuses.update({status.name: status for status in message.status})
+
+    def until(self, condition, what: str) -> None:
+        """Spin until something is true."""
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, f"waited {PATIENCE_S:g} s in vain for {what}"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def spin(self, seconds: float) -> None:
+        """Spin for a while."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def push(self, segment: int, force_base_n) -> None:
+        """Put a load on a segment."""
+        self.until(self.load.get_subscription_count, "someone who takes loads")
+        message = WrenchStamped()
+        message.header.frame_id = f"segment_{segment}"
+        force = message.wrench.force
+        force.x, force.y, force.z = map(float, force_base_n)
+        self.load.publish(message)
+
+    def call(self, service: str) -> Trigger.Response:
+        """Call a Trigger service."""
+        client = self.node.create_client(Trigger, service)
+        self.until(client.service_is_ready, service)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, f"an answer of {service}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def close(self) -> None:
+        """Leave."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        try_shutdown()
+
+
+def force(wrench: WrenchStamped) -> tuple[float, float, float]:
+    """Its force as a tuple."""
+    return (wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z)

@@ -1,0 +1,111 @@
+"""The reader of serialized joint states agrees with rclpy's serializer and refuses all else."""
+
+import math
+import struct
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_msgs_py.contract_error import ContractError
+from cablesense_msgs_py.effort_reader import EffortReader
+
+serialization = pytest.importorskip("rclpy.serialization")
+sensor_msgs = pytest.importorskip("sensor_msgs.msg")
+
+NAMES = st.lists(
+    st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20),
+    max_size=20,
+)
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:module .sre_:DeprecationWarning"
+)  # lark, of rosidl
+VALUES = st.lists(st.floats(allow_nan=False), max_size=20)
+
+
+def serialized(names=(), effort=(), frame="base_link", position=(), velocity=(), stamp=(5, 7)):
+    message = sensor_msgs.JointState(
+        name=list(names), effort=list(effort), position=list(position), velocity=list(velocity)
+    )
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp
+    return serialization.serialize_message(message)
+
+
+def big_endian(names, effort, stamp=(5, 7)):
+    """The same layout written by hand, most significant byte first, with an empty frame."""
+    body = struct.pack(">iI", *stamp) + struct.pack(">I", 1) + b"\0"
+    body += b"\0" * (-len(body) % 4) + struct.pack(">I", len(names))
+    for name in names:
+        text = name.encode() + b"\0"
+        body += b"\0" * (-len(body) % 4) + struct.pack(">I", len(text)) + text
+    body += b"\0" * (-len(body) % 4) + struct.pack(">III", 0, 0, len(effort))
+    body += b"\0" * (-len(body) % 8 if effort else 0)
+    return b"\0\0\0\0" + body + struct.pack(f">{len(effort)}d", *effort)
+
+
+@given(NAMES, VALUES, VALUES, VALUES, st.text(st.characters(codec="ascii", min_codepoint=1)))
+def test_reads_what_rclpy_writes(names, position, velocity, effort, frame):
+    read = EffortReader().read(serialized(names, effort, frame, position, velocity))
+    assert read == (5_000_000_007, tuple(names), tuple(effort))
+
+
+@given(NAMES, VALUES)
+def test_reads_the_other_byte_order(names, effort):
+    assert EffortReader().read(big_endian(names, effort))[1:] == (tuple(names), tuple(effort))
+
+
+@given(st.lists(st.tuples(st.sampled_from(["ab", "abc", "abcd"]), st.integers(0, 3)), max_size=30))
+def test_one_reader_takes_changing_messages(changes):
+    reader = EffortReader()
+    for number, (name, count) in enumerate(changes):
+        values = [float(number + i) for i in range(count)]
+        write = big_endian if number % 3 == 0 else serialized
+        assert reader.read(write([name] * count, values))[1:] == ((name,) * count, tuple(values))
+
+
+@given(st.data())
+def test_every_shortened_message_is_refused(data):
+    whole = big_endian(["cable_1", "cable_22"], [1.0, 2.0])
+    reader = EffortReader()
+    if data.draw(st.booleans()):
+        reader.read(whole)
+    with pytest.raises(ContractError):
+        reader.read(whole[: data.draw(st.integers(0, len(whole) - 1))])
+
+
+@given(st.binary(max_size=200))
+def test_arbitrary_bytes_give_an_answer_or_the_error(raw):
+    with suppress(ContractError):
+        EffortReader().read(raw)
+
+
+@given(st.integers(0, 115), st.integers(0, 255))
+def test_a_changed_byte_gives_an_answer_or_the_error(position, value):
+    raw = bytearray(serialized(["cable_1", "cable_22", "c"], [1.0, 2.0, 3.0]))
+    raw[position % len(raw)] = value
+    with suppress(ContractError):
+        EffortReader().read(bytes(raw))
+
+
+def test_not_finite_values_are_read_as_they_are():
+    values = EffortReader().read(serialized(["a", "b"], [math.nan, math.inf])).values
+    assert math.isnan(values[0])
+    assert values[1] == math.inf
+
+
+@pytest.mark.parametrize(
+    ("raw", "complaint"),
+    [
+        (b"", "begins 0000 or 0001"),
+        (b"\0\2\0\0" + bytes(60), "begins 0000 or 0001"),
+        (b"\0\1\0\0" + bytes(8) + struct.pack("<II", 0, 5000) + bytes(40), "5000 entries"),
+        (b"\0\1\0\0" + bytes(8) + struct.pack("<I", 4_000_000_000), "4000000000 bytes announced"),
+        (big_endian([], [], (1, 2_000_000_000)), "nanosec is 2000000000"),
+    ],
+)
+def test_says_what_is_wrong(raw, complaint):
+    with pytest.raises(ContractError, match=complaint):
+        EffortReader().read(raw)

@@ -1,0 +1,115 @@
+"""The launch files, described to a stand-in of the launch API (the real one comes with ROS)."""
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "cablesense_ros" / "launch"
+MODULES = {
+    "launch": ["LaunchContext", "LaunchDescription"],
+    "launch.actions": [
+        "DeclareLaunchArgument",
+        "EmitEvent",
+        "IncludeLaunchDescription",
+        "OpaqueFunction",
+        "RegisterEventHandler",
+    ],
+    "launch.conditions": ["IfCondition"],
+    "launch.events": ["matches_action"],
+    "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
+    "launch.substitutions": ["EqualsSubstitution", "LaunchConfiguration", "PathJoinSubstitution"],
+    "launch_ros": [],
+    "launch_ros.actions": ["LifecycleNode", "Node"],
+    "launch_ros.event_handlers": ["OnStateTransition"],
+    "launch_ros.events": [],
+    "launch_ros.events.lifecycle": ["ChangeState"],
+    "launch_ros.parameter_descriptions": ["ParameterValue"],
+    "ament_index_python.packages": [],
+}
+
+
+class Described:
+    """Anything of the launch API: its kind and what it was given."""
+
+    def __init__(self, kind, args, given):
+        self.kind, self.args, self.given = kind, args, given
+
+    def perform(self, context):
+        return context[self.args[0]]
+
+
+@pytest.fixture
+def describe(monkeypatch):
+    for name, classes in MODULES.items():
+        module = ModuleType(name)
+        for kind in classes:
+            setattr(module, kind, lambda *args, _kind=kind, **given: Described(_kind, args, given))
+        monkeypatch.setitem(sys.modules, name, module)
+    sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: "/share"
+
+    def load(file):
+        code = compile((FOLDER / file).read_text(), file, "exec")
+        scope = {"__name__": "launch_file"}
+        exec(code, scope)
+        return list(scope["generate_launch_description"]().args[0])
+
+    return load
+
+
+def of_kind(entities, kind):
+    return [entity for entity in entities if entity.kind == kind]
+
+
+def test_the_estimator_is_configured_then_activated(describe):
+    transitions = pytest.importorskip("lifecycle_msgs.msg").Transition
+    entities = describe("estimator.launch.py")
+    (node,) = of_kind(entities, "LifecycleNode")
+    assert node.given["executable"] == "estimator"
+    assert node.given["parameters"][1]["autostart"] is False
+    (handler,) = of_kind(entities, "RegisterEventHandler")
+    transition = handler.args[0]
+    assert transition.given["target_lifecycle_node"] is node
+    assert transition.given["goal_state"] == "inactive"
+    (activate,) = transition.given["entities"]
+    (configure,) = of_kind(entities, "EmitEvent")
+    wanted = [event.given["event"].given["transition_id"] for event in (configure, activate)]
+    assert wanted == [transitions.TRANSITION_CONFIGURE, transitions.TRANSITION_ACTIVATE]
+    assert entities.index(handler) < entities.index(configure)
+
+
+def test_one_source_runs_by_choice(describe):
+    entities = describe("estimator.launch.py")
+    source = next(e for e in of_kind(entities, "DeclareLaunchArgument") if e.args[0] == "source")
+    assert source.given["choices"] == ["sim", "can"]
+    nodes = {node.given["executable"]: node for node in of_kind(entities, "Node")}
+    assert set(nodes) == {"sim", "can_driver"}
+    chosen = [node.given["condition"].args[0].args[1] for node in nodes.values()]
+    assert chosen == ["sim", "can"]
+
+
+def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
+    entities = describe("demo.launch.py")
+    (included,) = of_kind(entities, "IncludeLaunchDescription")
+    assert dict(included.given["launch_arguments"])["source"] == "sim"
+    (function,) = of_kind(entities, "OpaqueFunction")
+    (publisher,) = function.given["function"]({"arm": "cdsm"})
+    description = publisher.given["parameters"][0]["robot_description"].args[0]
+    assert "<robot" in description
+
+
+@pytest.mark.parametrize("file", ["sim.yaml", "estimator.yaml"])
+def test_node_settings_name_parameters_that_exist(file):
+    yaml = pytest.importorskip("yaml")
+    pytest.importorskip("rclpy")
+    from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS
+    from cablesense_ros.sim_parameters import SIM_PARAMETERS
+
+    table = SIM_PARAMETERS if file == "sim.yaml" else ESTIMATOR_PARAMETERS
+    known = {parameter.name: parameter.default for parameter in table}
+    content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
+    (node,) = content.values()
+    for name, value in node["ros__parameters"].items():
+        assert value == known[name]
+        assert type(value) is type(known[name])

@@ -1,0 +1,200 @@
+"""The sim and estimator nodes as processes, over the real middleware."""
+
+import math
+import signal
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.qos import qos_profile_sensor_data  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from ros_graph import Graph, NodeProcess, force  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from cablesense_sim.arm_files import open_arm  # noqa: E402
+from cablesense_sim.equilibrium import solve_equilibrium  # noqa: E402
+from cablesense_sim.mechanism import Mechanism  # noqa: E402
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+ARM = open_arm("cdsm")
+UNLOADED = solve_equilibrium(Mechanism.from_arm(ARM), np.zeros(8)).tensions_n
+SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
+
+
+@pytest.fixture(scope="module")
+def graph():
+    talking = Graph()
+    yield talking
+    talking.close()
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    process = NodeProcess(ESTIMATOR, tare_samples=20)
+    yield process
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+
+
+@pytest.fixture(scope="module")
+def sim():
+    process = NodeProcess(
+        SIM, **{"qos_overrides./cable_tensions.publisher.reliability": "best_effort"}
+    )
+    yield process
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+
+
+@pytest.fixture(scope="module")
+def tared(graph, sim, estimator):
+    graph.until(lambda: "tare taken" in estimator.log, "the first tare")
+    return graph
+
+
+def touched(graph, segment=3):
+    return lambda: (
+        bool(graph.wrenches)
+        and graph.wrenches[-1].header.frame_id
+        == (f"segment_{segment}" if segment else "base_link")
+    )
+
+
+def test_a_push_of_40_n_is_estimated_and_its_end_as_well(tared):
+    tared.push(3, (0.0, 40.0, 0.0))
+    tared.until(touched(tared), "a contact on segment 3")
+    tared.spin(0.5)
+    assert np.linalg.norm(np.subtract(force(tared.wrenches[-1]), (0.0, 40.0, 0.0))) < 1.0
+    torque = tared.wrenches[-1].wrench.torque
+    assert torque.z == pytest.approx(0.065 * 40.0, abs=0.1)
+    tared.push(3, (0.0, 0.0, 0.0))
+    tared.until(touched(tared, 0), "the contact to end")
+    tared.spin(0.3)
+    assert force(tared.wrenches[-1]) == (0.0, 0.0, 0.0)
+
+
+def test_a_load_that_is_none_is_refused_and_the_sim_goes_on(tared, sim):
+    tared.push(9, (0.0, 40.0, 0.0))
+    tared.push(2, (0.0, math.nan, 0.0))
+    tared.until(lambda: "segment_1 … segment_4" in sim.log, "the refusal in the log")
+    count = len(tared.tensions)
+    tared.until(lambda: len(tared.tensions) > count + 20, "tensions to go on")
+    assert force(tared.wrenches[-1]) == (0.0, 0.0, 0.0)
+
+
+def test_a_command_moves_the_arm_without_a_false_force(tared):
+    tared.until(lambda: tared.command.get_subscription_count() == 2, "sim and estimator")
+    tared.wrenches.clear()
+    command = JointState(name=list(ARM.joint_names), position=[0.05] * 8)
+    tared.command.publish(command)
+    tared.spin(2.0)
+    assert len(tared.wrenches) > 100
+    assert {force(wrench) for wrench in tared.wrenches} == {(0.0, 0.0, 0.0)}
+    moved = solve_equilibrium(Mechanism.from_arm(ARM), np.full(8, 0.05)).tensions_n
+    np.testing.assert_allclose(tared.tensions[-1].effort, moved, atol=0.5)
+    tared.push(2, (0.0, 0.0, 30.0))
+    tared.until(touched(tared, 2), "a contact at the new pose")
+    tared.push(2, (0.0, 0.0, 0.0))
+    tared.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
+    tared.spin(1.5)
+
+
+def test_tare_takes_a_steady_load_as_unloaded_and_is_undone(tared):
+    tared.push(4, (0.0, 0.0, -20.0))
+    tared.until(touched(tared, 4), "a contact on segment 4")
+    tared.spin(0.5)
+    answer = tared.call("/estimator/tare")
+    assert answer.success, answer.message
+    tared.until(touched(tared, 0), "the tared load to vanish")
+    assert tared.call("/estimator/tare_undo").success
+    tared.until(touched(tared, 4), "the load to show again")
+    tared.push(4, (0.0, 0.0, 0.0))
+    tared.until(touched(tared, 0), "the contact to end")
+
+
+def test_description_and_diagnostics(tared):
+    tared.until(lambda: tared.descriptions, "the robot description")
+    assert "<robot" in tared.descriptions[-1].data
+    wanted = {f"estimator: {n}" for n in ("model", "cable_tensions", "cables", "tare")}
+    wanted |= {"estimator: joint_commands", "sim: simulation"}
+    tared.until(lambda: wanted <= set(tared.statuses), "all statuses")
+    assert tared.statuses["estimator: model"].hardware_id == ARM.identity
+    assert tared.statuses["sim: simulation"].message.startswith("at ")
+
+
+def test_qos_overrides_reach_the_publisher(tared):
+    (info,) = tared.node.get_publishers_info_by_topic("/cable_tensions")
+    assert info.qos_profile.reliability == qos_profile_sensor_data.reliability
+
+
+def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, estimator):
+    assert sim.stop() == 0
+    tared.until(lambda: "no sample for" in estimator.log, "silence to be noticed")
+    tared.wrenches.clear()
+    tared.until(lambda: len(tared.wrenches) > 5, "zero wrenches in the silence")
+    source = tared.node.create_publisher(JointState, "/cable_tensions", 10)
+    tared.until(lambda: source.get_subscription_count() == 2, "estimator and test")
+    nan, names = [*UNLOADED[:4], math.nan, *UNLOADED[5:]], list(ARM.cable_names)
+    pushed = (UNLOADED + np.linspace(-20.0, 20.0, 12)).tolist()
+    for name, effort in ((names, nan), (names[:9], pushed[:9]), (["x"] * 12, pushed)):
+        message = JointState(name=name, effort=effort)
+        source.publish(serialize_message(message))
+        tared.spin(0.1)
+    assert {force(wrench) for wrench in tared.wrenches} == {(0.0, 0.0, 0.0)}
+    tared.until(
+        lambda: "cable_5 is nan N" in estimator.log and "missing 'cable_10'" in estimator.log,
+        "the refusals in the log",
+    )
+    tared.until(
+        lambda: int(_values(tared, "cable_tensions")["refused in all"]) >= 3, "the diagnostics"
+    )
+    message = JointState(name=names[::-1], effort=UNLOADED[::-1].tolist())
+    message.header.stamp = tared.node.get_clock().now().to_msg()
+    source.publish(message)
+    tared.spin(0.2)
+    assert estimator.process.poll() is None
+    tared.node.destroy_publisher(source)
+
+
+def _values(graph, status):
+    return {v.key: v.value for v in graph.statuses[f"estimator: {status}"].values}
+
+
+@pytest.mark.parametrize("module", [SIM, ESTIMATOR])
+def test_a_parameter_out_of_range_is_one_line(module):
+    process = NodeProcess(module, joint_speed_deg_s=-5.0)
+    assert process.wait() == 2
+    assert process.log.count("\n") == 1
+    assert "parameter joint_speed_deg_s" in process.log
+    assert "0.1 to 360" in process.log
+
+
+def test_a_model_that_is_missing_leaves_the_estimator_unconfigured(tmp_path):
+    process = NodeProcess(ESTIMATOR, model=tmp_path / "none.onnx")
+    end = time.monotonic() + 15.0
+    while "cannot configure" not in process.log and time.monotonic() < end:
+        time.sleep(0.1)
+    assert "none.onnx" in process.log
+    assert process.process.poll() is None
+    process.process.send_signal(signal.SIGTERM)
+    assert process.wait() == 0
+
+
+def test_a_second_interrupt_ends_as_cleanly_as_one():
+    process = NodeProcess(SIM)
+    end = time.monotonic() + 15.0
+    while "cables at" not in process.log and time.monotonic() < end:
+        time.sleep(0.1)
+    for _ in range(3):
+        process.process.send_signal(signal.SIGINT)
+        time.sleep(0.02)
+    assert process.wait() == 0, process.log
+    assert "Traceback" not in process.log
