@@ -86,8 +86,8 @@ class FitHistory:
 
     @property
     def best_validation(self) -> float:
-        """Validation loss of the weights kept."""
-        return self.epochs[self.best_epoch - 1].validation
+        """Validation loss of the weights kept; NaN of a network that has nothing to train."""
+        return self.epochs[self.best_epoch - 1].validation if self.epochs else math.nan
 
 
 def fit(
@@ -97,6 +97,8 @@ def fit(
     on_epoch: Callable[[EpochRecord], None] | None = None,
 ) -> FitHistory:
     """Train a network in place and leave it in evaluation mode with the best weights seen.
+
+    A network without trainable parameters is only calibrated: its stated deviations are scaled to the held-out errors.
 
     Args:
         network: a single-contact network, or a multi-contact one; the dataset's labels are read
@@ -172,8 +174,13 @@ def _fit(
     held_out = max(1, round(settings.validation_share * len(samples)))
     validation, training = samples.rows(order[:held_out]), samples.rows(order[held_out:])
     network.adapt(training.tension_difference_n, training.target.magnitude_n)
+    trainable = [part for part in network.parameters() if part.requires_grad]
+    if not trainable:
+        network.eval()
+        _calibrate(network, validation)
+        return FitHistory((), 0, time.perf_counter() - start)
 
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
     scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
         optimiser,
         factor=settings.decay,

@@ -19,12 +19,16 @@ class Recipe:
 _PAPER = Recipe(100_000, FitSettings())
 
 RECIPES: dict[str, Recipe] = {
+    "closed-form": Recipe(20_000, FitSettings()),
     "closed-form-corrected": Recipe(50_000, FitSettings(epochs=20, batch_size=1024)),
     "decoupled": _PAPER,
     "shared-backbone": _PAPER,
     "two-stage": _PAPER,
     "scale-aware": Recipe(300_000, FitSettings(epochs=40, batch_size=1024, patience=1, decay=0.4)),
     "multi-contact": _PAPER,
+    "multi-contact-closed-form": Recipe(
+        50_000, FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2)
+    ),
 }
 """Recipes by the names of `networks.registry.NETWORKS`."""
 

@@ -12,7 +12,7 @@ from cablesense_training.data.progress import sample_progress
 
 def protocol_kind(network_name: str) -> str:
     """Kind of the protocol that a network learns from."""
-    return "multi" if network_name == "multi-contact" else "single"
+    return "multi" if network_name.startswith("multi-contact") else "single"
 
 
 def read_samples(path: Path, arm: Arm) -> Dataset:

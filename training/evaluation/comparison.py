@@ -19,6 +19,7 @@ from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
 from cablesense_training.evaluation.settings import (
     MULTI_ARM,
     MULTI_MODEL,
+    MULTI_PEERS,
     SETTINGS,
     WEAKEST_MULTI_N,
     Setting,
@@ -55,7 +56,7 @@ class Comparison:
     seed: int
     samples: int
     settings: tuple[SettingFigures, ...]
-    multi: MultiContactMetrics
+    multi: dict[str, MultiContactMetrics]
 
     @property
     def coverage95(self) -> float:
@@ -119,17 +120,20 @@ def single_figures(estimator: Estimator, dataset: Dataset) -> SingleContactMetri
     return single_contact_metrics(truth, answer, dataset.arm.segment_count)
 
 
-def multi_figures(dataset: Dataset) -> MultiContactMetrics:
-    """Metrics of the shipped multi-contact model, contacts below `WEAKEST_MULTI_N` left out."""
-    estimator = MultiEstimator.load(find_model(MULTI_MODEL), dataset.arm)
-    said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-    return multi_contact_metrics(
-        dataset.contacts,
-        dataset.magnitudes_n,
-        said.probabilities > 0.5,
-        said.magnitude_n,
-        WEAKEST_MULTI_N,
-    )
+def multi_figures(dataset: Dataset) -> dict[str, MultiContactMetrics]:
+    """Metrics of the shipped multi-contact model and its peers, contacts below `WEAKEST_MULTI_N` left out."""
+    figures = {}
+    for name, model in {"shipped": MULTI_MODEL, **MULTI_PEERS}.items():
+        estimator = MultiEstimator.load(find_model(model), dataset.arm)
+        said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+        figures[name] = multi_contact_metrics(
+            dataset.contacts,
+            dataset.magnitudes_n,
+            said.probabilities > 0.5,
+            said.magnitude_n,
+            WEAKEST_MULTI_N,
+        )
+    return figures
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
@@ -146,9 +150,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             f.setting: {**single_json(f.shipped), "mae_over_bound": f.firm_ratio} for f in settings
         },
         "multi": {
-            "recognition_accuracy": comparison.multi.recognition_accuracy,
-            "macro_f1": comparison.multi.macro_f1,
-            "magnitude_mae_n": list(comparison.multi.magnitude_mae_n),
+            "recognition_accuracy": comparison.multi["shipped"].recognition_accuracy,
+            "macro_f1": comparison.multi["shipped"].macro_f1,
+            "magnitude_mae_n": list(comparison.multi["shipped"].magnitude_mae_n),
         },
         "bound": {f.setting: asdict(f.bound) for f in settings},
         "peers": peers,

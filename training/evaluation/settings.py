@@ -71,8 +71,14 @@ SETTINGS = (
 
 MULTI_ARM = "cdsm"
 MULTI_MODEL = "cdsm_multi"
-TABLE2_ARM = "cdsm_table2"
+MULTI_PEERS = {"two_stage": "peers/cdsm_multi_two_stage"}
 TABLE2_MODEL = "cdsm_table2"
+TABLE2_MODELS = {
+    "shipped": TABLE2_MODEL,
+    "closed_form": "peers/cdsm_table2_closed_form",
+    "two_stage": "peers/cdsm_table2_two_stage",
+}
+"""Models of the three-segment arm, by the name the report uses."""
 
 WEAKEST_MULTI_N = 5.0
 """Multi-contact recognition is judged on forces of at least this."""

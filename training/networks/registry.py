@@ -14,14 +14,17 @@ from cablesense_training.networks.multi_contact import TwoStageMultiContactNetwo
 from cablesense_training.networks.scale_aware import ScaleAwareNetwork
 from cablesense_training.networks.shared_backbone import SharedBackboneNetwork
 from cablesense_training.networks.two_stage import TwoStageNetwork
-from cablesense_training.physics.corrected import CorrectedClosedForm
+from cablesense_training.physics.corrected import CorrectedClosedForm, PlainClosedForm
+from cablesense_training.physics.multi_contact import MultiContactClosedForm
 
 NETWORKS: dict[str, Callable[[Arm], Network]] = {
+    "closed-form": PlainClosedForm.for_arm,
     "closed-form-corrected": CorrectedClosedForm.for_arm,
     "decoupled": lambda arm: DecoupledNetwork(arm.cable_count, arm.segment_count),
     "shared-backbone": lambda arm: SharedBackboneNetwork(arm.cable_count, arm.segment_count),
     "two-stage": lambda arm: TwoStageNetwork(arm.cable_count, arm.segment_count),
     "scale-aware": lambda arm: ScaleAwareNetwork(arm.cable_count, arm.segment_count),
+    "multi-contact-closed-form": MultiContactClosedForm.for_arm,
     "multi-contact": lambda arm: TwoStageMultiContactNetwork(arm.cable_count, arm.segment_count),
 }
 """How each network is made for an arm."""

@@ -71,6 +71,22 @@ class Candidates(NamedTuple):
     taut: Tensor
 
 
+class Balance(NamedTuple):
+    """Statics of B samples at their true poses; joints ordered pitches, then yaws.
+
+    Attributes:
+        lever: (B, N, 2, 2N) joint torques of unit forces along the normals of each segment at the commanded angles.
+        precision: (B, 2N, 2N) inverse covariance of the torques.
+        torque_n_m: (B, 2N, 1) torques of the environment on the joints.
+        taut: (B, M) one for taut cables, zero for slack ones.
+    """
+
+    lever: Tensor
+    precision: Tensor
+    torque_n_m: Tensor
+    taut: Tensor
+
+
 class ClosedForm(nn.Module):
     """Candidates from tension differences (B, M) and commanded joint angles (B, 2N), float64.
 
@@ -97,6 +113,10 @@ class ClosedForm(nn.Module):
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
         """See `Candidates`."""
+        return self._least_squares(self.balance(tension_difference_n, joint_command_rad))
+
+    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
+        """What the joints feel of the environment at the true pose."""
         n = self.kinematics.segment_count
         angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
         commanded = self.kinematics(angles)
@@ -109,48 +129,55 @@ class ClosedForm(nn.Module):
         weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
         stretch = (tension - self.pretension_n) * self.compliance_m_n
         pose = commanded
-        inverse = _gram_inverse(commanded.jacobian_t_m, weight)
+        inverse_gram = _gram_inverse(commanded.jacobian_t_m, weight)
         for step in range(self.pose_corrections):
             if step:
                 stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
-                inverse = _gram_inverse(pose.jacobian_t_m, weight)
-                moved = inverse @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
+                inverse_gram = _gram_inverse(pose.jacobian_t_m, weight)
+                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
             else:
-                moved = inverse @ (pose.jacobian_t_m @ (weight * stretch))
+                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * stretch))
             angles = angles + moved
             pose = self.kinematics(angles)
         lever, weight_torque = self.kinematics.levers(pose, normal_cross)
         torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
-        return self._least_squares(lever, inverse, torque, taut)
+        return Balance(
+            lever=lever,
+            precision=inverse_gram * (1.0 / self.reading_variance_n2),
+            torque_n_m=torque,
+            taut=taut[..., 0],
+        )
 
     def _unloaded(
         self, angles: Tensor, commanded: Pose, normal_cross: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Tensions (B, M, 1) under the arm's own weight, all taut, and the torque (B, 2N, 1) they leave unbalanced."""
+        """Tensions (B, M, 1) under the arm's own weight, all taut, and the torque (B, 2N, 1) they leave unbalanced.
+
+        The torque is that at the pose which the unloaded arm is taken to stand in: the command, without corrections.
+        """
         pose = commanded
         stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
         tension = self.pretension_n + stretched
         for _ in range(max(1, self.pose_corrections)):
             _, weight_torque = self.kinematics.levers(pose, normal_cross)
             stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
-            inverse = _gram_inverse(pose.jacobian_t_m, stiffness)
-            angles = angles + inverse @ (weight_torque - pose.jacobian_t_m @ tension)
+            inverse_gram = _gram_inverse(pose.jacobian_t_m, stiffness)
+            angles = angles + inverse_gram @ (weight_torque - pose.jacobian_t_m @ tension)
             pose = self.kinematics(angles)
             stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
             tension = self.pretension_n + stretched / self.compliance_m_n
-        _, weight_torque = self.kinematics.levers(pose, normal_cross)
-        return tension, pose.jacobian_t_m @ tension - weight_torque
+        taken = pose if self.pose_corrections else commanded
+        _, weight_torque = self.kinematics.levers(taken, normal_cross)
+        return tension, taken.jacobian_t_m @ tension - weight_torque
 
-    def _least_squares(
-        self, lever: Tensor, inverse: Tensor, torque: Tensor, taut: Tensor
-    ) -> Candidates:
-        """Generalised least squares of torques (B, 2N, 1) on every segment's two force components."""
+    def _least_squares(self, balance: Balance) -> Candidates:
+        """Generalised least squares of the torques on every segment's two force components."""
         n = self.kinematics.segment_count
-        precision = inverse * (1.0 / self.reading_variance_n2)
+        lever, precision, torque, taut = balance
         weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
         pull = (weighted @ torque).reshape(-1, n, 2, 1)
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
-        covariance = _inverse(information)
+        covariance = inverse(information)
         force = covariance @ pull
         explained = (pull * force).sum((2, 3))
         misfit_none = (torque * (precision @ torque)).sum((1, 2))
@@ -159,16 +186,17 @@ class ClosedForm(nn.Module):
             covariance_n2=covariance,
             explained=explained,
             misfit_none=misfit_none,
-            taut=taut[..., 0],
+            taut=taut,
         )
 
 
 def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
     """Inverse (B, 2N, 2N) of J' W J, with weights (B, M, 1)."""
-    return _inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
+    return inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
 
 
-def _inverse(matrix: Tensor) -> Tensor:
+def inverse(matrix: Tensor) -> Tensor:
+    """Inverse of square matrices (..., k, k), in PyTorch and in an exported graph."""
     if torch.onnx.is_in_onnx_export():
         # ONNX itself has no inverse; ONNX Runtime does, as an operator of its own.
         inverted: Tensor = torch.onnx.ops.symbolic(

@@ -117,6 +117,21 @@ class CorrectedClosedForm(SingleContactNetwork):
         return 0.5 * (explained + occam) + (self.segment_bias - self.log_force_range)
 
 
+class PlainClosedForm(CorrectedClosedForm):
+    """The peer to beat: statics at the commanded pose, as a data sheet would do it; nothing in it is trained."""
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
+        """The closed form of an arm that is taken to stand where it is commanded."""
+        network = cls(
+            Mechanism.from_arm(arm),
+            difference_variance_n2(arm.sensors, tare_samples),
+            pose_corrections=0,
+        )
+        network.requires_grad_(False)
+        return network
+
+
 class ScaledSpread(Spread):
     """The closed form's standard deviations, widened or narrowed by what the hidden layer knows."""
 

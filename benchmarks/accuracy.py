@@ -1,0 +1,234 @@
+"""Accuracy of every estimator in every setting, on the same fresh samples, beside the noise bound.
+
+    python benchmarks/accuracy.py [--samples 100000] [--quick] [--write]
+
+The shipped models and their bundled peers answer as ONNX files. Peers too large or too many to ship are trained here,
+by their recipes and with seed 0: gradient boosting in every setting, the paper's decoupled networks and shared backbone
+on the straight arm and at random poses. `--write` puts `accuracy.json` and the tables `accuracy.md` into
+`benchmarks/results/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
+from cablesense_training.evaluation.comparison import (
+    SettingFigures,
+    multi_figures,
+    setting_figures,
+    single_json,
+)
+from cablesense_training.evaluation.metrics import SingleContactMetrics, single_contact_metrics
+from cablesense_training.evaluation.settings import (
+    MULTI_ARM,
+    SETTINGS,
+    TABLE2_MODELS,
+    Setting,
+    multi_protocol,
+)
+from cablesense_training.evaluation.table2 import evaluate_table2
+from cablesense_training.fit import fit
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.model_files import find_model
+from cablesense_training.networks.registry import build_network
+from cablesense_training.peers.boosting import BoostingPeer, BoostingSettings
+from cablesense_training.recipes import recipe_for
+from cablesense_sim.arm_files import open_arm
+
+RESULTS = Path(__file__).parent / "results"
+TEST_SEED = 20_260_001
+TRAIN_SEED = 0
+BOOSTING_SAMPLES = 50_000
+TRAINED_HERE = {"straight": ("decoupled", "shared-backbone"), "random_pose": ("decoupled", "shared-backbone")}
+
+PAPER = {
+    "contact_accuracy": 0.98,
+    "direction_mae_deg": 5.96,
+    "magnitude_mae_n": 9.97,
+    "magnitude_rmse_n": 14.26,
+}
+"""The paper's figures: straight arm, noise-free, every sample a contact."""
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--samples", type=int, default=100_000, help="test samples per setting")
+    parser.add_argument("--workers", type=int, default=2, help="processes that draw samples")
+    parser.add_argument("--quick", action="store_true", help="bundled models only")
+    parser.add_argument("--write", action="store_true", help="write benchmarks/results/accuracy.*")
+    options = parser.parse_args()
+    start = time.perf_counter()
+    result: dict[str, Any] = {
+        "command": "python " + " ".join(["benchmarks/accuracy.py", *sys.argv[1:]]),
+        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "seed": TEST_SEED,
+        "samples": options.samples,
+        "paper": PAPER,
+        "single": {},
+    }
+    for setting in SETTINGS:
+        print(f"{setting.name} …", file=sys.stderr, flush=True)
+        dataset = Dataset.from_protocol(
+            setting.arm, setting.protocol(options.samples), TEST_SEED, workers=options.workers
+        )
+        figures = setting_figures(setting, dataset)
+        extra = {} if options.quick else _trained_peers(setting, dataset, options.workers)
+        result["single"][setting.name] = _setting_json(figures, extra)
+    multi = Dataset.from_protocol(
+        open_arm(MULTI_ARM), multi_protocol(options.samples), TEST_SEED, workers=options.workers
+    )
+    result["multi"] = {name: asdict(f) for name, f in multi_figures(multi).items()}
+    result["table2"] = {name: _table2_rows(model) for name, model in TABLE2_MODELS.items()}
+    result["seconds"] = time.perf_counter() - start
+    table = markdown(result)
+    print(table)
+    if options.write:
+        (RESULTS / "accuracy.json").write_text(json.dumps(result, indent=1) + "\n")
+        (RESULTS / "accuracy.md").write_text(table)
+
+
+def _trained_peers(setting: Setting, test: Dataset, workers: int) -> dict[str, Any]:
+    """Figures of the peers that are trained here, with the seconds their training took."""
+    truth, peers = single_contact_truth(test), {}
+    names = TRAINED_HERE.get(setting.name, ())
+    samples = max([BOOSTING_SAMPLES, *(recipe_for(name).samples for name in names)])
+    training = Dataset.from_protocol(
+        setting.arm, setting.protocol(samples), TRAIN_SEED, workers=workers
+    )
+    for name in names:
+        print(f"  training {name} …", file=sys.stderr, flush=True)
+        recipe, network = recipe_for(name), build_network(name, setting.arm, TRAIN_SEED)
+        history = fit(network, training.select(slice(recipe.samples)), recipe.settings)
+        answer = single_contact_answer(network.double(), test)
+        metrics = single_contact_metrics(truth, answer, test.arm.segment_count)
+        peers[name] = {**single_json(metrics), "training_seconds": history.seconds}
+    print("  training gradient boosting …", file=sys.stderr, flush=True)
+    start = time.perf_counter()
+    aware = setting.name in ("random_pose", "compliant")
+    boosting = BoostingPeer(
+        training.select(slice(BOOSTING_SAMPLES)), BoostingSettings(pose_aware=aware)
+    )
+    seconds = time.perf_counter() - start
+    metrics = single_contact_metrics(truth, boosting.answer(test), test.arm.segment_count)
+    peers["gradient_boosting"] = {**single_json(metrics), "training_seconds": seconds}
+    return peers
+
+
+def _setting_json(figures: SettingFigures, extra: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "shipped": {**single_json(figures.shipped), **_uncertainty(figures.shipped)},
+        "mae_over_bound_above_2_n": figures.firm_ratio,
+        "bound": asdict(figures.bound),
+        "peers": {**{name: single_json(peer) for name, peer in figures.peers.items()}, **extra},
+        "confusion": [list(row) for row in figures.shipped.confusion],
+    }
+
+
+def _uncertainty(metrics: SingleContactMetrics) -> dict[str, float]:
+    errors = metrics.errors
+    return {
+        "magnitude_coverage95": errors.magnitude_coverage95,
+        "direction_coverage95": errors.direction_coverage95,
+    }
+
+
+def _table2_rows(model: str) -> list[dict[str, float]]:
+    return [
+        {
+            "true_segment": a.load.segment,
+            "true_n": a.load.weight_n,
+            "segment": a.segment,
+            "magnitude_n": a.magnitude_n,
+            "off_from_down_deg": a.angle_error_deg,
+        }
+        for a in evaluate_table2(Estimator.load(find_model(model)))
+    ]
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The result as tables for people."""
+    lines = [
+        "# Accuracy",
+        "",
+        f"Made by `{result['command']}` in {result['seconds']:.0f} s; {result['samples']:,} fresh samples a setting, "
+        f"seed {result['seed']}: 0 to 200 N, one fifth of the samples without contact, sensor noise and step on. "
+        "Contact counts *no contact* as a class; direction is over the contacts found; force over all contacts, an "
+        "answer of none counting as 0 N. The paper's figures are for a straight arm without noise and without "
+        "contact-free samples.",
+    ]
+    for name, setting in result["single"].items():
+        lines += ["", f"## {name.replace('_', ' ')}", "", *_HEADER]
+        lines.append(_row("**shipped model**", setting["shipped"]))
+        lines += [_row(peer.replace("_", " "), f) for peer, f in setting["peers"].items()]
+        lines.append(_row("noise bound", setting["bound"]))
+        lines.append(_row("the paper", result["paper"]))
+        ratio = setting["mae_over_bound_above_2_n"]
+        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}.", "", *_BIN_HEADER]
+        lines += _bin_rows("shipped", setting["shipped"])
+        lines += _bin_rows("two stage", setting["peers"]["two_stage"])
+    lines += ["", "## several contacts", "", "| estimator | recognised | macro F1 | force MAE per segment, N |"]
+    lines.append("| --- | --- | --- | --- |")
+    for name, multi in result["multi"].items():
+        errors = ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
+        lines.append(
+            f"| {name.replace('_', ' ')} | {multi['recognition_accuracy']:.2%} | {multi['macro_f1']:.4f} | {errors} |"
+        )
+    lines += ["", "## Table II, physical rows", "", "| estimator | true | estimated | off from down | error |"]
+    lines.append("| --- | --- | --- | --- | --- |")
+    for name, rows in result["table2"].items():
+        for row in rows:
+            error = row["magnitude_n"] / row["true_n"] - 1.0
+            lines.append(
+                f"| {name.replace('_', ' ')} | segment {row['true_segment']}, {row['true_n']:.2f} N "
+                f"| segment {row['segment']}, {row['magnitude_n']:.2f} N "
+                f"| {row['off_from_down_deg']:+.2f}° | {error:+.1%} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+_HEADER = (
+    "| estimator | contact | direction MAE, ° | force MAE, N | force RMSE, N | 95 % interval holds | training, s |",
+    "| --- | --- | --- | --- | --- | --- | --- |",
+)
+_BIN_HEADER = (
+    "| estimator | force, N | contact | direction MAE, ° | force MAE, N |",
+    "| --- | --- | --- | --- | --- |",
+)
+
+
+def _row(name: str, figures: dict[str, Any]) -> str:
+    def shown(key: str, form: str) -> str:
+        return format(figures[key], form) if figures.get(key) is not None else ""
+
+    cells = (
+        name,
+        shown("contact_accuracy", ".2%"),
+        shown("direction_mae_deg", ".3f"),
+        shown("magnitude_mae_n", ".3f"),
+        shown("magnitude_rmse_n", ".3f"),
+        shown("coverage95", ".1%"),
+        shown("training_seconds", ".0f"),
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def _bin_rows(name: str, figures: dict[str, Any]) -> list[str]:
+    return [
+        f"| {name} | {b['low_n']:g}–{b['high_n']:g} | {b['contact_accuracy']:.2%} "
+        f"| {b['direction_mae_deg']:.3f} | {b['magnitude_mae_n']:.3f} |"
+        for b in figures["by_force"]
+    ]
+
+
+if __name__ == "__main__":
+    main()
