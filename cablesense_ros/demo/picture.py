@@ -57,8 +57,8 @@ def draw_picture(
         grid = figure.add_gridspec(
             3,
             2,
-            width_ratios=(1.15, 1),
-            left=0.01,
+            width_ratios=(1.3, 1),
+            left=0.0,
             right=0.985,
             top=0.885,
             bottom=0.075,
@@ -175,25 +175,19 @@ def _draw_arrow(
 
 
 def _frame(axes: Any, mechanism: Mechanism) -> None:
+    """No box around the arm: a scale of 0.1 m and the directions of the base axes say all."""
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-    low, high = -0.18 * reach, 1.04 * reach
-    half = 0.36 * reach
+    low, high, half = -0.3 * reach, 1.1 * reach, 0.36 * reach
     axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
-    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.42)
+    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.3)
     axes.set_proj_type("persp", focal_length=0.6)
     axes.view_init(elev=22, azim=-62)
-    axes.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
-    axes.tick_params(labelsize=8, pad=0)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.pane.set_facecolor("#181c23")
-        axis.pane.set_edgecolor(GRID)
-        axis.set_major_locator(_every(0.2 if axis is axes.xaxis else 0.1))
-
-
-def _every(step: float) -> Any:
-    from matplotlib.ticker import MultipleLocator
-
-    return MultipleLocator(step)
+    axes.set_axis_off()
+    corner = np.array([0.0, -half, -0.8 * half])
+    for name, way in zip("xyz", 0.1 * np.eye(3), strict=True):
+        axes.quiver(*corner, *way, color=DIM, lw=1.2, arrow_length_ratio=0.15)
+        axes.text(*(corner + 1.18 * way), name, color=DIM, ha="center", va="center")
+    axes.text(*(corner + [0.05, -0.03, -0.02]), "0.1 m", color=DIM, size=9, ha="center", va="top")
 
 
 def _draw_time(
@@ -231,5 +225,6 @@ def _draw_time(
         row.set_xlim(0.0, record.times_s[-1])
         if row is not segment:
             row.tick_params(labelbottom=False)
+    figure.align_ylabels((force, angle, segment))
     for number in range(1, segment_count + 1):
         segment.axhspan(number - 0.5, number + 0.5, color=css(segment_rgb(number)), alpha=0.06)

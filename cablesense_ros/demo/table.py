@@ -13,19 +13,15 @@ def results_table(results: Sequence[PushResult]) -> Table:
     """One row for each push, mean errors in the footer."""
     found = summary(results)
     direction, force = found["direction_mae_deg"], found["magnitude_mae_n"]
-    table = Table(
-        title="True against estimated", show_footer=True, title_justify="left", header_style="bold"
-    )
-    right = f"{found['segment_right']} of {found['pushes']} right"
+    table = Table(title="True against estimated", show_footer=True, title_justify="left")
     table.add_column("pose", footer="mean")
-    table.add_column("segment", justify="right")
-    table.add_column("estimated", justify="right", footer=right)
-    table.add_column("direction", justify="right")
-    table.add_column("estimated", justify="right")
-    table.add_column("error", justify="right", footer=_figure(direction, "°"))
-    table.add_column("force", justify="right")
-    table.add_column("estimated", justify="right")
-    table.add_column("error", justify="right", footer=_figure(force, " N"))
+    table.add_column("true segment,\ndirection, force", justify="right", no_wrap=True)
+    right = f"{found['segment_right']} of {found['pushes']} right"
+    table.add_column(
+        "estimated segment,\ndirection, force", justify="right", no_wrap=True, footer=right
+    )
+    table.add_column("direction\nerror", justify="right", footer=_figure(direction, "°"))
+    table.add_column("force\nerror", justify="right", footer=_figure(force, " N"))
     for result in results:
         table.add_row(*_row(result))
     return table
@@ -33,23 +29,22 @@ def results_table(results: Sequence[PushResult]) -> Table:
 
 def _row(result: PushResult) -> tuple[str, ...]:
     push, estimate = result.push, result.estimate
-    pose = "bent" if push.command_rad.any() else "straight"
-    true = (str(push.segment), f"{push.angle_deg:.1f}°", f"{push.magnitude_n:.1f} N")
-    if estimate is None:
-        word = "none" if result.sample_count else "no estimate"
-        return pose, true[0], f"[red]{word}[/]", true[1], "", "", true[2], "", ""
     mark = "green" if result.segment_right else "red"
+    if estimate is not None:
+        found = _contact(estimate.segment, estimate.angle_deg, estimate.magnitude_n)
+    else:
+        found = "no contact" if result.sample_count else "no estimate"
     return (
-        pose,
-        true[0],
-        f"[{mark}]{estimate.segment}[/]",
-        true[1],
-        f"{estimate.angle_deg:.1f}°",
+        "bent" if push.command_rad.any() else "straight",
+        _contact(push.segment, push.angle_deg, push.magnitude_n),
+        f"[{mark}]{found}[/]",
         _figure(result.angle_error_deg, "°"),
-        true[2],
-        f"{estimate.magnitude_n:.1f} N",
         _figure(result.magnitude_error_n, " N", signed=True),
     )
+
+
+def _contact(segment: int, angle_deg: float, magnitude_n: float) -> str:
+    return f"{segment} {angle_deg:6.1f}° {magnitude_n:6.1f} N"
 
 
 def _figure(value: float | None, unit: str, signed: bool = False) -> str:

@@ -82,7 +82,7 @@ def quaternion_z_to(direction: Array) -> Array:
     half = np.stack(
         [1.0 + unit[..., 2], -unit[..., 1], unit[..., 0], np.zeros_like(unit[..., 0])], -1
     )
-    opposite = half[..., 0] < 1e-9
+    opposite = half[..., 0] < 1e-14
     half[opposite] = (0.0, 1.0, 0.0, 0.0)
     return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))
 

@@ -1,0 +1,104 @@
+"""Scene maths: cables drawn as long as they are, arrows that point at the arm and scale with newtons, safe colours."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from cablesense_ros.page.colours import full_scale_n, linear_rgb, tension_rgb
+from cablesense_ros.page.geometry import (
+    ARROW_LONGEST_M,
+    ARROW_METRES_PER_NEWTON,
+    arrow_length_m,
+    arrow_tail_m,
+    cable_pieces,
+    piece_lengths_m,
+    quaternion_of,
+    quaternion_z_to,
+)
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m, segment_rotations
+from cablesense_sim.mechanism import Mechanism
+
+
+@pytest.fixture(scope="module", params=["cdsm", "cdsm_table2"])
+def mechanism(request):
+    return Mechanism.from_arm(open_arm(request.param))
+
+
+def test_drawn_cables_are_as_long_as_the_mechanism_says(mechanism):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        q = rng.uniform(-0.35, 0.35, mechanism.joint_count)
+        pieces = cable_pieces(
+            mechanism, joint_positions_m(mechanism, q), segment_rotations(mechanism, q)
+        )
+        drawn = piece_lengths_m(pieces, mechanism.cable_count)
+        np.testing.assert_allclose(drawn, cable_lengths_m(mechanism, q), atol=1e-12)
+
+
+def test_a_cable_is_drawn_without_gaps_and_ends_on_its_own_segment(mechanism):
+    q = np.full(mechanism.joint_count, 0.1)
+    pieces = cable_pieces(
+        mechanism, joint_positions_m(mechanism, q), segment_rotations(mechanism, q)
+    )
+    for cable, segment in enumerate(mechanism.cable_segment):
+        ends = pieces.ends_m[pieces.cable == cable]
+        np.testing.assert_array_equal(ends[1:, 0], ends[:-1, 1])
+        joint = joint_positions_m(mechanism, q)[segment - 1]
+        assert np.linalg.norm(ends[-1, 1] - joint) < 0.1
+
+
+def test_arrow_length_is_proportional_to_force_within_its_limits():
+    assert arrow_length_m(100.0) == pytest.approx(100.0 * ARROW_METRES_PER_NEWTON)
+    assert arrow_length_m(60.0) == pytest.approx(2.0 * arrow_length_m(30.0))
+    assert arrow_length_m(1e6) == ARROW_LONGEST_M
+    assert 0.0 < arrow_length_m(1e-3) < arrow_length_m(20.0)
+
+
+forces = arrays(float, 3, elements=st.floats(-300.0, 300.0)).filter(
+    lambda force: np.linalg.norm(force) > 1e-3
+)
+
+
+@given(force=forces)
+def test_arrow_pushes_towards_the_contact(force):
+    contact = np.array([0.3, 0.01, -0.02])
+    tail, tip = arrow_tail_m(contact, force, clearance_m=0.02)
+    unit = force / np.linalg.norm(force)
+    np.testing.assert_allclose((tip - tail) / np.linalg.norm(tip - tail), unit, atol=1e-9)
+    np.testing.assert_allclose(contact - tip, 0.02 * unit, atol=1e-12)
+
+
+@given(force=forces)
+def test_quaternion_turns_z_into_the_force(force):
+    w, x, y, z = quaternion_z_to(force)
+    turned = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+    np.testing.assert_allclose(turned, force / np.linalg.norm(force), atol=1e-6)
+
+
+def test_quaternion_of_straight_down_is_a_half_turn():
+    np.testing.assert_allclose(quaternion_z_to(np.array([[0.0, 0.0, -2.0]])), [[0, 1, 0, 0]])
+    np.testing.assert_allclose(np.abs(quaternion_of(np.eye(3))), [1, 0, 0, 0], atol=1e-15)
+
+
+def test_tension_colours_get_lighter_with_tension_so_that_grey_vision_reads_them():
+    colours = tension_rgb(np.linspace(0.0, 100.0, 50), 100.0).astype(float)
+    lightness = colours @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness) > 0).all()
+
+
+def test_tension_colours_hold_at_the_ends_and_survive_nan():
+    ends = tension_rgb([-5.0, 0.0, 100.0, 900.0, np.nan], 100.0)
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_array_equal(ends[2], ends[3])
+    np.testing.assert_array_equal(ends[4], ends[0])
+    np.testing.assert_array_equal(linear_rgb(np.array([0, 255], dtype=np.uint8)), [0, 255])
+
+
+@given(peak=st.floats(0.0, 1e5))
+def test_full_scale_covers_the_peak_without_waste(peak):
+    scale = full_scale_n(peak)
+    assert scale >= peak
+    assert scale == 100.0 or scale <= 2.51 * peak
