@@ -117,7 +117,7 @@ def train_model(
     return TrainingReport(
         path=Path(path),
         network=network_name,
-        parameters=sum(part.numel() for part in network.parameters()),
+        parameters=sum(p.numel() for p in network.parameters() if p.requires_grad),
         history=history,
         single=single,
         multi=multi,
