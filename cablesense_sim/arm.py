@@ -1,21 +1,32 @@
 """The arm file: one typed, validated description, the whole truth about an arm.
 
-Everything else (the MuJoCo model, the equilibrium, the URDF, the estimator) is made from it. Bounds on the numbers are
-those of any plausible cable-driven arm; their purpose is to catch a wrong unit, not to judge a design.
+Everything else (the MuJoCo model, the equilibrium, the URDF, the estimator) is made from it.
+Bounds on the numbers are those of any plausible cable-driven arm; their purpose is to catch a
+wrong unit, not to judge a design.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import stat
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm_problem import describe_problem
 
 MAX_FILE_BYTES = 1_000_000
 """An arm file is a page of text; anything larger is not one."""
@@ -31,56 +42,66 @@ class _Part(BaseModel):
     )
 
 
-Length = Annotated[float, Field(gt=0.0, le=5.0)]
-Radius = Annotated[float, Field(ge=0.001, le=1.0)]
-Mass = Annotated[float, Field(ge=0.0, le=200.0)]
+def _not_a_boolean(value: Any) -> Any:
+    """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
+    if isinstance(value, bool):
+        raise ValueError(f"= {value}: must be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_not_a_boolean)]
+Count = Annotated[int, BeforeValidator(_not_a_boolean)]
+Length = Annotated[Number, Field(gt=0.0, le=5.0)]
+Radius = Annotated[Number, Field(ge=0.001, le=1.0)]
+Mass = Annotated[Number, Field(ge=0.0, le=200.0)]
 PerSegmentLength = Length | Annotated[list[Length], Field(min_length=1)]
 PerSegmentRadius = Radius | Annotated[list[Radius], Field(min_length=1)]
 PerSegmentMass = Mass | Annotated[list[Mass], Field(min_length=1)]
 
 
 class Segments(_Part):
-    """The chain: `count` rigid segments, each on a universal joint. One number, or one per segment."""
+    """The chain: `count` rigid segments on universal joints. One number, or one per segment."""
 
-    count: Annotated[int, Field(ge=1, le=16)]
+    count: Annotated[Count, Field(ge=1, le=16)]
     length_m: PerSegmentLength
     mass_kg: PerSegmentMass
     joint_axes: tuple[Literal["y"], Literal["z"]] = ("y", "z")
-    plate_offset_m: Annotated[float, Field(gt=0.0, le=1.0)]
+    plate_offset_m: Annotated[Number, Field(gt=0.0, le=1.0)]
     contact_m: PerSegmentLength
-    joint_damping_n_m_s: Annotated[float, Field(ge=0.0, le=100.0)] = 0.5
+    joint_damping_n_m_s: Annotated[Number, Field(ge=0.0, le=100.0)] = 0.5
 
 
 class CableAngles(_Part):
     """Where the guide holes are: angle of cable k of segment n, from +z towards +y."""
 
-    first: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
-    per_segment: Annotated[float, Field(ge=-360.0, le=360.0)]
-    per_cable: Annotated[float, Field(ge=-360.0, le=360.0)]
+    first: Annotated[Number, Field(ge=-360.0, le=360.0)] = 0.0
+    per_segment: Annotated[Number, Field(ge=-360.0, le=360.0)]
+    per_cable: Annotated[Number, Field(ge=-360.0, le=360.0)]
 
 
 class Cables(_Part):
     """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
 
-    `stiffness_n_m` counts from command to anchor, cable and actuator in series; `axial_rigidity_n` is the
-    cable's own E*A, to which the actuator's stiffness is then added in series.
+    `stiffness_n_m` counts from command to anchor, cable and actuator in series; `axial_rigidity_n`
+    is the cable's own E*A, to which the actuator's stiffness is then added in series.
     """
 
-    per_segment: Annotated[int, Field(ge=3, le=16)]
+    per_segment: Annotated[Count, Field(ge=3, le=16)]
     routing_radius_m: PerSegmentRadius
     angle_deg: CableAngles
-    stiffness_n_m: Annotated[float, Field(ge=1e2, le=1e10)] | None = None
-    axial_rigidity_n: Annotated[float, Field(ge=1e1, le=1e9)] | None = None
-    pretension_n: Annotated[float, Field(gt=0.0, le=1e5)]
+    stiffness_n_m: Annotated[Number, Field(ge=1e2, le=1e9)] | None = None
+    axial_rigidity_n: Annotated[Number, Field(ge=1e1, le=1e8)] | None = None
+    pretension_n: Annotated[Number, Field(gt=0.0, le=1e5)]
     unilateral: Literal[True] = True
-    run_m: Annotated[float, Field(ge=0.0, le=20.0)]
+    run_m: Annotated[Number, Field(ge=0.0, le=20.0)]
 
     @model_validator(mode="after")
     def _one_elasticity(self) -> Cables:
         if (self.stiffness_n_m is None) == (self.axial_rigidity_n is None):
             raise ValueError(
-                "give exactly one of stiffness_n_m (N/m) and axial_rigidity_n (E*A in N; "
-                "the stiffness is then E*A over each cable's own length)"
+                f"gives stiffness_n_m = {self.stiffness_n_m} and axial_rigidity_n = "
+                f"{self.axial_rigidity_n}; give exactly one: stiffness_n_m in N/m, or "
+                "axial_rigidity_n, E*A in N (the stiffness is then E*A over a cable's own length)"
             )
         return self
 
@@ -91,39 +112,50 @@ class Actuators(_Part):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
     kind: Literal["position"]
-    kp_n_m: Annotated[float, Field(ge=1e2)]
+    kp_n_m: Annotated[Number, Field(ge=1e2)]
 
 
 class Sensors(_Part):
     """Tension sensors at the actuator ends: Gaussian noise, then rounding to a step."""
 
     place: Literal["actuator end"]
-    rate_hz: Annotated[float, Field(gt=0.0, le=10_000.0)]
-    noise_std_n: Annotated[float, Field(ge=0.0, le=1_000.0)]
-    step_n: Annotated[float, Field(ge=0.0, le=1_000.0)]
-    range_n: tuple[float, float] | None = None
+    rate_hz: Annotated[Number, Field(gt=0.0, le=10_000.0)]
+    noise_std_n: Annotated[Number, Field(ge=0.0, le=1_000.0)]
+    step_n: Annotated[Number, Field(ge=0.0, le=1_000.0)]
+    range_n: tuple[Number, Number] | None = None
 
     @model_validator(mode="after")
     def _range_ascends(self) -> Sensors:
         if self.range_n is not None and self.range_n[0] >= self.range_n[1]:
-            raise ValueError("range_n must be [lowest, highest] in N with lowest < highest")
+            raise ValueError(
+                f"gives range_n = {list(self.range_n)}; it must be [lowest, highest] in N"
+            )
         return self
 
 
 class Arm(_Part):
-    """A cable-driven serial arm, as its file describes it. SI units; degrees where a key says so."""
+    """A cable-driven serial arm, as its file describes it; SI units, degrees where a key says so."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
     gravity_m_s2: tuple[
-        Annotated[float, Field(ge=-30.0, le=30.0)],
-        Annotated[float, Field(ge=-30.0, le=30.0)],
-        Annotated[float, Field(ge=-30.0, le=30.0)],
+        Annotated[Number, Field(ge=-30.0, le=30.0)],
+        Annotated[Number, Field(ge=-30.0, le=30.0)],
+        Annotated[Number, Field(ge=-30.0, le=30.0)],
     ]
     segments: Segments
     cables: Cables
     actuators: Actuators
     sensors: Sensors
-    effects: Annotated[list[dict[str, object]], Field(max_length=0)] = []
+    effects: list[dict[str, object]] = []
+
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _no_effect_is_known(cls, effects: Any) -> Any:
+        if effects != []:
+            raise ValueError(
+                "names what this version cannot simulate; leave the key out, or give []"
+            )
+        return effects
 
     @model_validator(mode="after")
     def _geometry_is_possible(self) -> Arm:
@@ -142,8 +174,9 @@ class Arm(_Part):
             length = per_segment(self.segments.length_m, count)[n]
             if length <= 2.0 * self.segments.plate_offset_m:
                 raise ValueError(
-                    f"segments.plate_offset_m = {self.segments.plate_offset_m} leaves no room between "
-                    f"the guide plates of segment {n + 1}; it must be below half of length_m = {length}"
+                    f"segments.plate_offset_m = {self.segments.plate_offset_m} leaves no room "
+                    f"between the guide plates of segment {n + 1}; it must be below half of "
+                    f"length_m = {length}"
                 )
             contact = per_segment(self.segments.contact_m, count)[n]
             if contact > length:
@@ -167,8 +200,8 @@ class Arm(_Part):
         gaps = [b - a for a, b in zip(holes, [*holes[1:], holes[0] + 360.0], strict=True)]
         if max(gaps) >= 180.0 - 1e-9:
             raise ValueError(
-                f"cables.angle_deg.per_cable = {per_cable} leaves {max(gaps):.0f} degrees of a segment "
-                "without a cable; cables only pull, so every gap must be below 180 degrees"
+                f"cables.angle_deg.per_cable = {per_cable} leaves {max(gaps):.0f} degrees of a "
+                "segment without a cable; cables only pull, so every gap must be below 180 degrees"
             )
 
     @property
@@ -214,14 +247,18 @@ def load_arm(path: str | Path) -> Arm:
     """Read an arm file.
 
     Raises:
-        ArmFileError: the file cannot be read, is not YAML, has an unknown key or a value that cannot be true.
+        ArmFileError: the file cannot be read, is not YAML, has an unknown key or a value that
+            cannot be true.
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ArmFileError(f"{path}: not a file")
+        if status.st_size > MAX_FILE_BYTES:
             raise ArmFileError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not an arm file")
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ArmFileError(f"{path}: cannot be read as text ({error})") from error
     return parse_arm(text, source=str(path))
 
@@ -233,8 +270,10 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
         ArmFileError: as `load_arm`.
     """
     try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        content = yaml.load(text, Loader=_UniqueKeyLoader)
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # the last three: PyYAML lets through what Python makes of `!!int x`, `!!bool x` and
+        # `!!timestamp x`
         line = " ".join(str(error).split())
         raise ArmFileError(f"{source}: not valid YAML ({line})") from error
     if not isinstance(content, dict):
@@ -245,35 +284,18 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
     try:
         return Arm.model_validate(content)
     except ValidationError as error:
-        raise ArmFileError(f"{source}: {_first_problem(error)}") from error
+        # not `from error`: its text would spell out a nest of YAML aliases, which can be endless
+        raise ArmFileError(f"{source}: {describe_problem(error, Arm)}") from None
 
 
-def _first_problem(error: ValidationError) -> str:
-    """One line: the key, its value and what would be valid."""
-    problems = error.errors(include_url=False)
-    problem = problems[0]
-    key = ".".join(str(part) for part in problem["loc"] if not _is_type_tag(part))
-    message = problem["msg"].removeprefix("Value error, ")
-    if problem["type"] == "extra_forbidden":
-        message = f"unknown key; valid keys here: {', '.join(_valid_keys(problem['loc']))}"
-    elif problem["type"] == "missing":
-        message = "required key is missing"
-    elif key:
-        message = f"= {problem['input']!r}: {message[0].lower()}{message[1:]}"
-    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
-    return f"{key} {message}{more}".strip()
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML forbids a key that stands twice; PyYAML would take the last without a word."""
 
-
-def _is_type_tag(part: object) -> bool:
-    """Pydantic inserts the branch of a union into the location; a person did not write it."""
-    return isinstance(part, str) and ("constrained" in part or part in ("float", "int"))
-
-
-def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
-    model: type[BaseModel] = Arm
-    for part in location[:-1]:
-        annotation = model.model_fields[str(part)].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            break
-        model = annotation
-    return list(model.model_fields)
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key {twice!r} stands twice", node.start_mark
+            )
+        return super().construct_mapping(node, deep)

@@ -23,10 +23,11 @@ def find_arm(name_or_path: str | Path) -> Path:
     """
     path = Path(name_or_path)
     if path.suffix in ARM_SUFFIXES:
-        if path.is_file():
+        if _is_file(path):
             return path
         raise ArmFileError(
-            f"no arm file {path}; give an existing .yaml file or one of {', '.join(bundled_arms())}"
+            f"no arm file {path}; give an existing .yaml file or one of "
+            f"{', '.join(bundled_arms())}"
         )
     if str(name_or_path) in bundled_arms():
         return config_path(f"arms/{name_or_path}.yaml")
@@ -34,6 +35,13 @@ def find_arm(name_or_path: str | Path) -> Path:
         f"unknown arm {str(name_or_path)!r}; bundled arms are {', '.join(bundled_arms())}, "
         "and any other is given as the path of its .yaml file"
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name too long to be one
+        return False
 
 
 def open_arm(name_or_path: str | Path) -> Arm:

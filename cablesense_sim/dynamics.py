@@ -1,4 +1,4 @@
-"""The arm in time: MuJoCo stepped under commands and loads, with the tensions its sensors would feel."""
+"""The arm in time: MuJoCo stepped under commands and loads, with the tensions in its cables."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ArmDynamics:
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, joint_angles_rad: ArrayLike) -> None:
-        """Let the actuators hold the cable lengths of these joint angles (2N,), relative to the straight arm.
+        """Let the actuators hold the cable lengths of these joint angles (2N,).
 
         Raises:
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
@@ -72,8 +72,8 @@ class ArmDynamics:
         if (bend >= limit).any():
             joint = int(np.argmax(bend - limit))
             raise EquilibriumError(
-                f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; its guide "
-                f"plates touch at {np.rad2deg(limit[joint]):.1f}"
+                f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
+                f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
             )
         self._command_rad = command.copy()
         lengths = kinematics.cable_lengths_m(self.mechanism, command)
@@ -84,7 +84,7 @@ class ArmDynamics:
             self.data.ctrl[:] = retraction
 
     def load(self, segment: int, force_base_n: ArrayLike) -> None:
-        """Push segment 1..N at its contact point with a force (3,) in base axes, N, until told otherwise.
+        """Push segment 1..N at its contact point with a force (3,) in base axes, N, from now on.
 
         Raises:
             LoadError: no such segment, or a force that is not three finite numbers.

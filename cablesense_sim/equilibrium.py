@@ -1,19 +1,21 @@
-"""Static equilibrium of the arm: where it rests under a command and a set of loads, and with which tensions.
+"""Static equilibrium: where the arm rests under a command and loads, and with which tensions.
 
-With the actuators holding the cable lengths of the commanded angles c, cable i carries T_i = max(0, k_i s_i) with
-s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where the potential
+With the actuators holding the cable lengths of the commanded angles c, cable i carries T_i =
+max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where the potential
 
     V(q) = sum_i k_i max(0, s_i)^2 / 2  -  sum_n A_n · x_n(q)
 
-is least (A_n: weight and loads on segment n's unit axis x_n, `kinematics.load_arms`). The loads keep their direction in
-the base frame, so V exists, and slack cables only make it piecewise: continuously differentiable, twice so between
-kinks. That suits Newton's method with the exact second derivatives and a line search on V (Nocedal and Wright,
-Numerical Optimization, 2006, sections 3.4 and 6.2); slack needs no case of its own.
+is least (A_n: weight and loads on segment n's unit axis x_n, `kinematics.load_arms`). The loads
+keep their direction in the base frame, so V exists, and slack cables only make it piecewise:
+continuously differentiable, twice so between kinks. That suits Newton's method with the exact
+second derivatives and a line search on V (Nocedal and Wright, Numerical Optimization, 2006,
+sections 3.4 and 6.2); slack needs no case of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,15 +29,31 @@ Array = NDArray[np.float64]
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium."""
 
+MAX_FORCE_N = 1e6
+"""Largest force component that is taken for one; what is larger has a wrong unit."""
+
 MAX_ITERATIONS = 100
-_CHUNK = 1024
+_CHUNK = 512
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-9
+_CUT = (0.01, 0.9)
 _LONGEST_TURN_RAD = 0.1
+_LEAST_ESCAPE_RAD = 1e-3
+_ROUNDING_M = 2e-17
+"""Of a cable's length, times its lever: with the stiffness, the torque that rounding leaves."""
 
 
 class EquilibriumError(CableSenseError):
-    """No static pose was found: names the case, its command, its loads and the torque left."""
+    """No static pose was found: names the case, its command, its loads and the torque left.
+
+    Attributes:
+        failed: positions of all cases without a pose, in the batch flattened to one axis; empty
+            where the input itself was refused.
+    """
+
+    def __init__(self, message: str, failed: ArrayLike = ()) -> None:
+        super().__init__(message)
+        self.failed = np.asarray(failed, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -58,11 +76,11 @@ class Equilibrium:
 def solve_equilibrium(
     mechanism: Mechanism, command_rad: ArrayLike, forces_n: ArrayLike | None = None
 ) -> Equilibrium:
-    """Resting pose and tensions for commanded angles (..., 2N) and contact forces (..., N, 3) in base axes.
+    """Resting pose and tensions for commands (..., 2N) and forces (..., N, 3) in base axes.
 
     Raises:
-        EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case to within
-            `RESIDUAL_LIMIT_N_M`.
+        EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case
+            to within `RESIDUAL_LIMIT_N_M`.
     """
     command, forces = _checked(mechanism, command_rad, forces_n)
     leading = command.shape[:-1]
@@ -85,9 +103,10 @@ def solve_equilibrium(
 def stiffness_matrix_n_m(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
 ) -> Array:
-    """Second derivative (..., 2N, 2N) of the potential at a pose: J' k J of the taut cables, and geometry."""
+    """Second derivative (..., 2N, 2N) of the potential: J' k J of taut cables, and geometry."""
     span = kinematics.spans(mechanism, joint_angles_rad)
-    return _hessian(mechanism, span, joint_angles_rad, tensions_n, forces_n)
+    pose = kinematics.chain(mechanism, joint_angles_rad)
+    return _hessian(mechanism, span, pose, tensions_n, kinematics.load_arms(mechanism, forces_n))
 
 
 def tension_sensitivity(
@@ -95,8 +114,8 @@ def tension_sensitivity(
 ) -> Array:
     """Derivative (..., M, N, 3) of the tensions by the contact forces, at an equilibrium; no unit.
 
-    From the implicit function theorem: dT/df = k J K^-1 B' for taut cables, zero for slack ones, with K the
-    stiffness matrix and B the contact Jacobian.
+    From the implicit function theorem: dT/df = k J K^-1 B' for taut cables, zero for slack ones,
+    with K the stiffness matrix and B the contact Jacobian.
     """
     jacobian = kinematics.cable_jacobian_m(mechanism, joint_angles_rad)
     hessian = stiffness_matrix_n_m(mechanism, joint_angles_rad, tensions_n, forces_n)
@@ -114,14 +133,15 @@ def _checked(
     command = np.asarray(command_rad, dtype=float)
     if command.shape[-1:] != (mechanism.joint_count,):
         raise EquilibriumError(
-            f"command has shape {command.shape}; its last axis must be {mechanism.joint_count} joint angles"
+            f"command has shape {command.shape}; its last axis must be {mechanism.joint_count} "
+            "joint angles"
         )
     expected = (*command.shape[:-1], mechanism.segment_count, 3)
     forces = np.zeros(expected) if forces_n is None else np.asarray(forces_n, dtype=float)
     if forces.shape[-2:] != expected[-2:]:
         raise EquilibriumError(
-            f"forces have shape {forces.shape}; the last axes must be {expected[-2:]}, one base-frame "
-            "force per segment"
+            f"forces have shape {forces.shape}; the last axes must be {expected[-2:]}, one "
+            "base-frame force per segment"
         )
     try:
         leading = np.broadcast_shapes(command.shape[:-1], forces.shape[:-2])
@@ -133,6 +153,16 @@ def _checked(
     forces = np.broadcast_to(forces, (*leading, *expected[-2:]))
     if not (np.isfinite(command).all() and np.isfinite(forces).all()):
         raise EquilibriumError("commands and forces must be finite; one holds NaN or infinity")
+    if (np.abs(command) > np.pi).any():
+        raise EquilibriumError(
+            f"a commanded joint angle of {np.abs(command).max():g} rad is more than half a turn; "
+            "commands are in rad, not in degrees"
+        )
+    if (np.abs(forces) > MAX_FORCE_N).any():
+        raise EquilibriumError(
+            f"a force component of {np.abs(forces).max():g} N is beyond any arm; give at most "
+            f"{MAX_FORCE_N:g} N"
+        )
     return command, forces
 
 
@@ -148,67 +178,100 @@ def _require_rest(
     i = int(failed[0])
     joint = int(np.argmax(bend[i] - limit))
     why = (
-        f"leave {residual[i]:.3g} N·m (at most {RESIDUAL_LIMIT_N_M:g})"
+        "come to no stable rest"
         if unbalanced[i]
-        else f"bend joint {joint + 1} by {np.rad2deg(bend[i, joint]):.1f} degrees, and its guide plates "
-        f"touch at {np.rad2deg(limit[joint]):.1f}"
+        else f"bend joint {joint + 1} by {np.rad2deg(bend[i, joint]):.1f} degrees, and its guide "
+        f"plates touch at {np.rad2deg(limit[joint]):.1f}"
     )
     raise EquilibriumError(
         f"no equilibrium for {failed.size} of {len(command)} cases; case {i}: command "
-        f"{np.rad2deg(command[i]).round(2).tolist()} deg, forces {forces[i].round(3).tolist()} N {why}; "
-        "lower the loads or the commanded angles, or raise the stiffness"
+        f"{np.rad2deg(command[i]).round(2).tolist()} deg, forces {forces[i].round(3).tolist()} N "
+        f"{why}; lower the loads or the commanded angles, or raise the stiffness",
+        failed,
     )
+
+
+class _Point(NamedTuple):
+    """A batch of poses under commands and loads, with what the method asks of each of them."""
+
+    angles_rad: Array
+    span: kinematics.Spans
+    pose: kinematics.Chain
+    tension_n: Array
+    potential_j: Array
+    gradient_n_m: Array
+
+    @classmethod
+    def at(cls, mechanism: Mechanism, angles: Array, rest: Array, arms: Array) -> _Point:
+        """Angles (B, 2N), cables' spans at rest (B, M), load arms (B, N, 3)."""
+        span, pose = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
+        stretch = np.maximum(span.length_m.sum(-1) - rest, 0.0)
+        tension = mechanism.stiffness_n_m * stretch
+        cables = (tension[..., None, :] @ kinematics.interleave(span))[..., 0, :]
+        return cls(
+            angles_rad=angles,
+            span=span,
+            pose=pose,
+            tension_n=tension,
+            potential_j=0.5 * (tension * stretch).sum(-1)
+            - (arms * pose.rotation[..., 0]).sum((-2, -1)),
+            gradient_n_m=cables - kinematics.axis_torques_n_m(pose, arms),
+        )
+
+
+def _rows(batch: Any, rows: NDArray[Any]) -> Any:
+    """Some rows of every array of a (nested) tuple of arrays."""
+    return type(batch)(
+        *(_rows(part, rows) if isinstance(part, tuple) else part[rows] for part in batch)
+    )
+
+
+def _replace_rows(batch: Any, rows: NDArray[Any], others: Any) -> None:
+    """Write `others` over those rows, in place."""
+    for part, other in zip(batch, others, strict=True):
+        if isinstance(part, tuple):
+            _replace_rows(part, rows, other)
+        else:
+            part[rows] = other
 
 
 def _solve_chunk(
     mechanism: Mechanism, command: Array, forces: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """Newton with line search on a batch; samples leave as they converge."""
-    stiffness = mechanism.stiffness_n_m
-    rest = (
-        kinematics.spans(mechanism, command).length_m.sum(-1) - mechanism.pretension_n / stiffness
-    )
+    pretensioned = mechanism.pretension_n / mechanism.stiffness_n_m
+    rest = kinematics.spans(mechanism, command).length_m.sum(-1) - pretensioned
     arms = kinematics.load_arms(mechanism, forces)
-    angles = command.copy()
-    residual = np.full(len(command), np.inf)
+    enough = max(0.01 * RESIDUAL_LIMIT_N_M, _ROUNDING_M * float(mechanism.stiffness_n_m.max()))
+    angles, tensions = np.empty_like(command), np.empty_like(rest)
+    residual = np.empty(len(command))
+    stable = np.zeros(len(command), dtype=bool)
     iterations = np.zeros(len(command), dtype=np.int64)
     live = np.arange(len(command))
+    point = _Point.at(mechanism, command, rest, arms)
     for iteration in range(MAX_ITERATIONS + 1):
-        q = angles[live]
-        span = kinematics.spans(mechanism, q)
-        stretch = span.length_m.sum(-1) - rest[live]
-        tension = np.maximum(stiffness * stretch, 0.0)
-        gradient = _gradient(mechanism, span, q, tension, forces[live])
-        residual[live] = np.abs(gradient).max(axis=-1)
+        angles[live], tensions[live] = point.angles_rad, point.tension_n
+        residual[live] = np.abs(point.gradient_n_m).max(axis=-1)
         iterations[live] = iteration
-        going = ~(residual[live] <= 0.01 * RESIDUAL_LIMIT_N_M)
+        hessian = _hessian(mechanism, point.span, point.pose, point.tension_n, arms[live])
+        stable[live] = _is_positive_definite(hessian)
+        going = ~(stable[live] & (residual[live] <= enough))
         if iteration == MAX_ITERATIONS or not going.any():
             break
-        live, q, gradient, tension = live[going], q[going], gradient[going], tension[going]
-        span = kinematics.Spans(*(part[going] for part in span))
-        hessian = _hessian(mechanism, span, q, tension, forces[live])
-        step = _descent_step(hessian, gradient)
-        angles[live], moved = _line_search(
-            mechanism, q, step, gradient, rest[live], arms[live]
-        )
-        if not moved.any():
-            break
-        live = live[moved]
-    stretch = kinematics.spans(mechanism, angles).length_m.sum(-1) - rest
-    return angles, np.maximum(stiffness * stretch, 0.0), residual, iterations
-
-
-def _gradient(
-    mechanism: Mechanism, span: kinematics.Spans, q: Array, tension: Array, forces: Array
-) -> Array:
-    by_pitch = np.einsum("bij,bi->bj", span.by_pitch, tension)
-    by_yaw = np.einsum("bij,bi->bj", span.by_yaw, tension)
-    cables = np.stack([by_pitch, by_yaw], axis=-1).reshape(q.shape)
-    return cables - kinematics.load_torques_n_m(mechanism, q, forces)
+        live, point, hessian = live[going], _rows(point, going), hessian[going]
+        step = _descent_step(hessian, point.gradient_n_m, stable[live])
+        point, moved = _line_search(mechanism, point, step, rest[live], arms[live])
+        live, point = live[moved], _rows(point, moved)
+    residual[~stable] = np.inf  # balanced on a saddle of the potential is not at rest
+    return angles, tensions, residual, iterations
 
 
 def _hessian(
-    mechanism: Mechanism, span: kinematics.Spans, q: Array, tension: Array, forces: Array
+    mechanism: Mechanism,
+    span: kinematics.Spans,
+    pose: kinematics.Chain,
+    tension: Array,
+    arms: Array,
 ) -> Array:
     jacobian = kinematics.interleave(span)
     taut = mechanism.stiffness_n_m * (tension > 0.0)
@@ -219,16 +282,15 @@ def _hessian(
         (1, 0, span.by_pitch_yaw),
         (1, 1, span.by_yaw_yaw),
     ):
-        block = (second * tension[..., :, None]).sum(-2)
         joints = np.arange(mechanism.segment_count)
+        block = (tension[..., None, :] @ second)[..., 0, :]
         hessian[..., 2 * joints + row, 2 * joints + column] += block
-    return hessian - _load_hessian(mechanism, q, forces)
+    return hessian - _load_hessian(pose, arms)
 
 
-def _load_hessian(mechanism: Mechanism, q: Array, forces: Array) -> Array:
-    """Second derivative of `sum_n A_n · x_n`: axis k before axis l turns x_n by w_k x (w_l x x_n)."""
-    pose = kinematics.chain(mechanism, q)
-    x, arms = pose.rotation[..., 0], kinematics.load_arms(mechanism, forces)
+def _load_hessian(pose: kinematics.Chain, arms: Array) -> Array:
+    """Second derivative of `sum_n A_n · x_n`: w_k x (w_l x x_n) for axis k before axis l."""
+    x = pose.rotation[..., 0]
     outer = x[..., :, None] * arms[..., None, :]
     along = (x * arms).sum(-1)
     outer = np.repeat(np.cumsum(outer[..., ::-1, :, :], axis=-3)[..., ::-1, :, :], 2, axis=-3)
@@ -240,47 +302,64 @@ def _load_hessian(mechanism: Mechanism, q: Array, forces: Array) -> Array:
     return upper + np.swapaxes(np.triu(full, 1), -1, -2)
 
 
-def _descent_step(hessian: Array, gradient: Array) -> Array:
-    """The Newton step where it descends, else one along the absolute curvatures."""
-    try:
-        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        step = np.full_like(gradient, np.nan)
-    slope = (step * gradient).sum(-1)
-    uphill = ~(slope < 0.0)
-    if uphill.any():
-        values, vectors = np.linalg.eigh(hessian[uphill])
+def _is_positive_definite(matrices: Array) -> NDArray[np.bool_]:
+    """Whether symmetric matrices (B, K, K) are, (B,): all pivots of elimination are positive."""
+    left = matrices.copy()
+    positive = np.ones(len(left), dtype=bool)
+    for k in range(left.shape[-1]):
+        pivot = left[:, k, k]
+        positive &= pivot > 0.0
+        row = left[:, k, k + 1 :] / np.sqrt(np.where(pivot > 0.0, pivot, 1.0))[:, None]
+        left[:, k + 1 :, k + 1 :] -= row[:, :, None] * row[:, None, :]
+    return positive
+
+
+def _descent_step(hessian: Array, gradient: Array, stable: NDArray[np.bool_]) -> Array:
+    """Newton's step where the potential curves up all ways, else along the absolute curvatures.
+
+    Where it curves down the arm would not stay, balanced or not: there the step has a least
+    length.
+    """
+    step = np.empty_like(gradient)
+    if stable.any():
+        step[stable] = -np.linalg.solve(hessian[stable], gradient[stable, :, None])[..., 0]
+    if not stable.all():
+        values, vectors = np.linalg.eigh(hessian[~stable])
         curvature = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(-1, keepdims=True))
-        along = (np.swapaxes(vectors, -1, -2) @ gradient[uphill][..., None])[..., 0]
-        step[uphill] = -(vectors @ (along / curvature)[..., None])[..., 0]
+        along = (np.swapaxes(vectors, -1, -2) @ gradient[~stable][..., None])[..., 0]
+        away = np.where(along < 0.0, _LEAST_ESCAPE_RAD, -_LEAST_ESCAPE_RAD)
+        newton = -along / curvature
+        escaping = (values < 0.0) & (np.abs(newton) < _LEAST_ESCAPE_RAD)
+        step[~stable] = (vectors @ np.where(escaping, away, newton)[..., None])[..., 0]
     longest = np.abs(step).max(-1, keepdims=True)
     return step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300))
 
 
 def _line_search(
-    mechanism: Mechanism, q: Array, step: Array, gradient: Array, rest: Array, arms: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Armijo backtracking on the potential; near the bottom, where V is flat to rounding, full steps pass."""
-    start = _potential(mechanism, q, rest, arms)
-    slope = (step * gradient).sum(-1)
-    rounding = 1e-13 * (np.abs(start) + 1.0)
-    fraction = np.ones(len(q))
-    found = np.zeros(len(q), dtype=bool)
-    best = q.copy()
-    open_ = np.arange(len(q))
-    while open_.size and fraction[open_[0]] > _SHORTEST_STEP:
-        trial = q[open_] + fraction[open_, None] * step[open_]
-        value = _potential(mechanism, trial, rest[open_], arms[open_])
-        allowed = start[open_] + _ARMIJO * fraction[open_] * slope[open_] + rounding[open_]
-        good = value <= allowed
-        best[open_[good]] = trial[good]
-        found[open_[good]] = True
-        open_ = open_[~good]
-        fraction[open_] *= 0.5
-    return best, found
+    mechanism: Mechanism, start: _Point, step: Array, rest: Array, arms: Array
+) -> tuple[_Point, NDArray[np.bool_]]:
+    """Armijo backtracking on the potential, and which samples found a pose to move to.
 
-
-def _potential(mechanism: Mechanism, q: Array, rest: Array, arms: Array) -> Array:
-    stretch = np.maximum(kinematics.spans(mechanism, q).length_m.sum(-1) - rest, 0.0)
-    x = kinematics.chain(mechanism, q).rotation[..., 0]
-    return 0.5 * (mechanism.stiffness_n_m * stretch**2).sum(-1) - (arms * x).sum((-2, -1))
+    A step is too long where it pulls cables taut that the second derivatives took for slack. It is
+    cut by Newton's method along the line, from its far end with the cables taut there: cutting
+    from the near end instead would stop short of the kink, and so forever. Near the equilibrium,
+    where the potential is flat to rounding, full steps pass.
+    """
+    slope = (step * start.gradient_n_m).sum(-1)
+    rounding = 1e-13 * (np.abs(start.potential_j) + 1.0)
+    fraction = np.ones(len(step))
+    end = _Point.at(mechanism, start.angles_rad + step, rest, arms)
+    while True:
+        rise = end.potential_j - start.potential_j
+        found = rise <= _ARMIJO * fraction * slope + rounding
+        again = np.flatnonzero(~found & (fraction > _SHORTEST_STEP))
+        if not again.size:
+            return end, found
+        far, along = _rows(end, again), step[again]
+        pulled = (kinematics.interleave(far.span) @ along[..., None])[..., 0]
+        curvature = (mechanism.stiffness_n_m * (far.tension_n > 0.0) * pulled**2).sum(-1)
+        excess = (far.gradient_n_m * along).sum(-1)
+        cut = 1.0 - excess / np.maximum(fraction[again] * curvature, 1e-300)
+        fraction[again] *= np.clip(cut, *_CUT)
+        angles = start.angles_rad[again] + fraction[again, None] * along
+        _replace_rows(end, again, _Point.at(mechanism, angles, rest[again], arms[again]))

@@ -1,11 +1,12 @@
-"""Closed-form kinematics of the chain and of its cables, for NumPy and for torch (the array API standard).
+"""Closed-form kinematics of the chain and its cables, for NumPy and torch (array API standard).
 
-Inside a segment a cable runs parallel to the axis, so only the spans between the two guide plates around each joint
-change. A span depends on the two angles of its own joint alone: with hole (y, z) and plates at distance o, pitch a and
-yaw b,
+Inside a segment a cable runs parallel to the axis, so only the spans between the two guide plates
+around each joint change. A span depends on the two angles of its own joint alone: with hole (y, z)
+and plates at distance o, pitch a and yaw b,
 
     d(a, b)^2 = 2 (o^2 + y^2 + z^2) + 2 g(a, b),    g = x1 P + z Q - y y1,
-    x1 = o cos b - y sin b,   y1 = o sin b + y cos b,   P = o cos a + z sin a,   Q = o sin a - z cos a,
+    x1 = o cos b - y sin b,   y1 = o sin b + y cos b,
+    P = o cos a + z sin a,    Q = o sin a - z cos a,
 
 from which the derivatives below follow (dP/da = -Q, dQ/da = P, dx1/db = -y1, dy1/db = x1).
 """
@@ -99,14 +100,14 @@ def bend_rad(joint_angles_rad: Any) -> Any:
 
 
 def interleave(span: Spans) -> Any:
-    """The Jacobian (..., M, 2N) in the order of the joint angles: pitch, yaw, pitch, …"""
+    """The Jacobian (..., M, 2N) in the order of the joint angles: pitch, yaw, and so on."""
     xp = array_namespace(span.by_pitch)
     both = xp.stack([span.by_pitch, span.by_yaw], axis=-1)
     return xp.reshape(both, (*both.shape[:-2], 2 * both.shape[-2]))
 
 
 def chain(mechanism: Mechanism, joint_angles_rad: Any) -> Chain:
-    """Pose of every segment at joint angles (..., 2N): rotation `Ry(pitch) Rz(yaw)` at each joint."""
+    """Pose of every segment at joint angles (..., 2N): each joint turns by `Ry(pitch) Rz(yaw)`."""
     xp = array_namespace(joint_angles_rad)
     q = joint_angles_rad
     cos, sin = xp.cos(q), xp.sin(q)
@@ -154,8 +155,8 @@ def contact_points_m(mechanism: Mechanism, joint_angles_rad: Any) -> Any:
 def load_arms(mechanism: Mechanism, forces_n: Any) -> Any:
     """Generalised forces (..., N, 3) on the segments' axis vectors, N·m.
 
-    Weights and contact forces act on the axes, so their potential is `-sum_n A_n · x_n` with x_n the unit axis of
-    segment n; this gives A_n for contact forces (..., N, 3) in base axes.
+    Weights and contact forces act on the axes, so their potential is `-sum_n A_n · x_n` with x_n
+    the unit axis of segment n; this gives A_n for contact forces (..., N, 3) in base axes.
     """
     xp = array_namespace(forces_n)
     as_like = _converter(xp, forces_n)
@@ -169,9 +170,13 @@ def load_arms(mechanism: Mechanism, forces_n: Any) -> Any:
 
 def load_torques_n_m(mechanism: Mechanism, joint_angles_rad: Any, forces_n: Any) -> Any:
     """Joint torques (..., 2N) of gravity and of contact forces (..., N, 3) in base axes."""
-    xp = array_namespace(joint_angles_rad)
-    pose = chain(mechanism, joint_angles_rad)
-    moment = xp.linalg.cross(pose.rotation[..., 0], load_arms(mechanism, forces_n))
+    return axis_torques_n_m(chain(mechanism, joint_angles_rad), load_arms(mechanism, forces_n))
+
+
+def axis_torques_n_m(pose: Chain, load_arms_n_m: Any) -> Any:
+    """Joint torques (..., 2N) of generalised forces (..., N, 3) on the segments' axis vectors."""
+    xp = array_namespace(load_arms_n_m)
+    moment = xp.linalg.cross(pose.rotation[..., 0], load_arms_n_m)
     distal = xp.flip(xp.cumulative_sum(xp.flip(moment, axis=-2), axis=-2), axis=-2)
     per_joint = xp.repeat(distal, 2, axis=-2)
     return xp.sum(pose.joint_axis * per_joint, axis=-1)

@@ -25,21 +25,23 @@ def normal_force_n(
 ) -> Array:
     """Forces (..., N, 3) in base axes of one contact each.
 
-    The force on segment n lies in the plane normal to that segment at the commanded angles (..., 2N), at
-    `angle_deg` (...) from +z towards +y of its frame. Segment 0 is no contact.
+    The force on segment n lies in the plane normal to that segment at the commanded angles (...,
+    2N), at `angle_deg` (...) from +z towards +y of its frame. Segment 0 is no contact.
 
     Raises:
         LoadError: a segment outside 0..N, a negative or non-finite magnitude, a non-finite angle.
     """
     command = np.asarray(command_rad, dtype=float)
     number, angle, magnitude = np.broadcast_arrays(
-        np.asarray(segment), np.asarray(angle_deg, dtype=float), np.asarray(magnitude_n, dtype=float)
+        np.asarray(segment),
+        np.asarray(angle_deg, dtype=float),
+        np.asarray(magnitude_n, dtype=float),
     )
     count = mechanism.segment_count
     if not np.issubdtype(number.dtype, np.integer) or (number < 0).any() or (number > count).any():
         raise LoadError(f"segment must be a whole number from 0 (no contact) to {count}")
     if not (np.isfinite(angle).all() and np.isfinite(magnitude).all() and (magnitude >= 0).all()):
-        raise LoadError("a contact needs a finite angle_deg and a finite magnitude_n of at least 0")
+        raise LoadError("a contact needs a finite angle_deg and a finite magnitude_n from 0 up")
     rotation = kinematics.segment_rotations(mechanism, command)
     theta = np.deg2rad(angle)[..., None, None]
     direction = np.sin(theta) * rotation[..., :, 1] + np.cos(theta) * rotation[..., :, 2]
@@ -50,7 +52,7 @@ def normal_force_n(
 def contact_angle_deg(
     mechanism: Mechanism, command_rad: ArrayLike, segment: ArrayLike, force_base_n: ArrayLike
 ) -> Array:
-    """Angle (...) in [0, 360) of forces (..., 3) in the normal plane of their segment (...) in 1..N."""
+    """Angle (...) in [0, 360) of forces (..., 3) in the normal plane of their segment 1..N."""
     y, z = normal_components_n(mechanism, command_rad, segment, force_base_n)
     return np.rad2deg(np.arctan2(y, z)) % 360.0
 

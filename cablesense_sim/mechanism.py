@@ -1,4 +1,4 @@
-"""The arm's numbers as arrays: what the MuJoCo model and the closed-form statics are both built from."""
+"""The arm's numbers as arrays: what the MuJoCo model and the statics are both built from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mechanism:
-    """N segments on universal joints, M cables that pass the guide plates before and after each joint.
+    """N segments on universal joints, and M cables through guide plates around each joint.
 
     Attributes:
         gravity_m_s2: (3,) base frame.
@@ -79,7 +79,7 @@ class Mechanism:
 
     @property
     def joint_position_straight_m(self) -> Array:
-        """(N,) x of each joint centre with the arm straight; joint 1 is one plate offset ahead of the base plate."""
+        """(N,) x of each joint centre with the arm straight; joint 1 is a plate offset ahead."""
         return self.plate_offset_m + np.concatenate([[0.0], np.cumsum(self.segment_length_m)[:-1]])
 
     @property

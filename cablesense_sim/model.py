@@ -1,8 +1,8 @@
 """The arm as a MuJoCo model, built with `mujoco.MjSpec` from its mechanism.
 
-Cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing below, so they pull and never
-push. An actuator of finite stiffness is a slide joint under a position servo at the cable's far end; a rigid one is a
-mocap body that sits exactly where it is commanded.
+Cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing below, so
+they pull and never push. An actuator of finite stiffness is a slide joint under a position servo
+at the cable's far end; a rigid one is a mocap body that sits exactly where it is commanded.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ _PLATE_RGBA = (0.30, 0.33, 0.38, 1.0)
 
 
 def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
-    """The arm's model specification: bodies `segment_n`, joints `joint_n_pitch|yaw`, tendons `cable_i`, sites `contact_n`.
+    """The arm's model specification, with the names of the contract.
 
-    Compile it with `spec.compile()`. Time step 1 ms, integrator `discrete`, which treats cable and servo stiffness
-    implicitly and so stays stable however stiff they are.
+    Bodies `segment_n`, joints `joint_n_pitch|yaw`, tendons `cable_i`, sites `contact_n`.
+
+    Compile it with `spec.compile()`. Time step 1 ms, integrator `discrete`, which treats cable and
+    servo stiffness implicitly and so stays stable however stiff they are.
     """
     spec = mujoco.MjSpec()
     spec.modelname = name
@@ -40,7 +42,7 @@ def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
 
 
 def unstretched_length_m(mechanism: Mechanism) -> np.ndarray:
-    """(M,) length at which each cable alone is just slack: straight length less the pretension's stretch."""
+    """(M,) straight length less the pretension's stretch: where a cable is just slack."""
     return mechanism.straight_length_m - mechanism.pretension_n / mechanism.stiffness_n_m
 
 
@@ -122,9 +124,7 @@ def _add_cable(
             tendon.wrap_site(hole.name)
 
 
-def _add_servo(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, i: int
-) -> None:
+def _add_servo(spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, i: int) -> None:
     """A screw that draws its cable back along -x by the control signal, metres."""
     joint = body.add_joint(
         name=f"screw_{i + 1}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1.0, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""The tension sensors at the actuator ends: Gaussian noise, then rounding to the converter's step."""
+"""The tension sensors at the actuator ends: Gaussian noise, then the converter's step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Generator) -> Array:
-    """Readings of tensions of any shape, N: noise of `noise_std_n`, a step of `step_n`, held to `range_n`."""
+    """Readings of tensions of any shape, N: noise, rounding to the step, held to the range."""
     reading = np.asarray(tensions_n, dtype=float)
     if sensors.noise_std_n > 0.0:
         reading = reading + rng.normal(0.0, sensors.noise_std_n, reading.shape)
@@ -23,7 +23,7 @@ def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Gene
 
 
 def reading_variance_n2(sensors: Sensors) -> float:
-    """Variance of one reading, N²: noise, and a rounding error uniform over one step (step² / 12)."""
+    """Variance of one reading, N²: noise, and rounding uniform over one step (step² / 12)."""
     return sensors.noise_std_n**2 + sensors.step_n**2 / 12.0
 
 

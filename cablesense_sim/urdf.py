@@ -1,6 +1,7 @@
-"""The arm as a URDF, generated from its mechanism, for `robot_description` (RViz, Foxglove, robot_state_publisher).
+"""The arm as a URDF, generated for `robot_description` (RViz, robot_state_publisher).
 
-Cables have no place in a URDF; it carries the links `base_link`, `segment_n` and the joints that `joint_states` names.
+Cables have no place in a URDF; it carries the links `base_link`, `segment_n` and the joints that
+`joint_states` names.
 """
 
 from __future__ import annotations
@@ -36,7 +37,13 @@ def urdf_xml(arm: Arm) -> str:
 
 
 def _add_joint(
-    robot: ElementTree.Element, name: str, parent: str, child: str, x_m: float, axis: str, limit: float
+    robot: ElementTree.Element,
+    name: str,
+    parent: str,
+    child: str,
+    x_m: float,
+    axis: str,
+    limit: float,
 ) -> None:
     joint = ElementTree.SubElement(robot, "joint", name=name, type="revolute")
     ElementTree.SubElement(joint, "parent", link=parent)
@@ -86,9 +93,7 @@ def _add_disc(link: ElementTree.Element, x_m: float, radius_m: float) -> None:
     _add_cylinder(link, x_m, 0.003, 1.08 * radius_m)
 
 
-def _add_cylinder(
-    link: ElementTree.Element, x_m: float, length_m: float, radius_m: float
-) -> None:
+def _add_cylinder(link: ElementTree.Element, x_m: float, length_m: float, radius_m: float) -> None:
     visual = ElementTree.SubElement(link, "visual")
     ElementTree.SubElement(visual, "origin", xyz=f"{x_m:.6g} 0 0", rpy=f"0 {np.pi / 2:.9g} 0")
     geometry = ElementTree.SubElement(visual, "geometry")

@@ -1,0 +1,115 @@
+"""What is wrong with an arm file, in one line: the key, its value and what would be valid."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+_UNITS = (
+    ("_n_m_s", "N·m·s/rad"),
+    ("_m_s2", "m/s²"),
+    ("_n_m", "N/m"),
+    ("_kg", "kg"),
+    ("_hz", "Hz"),
+    ("_n", "N"),
+    ("_m", "m"),
+)
+"""Units by the end of a key; the first that fits counts."""
+
+_WORDS = {
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
+    "finite_number": "must be a finite number",
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "literal_error": "must be {expected}",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "string_type": "must be text",
+    "string_pattern_mismatch": "must be 1 to 64 letters, digits, _ or -",
+}
+_NUMBER_WORDS = ("must be a number", "must be a finite number")
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxlist, _short.maxdict = 2, 4, 4
+
+
+def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
+    """One line on the first problem of what `root` refused, and how many more keys have one."""
+    problems: dict[str, Any] = {}
+    for problem in error.errors(include_url=False):
+        if _is_of_the_branch_meant(problem):
+            problems.setdefault(_key(problem), problem)
+    key, problem = next(iter(problems.items()))
+    line = f"{key} {_words(key, problem, root)}".strip()
+    if len(problems) > 1:
+        line += f" (and {len(problems) - 1} more)"
+    return " ".join(line.split())
+
+
+def _words(key: str, problem: Any, root: type[BaseModel]) -> str:
+    kind, location = problem["type"], problem["loc"]
+    if kind == "extra_forbidden":
+        return f"is no known key; valid keys here: {', '.join(_keys_of(root, location[:-1]))}"
+    if kind == "missing" and isinstance(location[-1], int):
+        return "is missing: the list is too short"
+    if kind == "missing":
+        keys = _keys_of(root, location[:-1])
+        return f"is missing; keys here: {', '.join(keys)}"
+    if kind == "value_error":
+        return str(problem["ctx"]["error"])
+    value = _short.repr(problem["input"])  # short, also for a text or a nest of lists without end
+    if kind == "model_type":
+        return f"= {value}: must be a mapping with the keys {', '.join(_keys_of(root, location))}"
+    if kind in _WORDS:
+        words = _WORDS[kind].format(**problem.get("ctx", {}))
+    else:
+        words = problem["msg"][0].lower() + problem["msg"][1:]
+    unit = next((unit for end, unit in _UNITS if key.rstrip(".0123456789").endswith(end)), None)
+    if unit and (kind.startswith(("greater", "less")) or words in _NUMBER_WORDS):
+        words += f", in {unit}"
+    return f"= {value}: {words}"
+
+
+def _key(problem: Any) -> str:
+    location = problem["loc"]
+    written = [
+        part
+        for i, part in enumerate(location)
+        if not _is_type_tag(part)
+        or (problem["type"] == "extra_forbidden" and i + 1 == len(location))
+    ]
+    return ".".join(
+        part if isinstance(part, str) and part.isidentifier() else _short.repr(part)
+        for part in written
+    )
+
+
+def _is_type_tag(part: object) -> bool:
+    """Pydantic inserts the branch of a union into the location; a person did not write it."""
+    return isinstance(part, str) and part.startswith(("constrained-", "function-", "list["))
+
+
+def _is_of_the_branch_meant(problem: Any) -> bool:
+    """Where one number or a list may stand, pydantic reports on both; only one was meant."""
+    location = problem["loc"]
+    if not location or not _is_type_tag(location[-1]):
+        return True
+    return str(location[-1]).startswith("list[") == isinstance(problem["input"], list)
+
+
+def _keys_of(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    model = root
+    for part in location:
+        annotation = model.model_fields[str(part)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return list(model.model_fields)
