@@ -16,7 +16,8 @@ def train(
         typer.Option(
             help="closed-form-corrected: statics and a small network, knows the pose, the most "
             "accurate. From tensions alone: scale-aware, or the paper's decoupled, "
-            "shared-backbone and two-stage. Several contacts at once: multi-contact."
+            "shared-backbone and two-stage. Several contacts at once: "
+            "multi-contact-closed-form, or the paper's multi-contact."
         ),
     ] = "closed-form-corrected",
     data: Annotated[
@@ -36,7 +37,9 @@ def train(
     ] = 10.0,
     force_high_n: Annotated[
         float | None,
-        typer.Option(help="Strongest contact force, N.", show_default="200; 60 for multi-contact"),
+        typer.Option(
+            help="Strongest contact force, N.", show_default="200; 60 for several contacts"
+        ),
     ] = None,
     epochs: Annotated[
         int | None,
