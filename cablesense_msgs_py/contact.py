@@ -38,10 +38,10 @@ class Contact(NamedTuple):
         return 0.0, self.magnitude_n * y, self.magnitude_n * z
 
     @property
-    def torque_n_m(self) -> tuple[float, float, float]:
-        """The moment of the force about the origin of the segment's frame."""
-        _, y, z = self.force_n
-        return 0.0, -self.contact_m * z, self.contact_m * y
+    def wrench(self) -> tuple[float, float, float, float, float, float]:
+        """The force, N, and its moment about the origin of the segment's frame, N·m."""
+        x, y, z = self.force_n
+        return x, y, z, 0.0, -self.contact_m * z, self.contact_m * y
 
 
 NO_CONTACT = Contact()

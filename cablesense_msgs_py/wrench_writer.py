@@ -19,8 +19,8 @@ class WrenchWriter:
         self._length = len(text)
         self._text = text
 
-    def write(self, stamp_ns: int, force_n: Sequence[float], torque_n_m: Sequence[float]) -> bytes:
-        """A message of a force (3,) and a torque (3,), stamped."""
+    def write(self, stamp_ns: int, wrench: Sequence[float]) -> bytes:
+        """A stamped message of a force, N, and a torque, N·m: (6,) together."""
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         return self._layout.pack(
             _LITTLE_ENDIAN,
@@ -28,6 +28,5 @@ class WrenchWriter:
             nanoseconds,
             self._length,
             self._text,
-            *force_n,
-            *torque_n_m,
+            *wrench,
         )

@@ -56,6 +56,7 @@ class EstimatorNode(LifecycleNode):
         self._tare_services: list[Service] = []
         self._inputs: list[Subscription] = []
         self._stale_timer: Timer | None = None
+        self._simulated_time = self.get_clock().ros_time_is_active
         self._lost = 0
         self._refused_commands = 0
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -183,10 +184,10 @@ class EstimatorNode(LifecycleNode):
 
     def _now_ns(self) -> int:
         """The clock that stamps are of; the system's is asked directly, as that costs less."""
-        clock = self.get_clock()
-        return clock.now().nanoseconds if clock.ros_time_is_active else time.time_ns()
+        return self.get_clock().now().nanoseconds if self._simulated_time else time.time_ns()
 
     def _check_stale(self) -> None:
+        self._simulated_time = self.get_clock().ros_time_is_active
         now_s = time.monotonic()
         if self._estimation is None or not self._estimation.stale(now_s):
             return

@@ -67,7 +67,7 @@ class EstimatorOutputs:
         """
         contact = outcome.contact
         writer = self._wrench_in[contact.segment]
-        self._wrench_out.publish(writer.write(stamp_ns, contact.force_n, contact.torque_n_m))
+        self._wrench_out.publish(writer.write(stamp_ns, contact.wrench))
         if contact.segment:
             self._publish_contact(contact, stamp_ns)
         if now_s >= self._next_display_s:

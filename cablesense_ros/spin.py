@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -40,6 +41,8 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     code = 0
     try:
         node = make_node()
+        gc.collect()
+        gc.freeze()  # what is there now stays: a collection that walks it takes milliseconds
         _spin(node)
     except CableSenseError as error:
         code = _cannot_start(error)

@@ -29,12 +29,12 @@ def test_force_and_moment_are_those_of_a_push_at_the_contact_point(angle_deg):
         angle_deg
     )
     np.testing.assert_allclose(
-        contact.torque_n_m, np.cross([0.065, 0.0, 0.0], contact.force_n), atol=1e-12
+        contact.wrench[3:], np.cross([0.065, 0.0, 0.0], contact.force_n), atol=1e-12
     )
 
 
 def test_no_contact_is_zero():
-    assert not any(NO_CONTACT.force_n + NO_CONTACT.torque_n_m)
+    assert not any(NO_CONTACT.wrench)
 
 
 def test_point_and_direction_are_in_the_segments_frame():

@@ -20,7 +20,7 @@ VECTOR = st.tuples(*[st.floats(allow_nan=False)] * 3)
     st.text(st.characters(codec="ascii", min_codepoint=1)), VECTOR, VECTOR, st.integers(0, 2**60)
 )
 def test_rclpy_reads_the_same(frame, force, torque, stamp_ns):
-    raw = WrenchWriter(frame).write(stamp_ns, force, torque)
+    raw = WrenchWriter(frame).write(stamp_ns, force + torque)
     message = serialization.deserialize_message(raw, geometry_msgs.WrenchStamped)
     wrench = message.wrench
     assert message.header.frame_id == frame
