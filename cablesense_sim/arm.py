@@ -134,7 +134,7 @@ class Sensors(_Part):
 
 
 class Arm(_Part):
-    """A cable-driven serial arm, as its file describes it; SI units, degrees where a key says so."""
+    """A cable-driven serial arm, as its file describes it: SI units, or degrees in `_deg`."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
     gravity_m_s2: tuple[
