@@ -101,4 +101,4 @@ def test_tension_colours_hold_at_the_ends_and_survive_nan():
 def test_full_scale_covers_the_peak_without_waste(peak):
     scale = full_scale_n(peak)
     assert scale >= peak
-    assert scale == 100.0 or scale <= 2.51 * peak
+    assert scale == 100.0 or scale <= 1.51 * peak

@@ -18,7 +18,7 @@ from cablesense_ros.page.colours import (
     segment_rgb,
     tension_rgb,
 )
-from cablesense_ros.page.geometry import arrow_tail_m, cable_pieces
+from cablesense_ros.page.geometry import ARROWS_APART_M, arrow_tail_m, cable_pieces, unit
 from cablesense_ros.page.meshes import PLATE_MARGIN, plate_positions_m, routing_radius_m
 from cablesense_ros.page.snapshot import Contact, Snapshot
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
@@ -27,6 +27,7 @@ from cablesense_sim.mechanism import Mechanism
 GROUND, INK, DIM, GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
 SIZE_IN = (14.0, 8.0)
 DPI = 110
+HEAD_M = 0.034
 
 
 def draw_picture(
@@ -112,13 +113,14 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
         Line3DCollection(pieces.ends_m, colors=colours, linewidths=1.9, zorder=4)
     )
     points = contact_points_m(mechanism, pose)
-    for contact, rgb, word, width, zorder in (
-        (snapshot.true, TRUE_RGB, "true", 6.5, 5),
-        (snapshot.estimate, ESTIMATE_RGB, "estimated", 2.6, 6),
+    for contact, rgb, word, aside_m in (
+        (snapshot.true, TRUE_RGB, "true", -ARROWS_APART_M / 2),
+        (snapshot.estimate, ESTIMATE_RGB, "estimated", ARROWS_APART_M / 2),
     ):
         if contact is not None:
-            _draw_arrow(axes, points[contact.segment - 1], contact, css(rgb), width, zorder)
-            axes.plot([], [], [], color=css(rgb), lw=width / 1.5, label=_words(word, contact))
+            point = points[contact.segment - 1] + aside_m * rotations[contact.segment - 1][:, 0]
+            _draw_arrow(axes, point, contact, css(rgb))
+            axes.plot([], [], [], color=css(rgb), lw=4, label=_words(word, contact))
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.93), frameon=False, fontsize=11)
     _frame(axes, mechanism)
     stops = tension_rgb(np.linspace(0.0, scale_n, 64), scale_n) / 255.0
@@ -163,15 +165,21 @@ def _draw_plates(
             axes.scatter(*origin, color="#bcc4d0", s=26, zorder=3)
 
 
-def _draw_arrow(
-    axes: Any, point: NDArray[np.float64], contact: Contact, colour: str, width: float, zorder: int
-) -> None:
+def _draw_arrow(axes: Any, point: NDArray[np.float64], contact: Contact, colour: str) -> None:
     tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
-    neck = tip + 0.12 * (tail - tip)
-    axes.plot(*np.stack([tail, neck], -1), color=colour, lw=width, zorder=zorder)
-    axes.quiver(
-        *tail, *(tip - tail), color=colour, lw=width * 0.7, arrow_length_ratio=0.16, zorder=zorder
-    )
+    neck = tip + min(HEAD_M, np.linalg.norm(tail - tip)) * unit(tail - tip)
+    axes.plot(*np.stack([tail, neck], -1), color=colour, lw=3.6, zorder=6)
+    axes.plot(*_cone(neck, tip), color=colour, lw=1.2, zorder=6)
+
+
+def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A zigzag (3, 2K) from the rim of a cone to its tip and back: dense enough to look solid from any side."""
+    along = unit(tip - base)
+    side = unit(np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0]))
+    turn = np.linspace(0.0, 2 * np.pi, 40)[:, None]
+    radius = 0.3 * np.linalg.norm(tip - base)
+    rim = base + radius * (np.cos(turn) * side + np.sin(turn) * np.cross(along, side))
+    return np.stack([rim, np.broadcast_to(tip, rim.shape)], 1).reshape(-1, 3).T
 
 
 def _frame(axes: Any, mechanism: Mechanism) -> None:
@@ -179,7 +187,7 @@ def _frame(axes: Any, mechanism: Mechanism) -> None:
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
     low, high, half = -0.3 * reach, 1.1 * reach, 0.36 * reach
     axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
-    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.3)
+    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.42)
     axes.set_proj_type("persp", focal_length=0.6)
     axes.view_init(elev=22, azim=-62)
     axes.set_axis_off()

@@ -53,11 +53,15 @@ def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def full_scale_n(peak_n: float) -> float:
-    """The round tension (1, 2 or 5 times a power of ten, at least 100 N) that covers a peak: a scale that seldom changes."""
+    """The round tension, at least 100 N, that covers a peak: a scale that seldom changes."""
     if not peak_n > 100.0:
         return 100.0
     power = 10.0 ** math.floor(math.log10(peak_n))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= peak_n)
+    return next(
+        step * power
+        for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
+        if step * power >= peak_n
+    )
 
 
 def segment_rgb(segment: int) -> Rgb:

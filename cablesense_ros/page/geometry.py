@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 ARROW_METRES_PER_NEWTON = 0.002
 ARROW_LONGEST_M = 0.45
 ARROW_SHORTEST_M = 0.02
+ARROWS_APART_M = 0.022
+"""True and estimated arrows stand side by side along the segment, so that neither hides the other."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,11 @@ def piece_lengths_m(pieces: CablePieces, cable_count: int) -> Array:
     return np.bincount(pieces.cable, weights=lengths, minlength=cable_count)
 
 
+def unit(vector: Array) -> Array:
+    """The unit vector (3,) along a vector that is not zero."""
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
 def arrow_length_m(magnitude_n: float) -> float:
     """Length of a force's arrow: 2 mm per newton, kept between what can be seen and what fits the view."""
     return float(np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M))
@@ -78,10 +85,8 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
 
 def quaternion_z_to(direction: Array) -> Array:
     """Quaternion (..., 4), w x y z, of the shortest turn from +z to `direction` (..., 3), which need not be of unit length."""
-    unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    half = np.stack(
-        [1.0 + unit[..., 2], -unit[..., 1], unit[..., 0], np.zeros_like(unit[..., 0])], -1
-    )
+    way = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    half = np.stack([1.0 + way[..., 2], -way[..., 1], way[..., 0], np.zeros_like(way[..., 0])], -1)
     opposite = half[..., 0] < 1e-14
     half[opposite] = (0.0, 1.0, 0.0, 0.0)
     return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))

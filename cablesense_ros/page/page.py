@@ -135,7 +135,7 @@ class Page:
         ):
             if handle.content != content:
                 handle.content = content
-        self._traces.draw(scale_n)
+        self._traces.draw()
 
 
 def free_port(host: str, port: int) -> int:
@@ -159,7 +159,7 @@ def free_port(host: str, port: int) -> int:
 
 def _place_camera(server: viser.ViserServer, mechanism: Mechanism) -> None:
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-    server.initial_camera.position = (0.78 * reach, -1.55 * reach, 0.66 * reach)
-    server.initial_camera.look_at = (0.44 * reach, 0.0, -0.03 * reach)
+    server.initial_camera.position = (0.86 * reach, -1.66 * reach, 0.7 * reach)
+    server.initial_camera.look_at = (0.5 * reach, 0.0, -0.04 * reach)
     server.initial_camera.fov = 0.75
     server.initial_camera.near = 0.01

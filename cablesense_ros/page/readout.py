@@ -106,7 +106,7 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
     """The colours of the cables, from slack to full scale, with the range at this moment."""
     now = ""
     if tensions_n is not None:
-        now = f"now {float(tensions_n.min()):.0f} to {float(tensions_n.max()):.0f} N"
+        now = f"now {round(float(tensions_n.min()))} to {round(float(tensions_n.max()))} N"
     return (
         f"<div style='{_BOX};padding-bottom:2px'><div style='display:flex;justify-content:space-between'>"
         f"<span>cable tension</span><span style='{_DIM}'>{now}</span></div>"

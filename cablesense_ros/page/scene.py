@@ -9,6 +9,7 @@ from cablesense_ros.page import meshes
 from cablesense_ros.page.arrow import ForceArrow
 from cablesense_ros.page.colours import ESTIMATE_RGB, TRUE_RGB, linear_rgb, tension_rgb
 from cablesense_ros.page.geometry import (
+    ARROWS_APART_M,
     Array,
     CablePieces,
     cable_pieces,
@@ -24,8 +25,6 @@ BODY_RGB = (70, 80, 98)
 JOINT_RGB = (188, 196, 208)
 GROMMET_RGB = (28, 32, 40)
 GROUND_RGB = (20, 23, 29)
-ARROWS_APART_M = 0.022
-"""True and estimated arrows stand side by side along the segment, so that neither hides the other."""
 POSE_STEP_RAD = 2e-5
 """Joint angles that differ by less are the same picture."""
 

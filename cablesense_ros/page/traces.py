@@ -13,6 +13,9 @@ WINDOW_S = 12.0
 SAMPLES = 240
 _DASHES = ([], [6, 3], [2, 3])
 _AXIS_CSS = "#9aa3b2"
+_SOFT_ZERO = {"soft": 0.0, "mode": 1, "pad": 0.05}
+_SOFT_100 = {"soft": 100.0, "mode": 1, "pad": 0.05}
+"""The y axis covers 0 to 100 N at least. It grows in the browser: new scales would build the plot anew."""
 
 
 class TraceBuffer:
@@ -62,11 +65,10 @@ class TracePlot:
 
     def __init__(self, gui: viser.GuiApi, mechanism: Mechanism) -> None:
         self._buffer = TraceBuffer(mechanism.cable_count)
-        self._full_scale_n = 100.0
         self._plot = gui.add_uplot(
             self._buffer.columns,
             ({"label": "s"}, *_series(mechanism)),
-            scales=_scales(self._full_scale_n),
+            scales={"x": {"time": False}, "y": {"range": {"min": _SOFT_ZERO, "max": _SOFT_100}}},
             axes=(
                 _axis("x", "time, s", 28),
                 _axis("y", "tension, N", 46),
@@ -86,11 +88,8 @@ class TracePlot:
         """Remembers a sample; `draw` shows it."""
         self._buffer.add(time_s, tensions_n)
 
-    def draw(self, full_scale_n: float) -> None:
+    def draw(self) -> None:
         """Sends the traces to the page."""
-        if full_scale_n != self._full_scale_n:
-            self._full_scale_n = full_scale_n
-            self._plot.scales = _scales(full_scale_n)
         self._plot.data = self._buffer.columns
 
 
@@ -109,13 +108,6 @@ def _series(mechanism: Mechanism) -> list[dict[str, object]]:
             }
         )
     return series
-
-
-def _scales(full_scale_n: float) -> dict[str, dict[str, object]]:
-    return {
-        "x": {"time": False},
-        "y": {"range": (0.0, full_scale_n)},
-    }
 
 
 def _axis(scale: str, label: str, size: int) -> dict[str, object]:

@@ -1,0 +1,242 @@
+"""The page in a real Chromium, over real DDS: it draws, and a push on it moves the arm, the wrench and the estimate.
+
+Set CABLESENSE_PAGE_SCREENSHOT to a file name to keep a picture of the pushed arm.
+"""
+
+import base64
+import contextlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cablesense_ros.demo.nodes import demo_environment, node_command
+from cablesense_ros.demo.processes import Processes
+
+pytest.importorskip(
+    "rclpy", reason="needs rclpy: install the extra `ros`, or source a ROS 2 Jazzy"
+)
+pytest.importorskip("viser", reason="needs viser: install the extra `page`")
+connect = pytest.importorskip("websockets.sync.client").connect
+
+pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow]
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-default-apps",
+    "--disable-extensions",
+    "--remote-debugging-port=0",
+    "--window-size=1600,900",
+    "about:blank",
+)
+PICTURE = os.environ.get("CABLESENSE_PAGE_SCREENSHOT")
+WIDTH, HEIGHT = (1600, 900) if PICTURE else (1200, 640)
+"""Small unless a picture is wanted: Chromium renders in software here, which costs time by the pixel."""
+
+
+class Browser:
+    """One tab of a headless Chromium, driven through the DevTools protocol."""
+
+    def __init__(self, program, profile):
+        self._process = subprocess.Popen(
+            [program, f"--user-data-dir={profile}", *FLAGS],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        lines = []
+        for line in self._process.stderr:
+            lines.append(line)
+            found = re.search(r"DevTools listening on ws://([^/]+)/", line)
+            if found:
+                break
+        else:
+            pytest.fail(f"{program} did not start: {''.join(lines)[-500:]}")
+        with urllib.request.urlopen(f"http://{found[1]}/json") as answer:
+            tabs = json.load(answer)
+        tab = next(tab for tab in tabs if tab["type"] == "page")
+        self._socket = connect(tab["webSocketDebuggerUrl"], max_size=None)
+        self._count = 0
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=WIDTH,
+            height=HEIGHT,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+
+    def call(self, method, **parameters):
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=30))
+            if answer.get("id") == self._count:
+                return answer["result"]
+
+    def evaluate(self, script):
+        return self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get(
+            "value"
+        )
+
+    def wait_for(self, script, what, timeout_s=20.0):
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            value = self.evaluate(script)
+            if value:
+                return value
+            time.sleep(0.1)
+        return pytest.fail(f"the page never showed {what}")
+
+    def click_button(self, label):
+        clicked = self.evaluate(
+            "(() => { const b = [...document.querySelectorAll('button')]"
+            f".find(b => b.textContent.trim() === {label!r});"
+            " if (b) b.click(); return !!b; })()"
+        )
+        assert clicked, f"no button {label!r}"
+
+    def screenshot(self):
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
+    def close(self):
+        with contextlib.suppress(Exception):
+            self._socket.close()
+        self._process.terminate()
+        self._process.wait(10)
+        self._process.stderr.close()
+
+
+@pytest.fixture(scope="module")
+def browser_program():
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no Chromium on PATH ({', '.join(BROWSERS)}); install one to test the page")
+    return program
+
+
+@pytest.fixture(scope="module")
+def page_url(tmp_path_factory, browser_program):
+    environment = demo_environment()
+    environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    commands = [
+        node_command("sim", {"arm": "cdsm"}),
+        node_command("estimator", {"arm": "cdsm"}),
+        node_command("page", {"arm": "cdsm", "port": 18_080, "home_at_start": True}),
+    ]
+    with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
+        yield processes.wait_for_line("page", "page: ", 40.0)
+        processes.check()
+
+
+@pytest.fixture(scope="module")
+def browser(page_url, browser_program, tmp_path_factory):
+    browser = Browser(browser_program, tmp_path_factory.mktemp("profile"))
+    try:
+        browser.call("Page.navigate", url=page_url)
+        browser.wait_for("!!document.querySelector('#cablesense-status')", "its figures")
+        yield browser
+    finally:
+        browser.close()
+
+
+def cells(browser, row):
+    script = f"document.querySelector('#cablesense-{row}')?.innerText"
+    return (browser.evaluate(script) or "").split("\t")[1:]
+
+
+def canvas_pixels(browser):
+    """Pixels (H, W, 3) of the middle of the page, where the panels do not reach."""
+    import io
+
+    from PIL import Image
+
+    image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+    return image[HEIGHT // 5 : -HEIGHT // 8, WIDTH // 3 : -WIDTH // 4].astype(int)
+
+
+def wait_for_cells(browser, row, accept, timeout_s=15.0):
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        found = cells(browser, row)
+        if accept(found):
+            return found
+        time.sleep(0.1)
+    return pytest.fail(f"row {row} stayed at {cells(browser, row)}")
+
+
+def test_the_page_is_served_on_loopback_alone(page_url):
+    assert page_url.startswith("http://127.0.0.1:")
+
+
+def test_controls_are_there(browser):
+    text = browser.wait_for(
+        "document.body.innerText.includes('Move the joints') && document.body.innerText",
+        "its controls",
+    )
+    for label in ("Push the arm", "segment", "angle, °", "force, N", "joint 4 yaw, °", "Tare"):
+        assert label in text
+    for label in ("contact probability", "cable tension", "direction error", "time, s"):
+        assert label in text or label == "time, s"
+
+
+def test_a_push_on_the_page_moves_arm_wrench_and_estimate(browser):
+    browser.wait_for(
+        "document.querySelector('#cablesense-status').innerText === 'No contact'", "an estimate"
+    )
+    browser.wait_for("document.querySelectorAll('canvas').length >= 2", "the scene and the traces")
+    before = wait_for_drawing(browser)
+    browser.click_button("Push")
+    true = wait_for_cells(browser, "true", lambda row: row[-1:] == ["60.0 N"])
+    estimated = wait_for_cells(browser, "estimated", lambda row: row[:1] == true[:1])
+    time.sleep(1.0)
+    estimated = cells(browser, "estimated")
+    assert true == ["4", "215.0°", "60.0 N"]
+    assert float(estimated[1].rstrip("°")) == pytest.approx(215.0, abs=2.0)
+    assert float(estimated[2].removesuffix(" N")) == pytest.approx(60.0, abs=2.0)
+    after = canvas_pixels(browser)
+    orange = (after[..., 0] > 150) & (after[..., 2] < 60)
+    blue = (after[..., 2] > 150) & (after[..., 0] < 90)
+    assert orange.sum() > 50
+    assert blue.sum() > 50
+    assert (np.abs(after - before).max(axis=-1) > 40).sum() > 500
+    keep_screenshot(browser)
+    browser.click_button("Release")
+    wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["none"])
+
+
+def wait_for_drawing(browser, timeout_s=20.0):
+    """The canvas once the arm is on it: many colours, not one ground."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        pixels = canvas_pixels(browser)
+        if len(np.unique(pixels.reshape(-1, 3), axis=0)) > 500 and pixels.std() > 10.0:
+            return pixels
+        time.sleep(0.3)
+    return pytest.fail("the canvas stayed empty")
+
+
+def keep_screenshot(browser):
+    if PICTURE:
+        browser.evaluate(
+            "document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
+        )
+        time.sleep(5.0)
+        Path(PICTURE).write_bytes(browser.screenshot())
