@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from typing import Any
 
@@ -72,7 +73,8 @@ def _words(key: str, problem: Any, root: type[BaseModel]) -> str:
         words = _WORDS[kind].format(**problem.get("ctx", {}))
     else:
         words = problem["msg"][0].lower() + problem["msg"][1:]
-    unit = next((unit for end, unit in _UNITS if key.rstrip(".0123456789").endswith(end)), None)
+    written = re.sub(r"\.\d+$", "", key)  # without the position in a list
+    unit = next((unit for end, unit in _UNITS if written.endswith(end)), None)
     if unit and (kind.startswith(("greater", "less")) or words in _NUMBER_WORDS):
         words += f", in {unit}"
     return f"= {value}: {words}"

@@ -1,0 +1,38 @@
+"""Arms that differ from the bundled one in a few keys."""
+
+from typing import Any
+
+import yaml
+
+from cablesense_sim.arm import Arm, parse_arm
+from cablesense_sim.arm_files import find_arm
+
+
+def described(name: str = "cdsm") -> dict[str, Any]:
+    """The bundled description as plain values."""
+    return yaml.safe_load(find_arm(name).read_text(encoding="utf-8"))
+
+
+def changed(description: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """A description with one value replaced, named like `cables.angle_deg.first`."""
+    first, _, rest = key.partition(".")
+    value = changed(description.get(first, {}), rest, value) if rest else value
+    return {**description, first: value}
+
+
+def without(description: dict[str, Any], key: str) -> dict[str, Any]:
+    """A description that lacks one key."""
+    first, _, rest = key.partition(".")
+    if rest:
+        return {**description, first: without(description[first], rest)}
+    return {name: value for name, value in description.items() if name != first}
+
+
+def variant(changes: dict[str, Any], name: str = "cdsm") -> Arm:
+    """A bundled arm with some keys changed; `None` takes a key away."""
+    description = described(name)
+    for key, value in changes.items():
+        description = (
+            without(description, key) if value is None else changed(description, key, value)
+        )
+    return parse_arm(yaml.safe_dump(description))
