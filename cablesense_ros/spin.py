@@ -7,9 +7,9 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import rclpy
-import rclpy.signals
 import rclpy.utilities
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
@@ -20,7 +20,7 @@ from rclpy.task import Future
 
 from cablesense_msgs_py.errors import CableSenseError
 
-_WAKE_S = 1.0
+_WAKE_S = 0.2
 _RCLError = rclpy_implementation.RCLError
 
 
@@ -30,25 +30,27 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
     cannot start.
     """
+    wanted_end = Future()
     try:
         rclpy.init(
             args=None if args is None else list(args),
-            signal_handler_options=SignalHandlerOptions.ALL,
+            signal_handler_options=SignalHandlerOptions.NO,
         )
     except (_RCLError, ValueError) as error:
         return _cannot_start(error)
+    _on_end_signals(lambda *_: wanted_end.set_result(None))
     node: Node | None = None
     code = 0
     try:
         node = make_node()
         gc.collect()
         gc.freeze()  # what is there now stays: a collection that walks it takes milliseconds
-        _spin(node)
+        _spin(node, wanted_end)
     except CableSenseError as error:
         code = _cannot_start(error)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
-    _ignore_further_interrupts()
+    _on_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     if node is not None:
         with suppress(_RCLError):
             node.destroy_node()
@@ -56,28 +58,25 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     return code
 
 
-def _spin(node: Node) -> None:
+def _spin(node: Node, wanted_end: Future) -> None:
     """Spin in the events executor, which has the least latency.
 
-    Its own `spin` does not return at shutdown, hence
-    the loop over a future that never completes.
+    Its own `spin` does not return at shutdown. rclpy's signal handlers would invalidate the
+    context under a callback that is running; ours only note that the end is wanted, which the
+    loop sees after the callback, or when it wakes.
     """
     executor = EventsExecutor()
     executor.add_node(node)
-    never: Future = Future()
     try:
-        while rclpy.utilities.ok():
-            executor.spin_until_future_complete(never, timeout_sec=_WAKE_S)
+        while rclpy.utilities.ok() and not wanted_end.done():
+            executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
     finally:
-        _ignore_further_interrupts()
         executor.shutdown()
 
 
-def _ignore_further_interrupts() -> None:
-    """The end is under way: a second Ctrl-C or SIGTERM must not cut it short."""
-    rclpy.signals.uninstall_signal_handlers()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+def _on_end_signals(action: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, action)
 
 
 def _cannot_start(error: Exception) -> int:

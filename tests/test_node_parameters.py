@@ -1,0 +1,79 @@
+"""Parameters are declared with descriptions and ranges, and never become NaN."""
+
+import math
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.utilities import try_shutdown  # noqa: E402
+
+from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS, LIVE_PARAMETERS  # noqa: E402
+from cablesense_ros.node_parameters import (  # noqa: E402
+    NodeParameter,
+    ParameterError,
+    declare_parameters,
+    parameter_values,
+)
+from cablesense_ros.sim_parameters import SIM_PARAMETERS  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", 1.0, 100.0)
+
+
+@pytest.fixture
+def make_node():
+    nodes = []
+
+    def make(**overrides):
+        rclpy.init()
+        given = [Parameter(name, value=value) for name, value in overrides.items()]
+        nodes.append(Node("parameters", parameter_overrides=given))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    try_shutdown()
+
+
+def test_a_parameter_shows_its_description_and_range(make_node):
+    node = make_node()
+    declare_parameters(node, [RATE])
+    descriptor = node.describe_parameter("rate_hz")
+    assert descriptor.description == "A rate, Hz."
+    assert descriptor.floating_point_range[0].to_value == 100.0
+    assert descriptor.read_only
+    assert parameter_values(node, [RATE]) == {"rate_hz": 10.0}
+
+
+@pytest.mark.parametrize("value", [0.5, 1e9, math.nan, math.inf, 50, "fast", True])
+def test_a_wrong_value_at_start_is_refused_with_what_would_be_right(make_node, value):
+    with pytest.raises(ParameterError, match=r"rate_hz.*decimal point from 1 to 100"):
+        declare_parameters(make_node(rate_hz=value), [RATE])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1000.0])
+def test_a_wrong_value_later_is_refused(make_node, value):
+    node = make_node()
+    declare_parameters(node, [RATE], read_only=False)
+    (result,) = node.set_parameters([Parameter("rate_hz", value=value)])
+    assert not result.successful
+    assert node.get_parameter("rate_hz").value == 10.0
+
+
+@pytest.mark.parametrize("table", [SIM_PARAMETERS, ESTIMATOR_PARAMETERS])
+def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(table):
+    for parameter in table:
+        assert parameter.description.endswith(".")
+        if type(parameter.default) in (int, float):
+            assert parameter.lowest is not None
+            assert parameter.highest is not None
+            assert parameter.lowest <= parameter.default <= parameter.highest
+
+
+def test_what_may_change_while_running_is_declared():
+    assert set(LIVE_PARAMETERS) <= {parameter.name for parameter in ESTIMATOR_PARAMETERS}
