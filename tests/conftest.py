@@ -5,3 +5,5 @@ import os
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))  # above 101, ports may clash
+
+from model_fixtures import model_files  # noqa: F401 (a fixture)

@@ -1,4 +1,4 @@
-"""Statics alone recovers contacts exactly without noise, and with noise states its own errors truly."""
+"""Statics alone recovers contacts exactly without noise, and states its errors truly with it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The compact kinematics say, in columns and pitches first, what `cablesense_sim.kinematics` says."""
+"""Compact kinematics say, pitches first, what `cablesense_sim.kinematics` says."""
 
 import numpy as np
 import pytest

@@ -1,1 +1,1 @@
-"""Inference: model files, and the estimators that the nodes, the evaluation and the diagnosis use. No torch in here."""
+"""Model files, and the estimators that nodes and evaluation use. No torch in here."""

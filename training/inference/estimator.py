@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
 from cablesense_training.inference.session import ModelSession
+from cablesense_training.inference.single_run import SingleRun
 
 Array = NDArray[np.float64]
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
+
+
+NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
 
 
 class EstimateError(ModelFileError):
@@ -28,7 +33,8 @@ class Estimate:
     Attributes:
         probabilities: (N + 1,) of no contact and of segment 1 … N.
         segment: the likeliest of them; 0 is no contact.
-        angle_deg: contact angle in [0, 360), in the normal plane of the segment at the commanded angles, +z towards +y.
+        angle_deg: contact angle in [0, 360), in the normal plane of the segment at the commanded
+            angles, from +z towards +y.
         magnitude_n: force; what it would be where `segment` is 0 and the caller thinks otherwise.
         magnitude_std_n, angle_std_deg: stated standard deviations.
     """
@@ -63,8 +69,8 @@ class Estimator:
     def __init__(self, session: ModelSession) -> None:
         self.metadata: ModelMetadata = session.metadata
         self._session = session
-        self._command = np.full((1, session.metadata.arm.joint_count), np.nan)
-        self._steady: dict[str, Array] = {}
+        self._single = SingleRun(session)
+        self._command = b""
 
     @classmethod
     def load(cls, path: str | Path, arm: Arm | None = None) -> Estimator:
@@ -100,68 +106,102 @@ class Estimator:
         Raises:
             EstimateError: see its docstring.
         """
-        tension = self._tensions(tension_difference_n, (1, self.metadata.arm.cable_count))
+        single = self._single
+        tension = self._tensions(tension_difference_n, 1)
         if self.pose_aware:
             command = self._commands(joint_command_rad, 1)
-            if not np.array_equal(command, self._command):
-                self._steady = self._session.steady_inputs(command)
-                self._command = command.copy()
-        probability, direction, magnitude, std, angle_std = self._session.run(tension, self._steady)
-        row = probability[0]
-        return Estimate(
-            probabilities=row,
-            segment=int(row.argmax()),
-            angle_deg=float(np.rad2deg(np.arctan2(direction[0, 0], direction[0, 1])) % 360.0),
-            magnitude_n=float(magnitude[0]),
-            magnitude_std_n=float(std[0]),
-            angle_std_deg=float(angle_std[0]),
+            if (content := command.tobytes()) != self._command:
+                self._command = b""
+                single.set_command(command)
+                self._command = content
+        single.tension_difference_n[:] = tension[0]
+        single.run()
+        probability, direction, magnitude, std, angle_std = single.outputs
+        segment = int(probability.argmax())
+        estimate = Estimate(
+            probabilities=probability.copy(),
+            segment=segment,
+            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
+            magnitude_n=magnitude.item(),
+            magnitude_std_n=std.item(),
+            angle_std_deg=angle_std.item(),
         )
+        if not math.isfinite(
+            probability.item(segment)
+            + estimate.angle_deg
+            + estimate.magnitude_n
+            + estimate.magnitude_std_n
+            + estimate.angle_std_deg
+        ):
+            raise EstimateError(NO_ANSWER)
+        return estimate
 
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
-        """The contacts behind tension differences (B, M) at commanded joint angles (B, 2N) or (2N,).
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
 
         Raises:
             EstimateError: see its docstring.
         """
-        rows = np.shape(tension_differences_n)[0] if np.ndim(tension_differences_n) == 2 else 1
-        tension = self._tensions(
-            tension_differences_n, (rows, self.metadata.arm.cable_count)
-        )
+        tension = self._tensions(tension_differences_n)
         steady: dict[str, Array] = {}
         if self.pose_aware:
-            steady = self._session.steady_inputs(self._commands(joint_commands_rad, rows))
-        probability, direction, magnitude, std, angle_std = self._session.run(tension, steady)
+            steady = self._session.steady_inputs(self._commands(joint_commands_rad, len(tension)))
+        answers = self._session.run(tension, steady)
+        if not all(np.isfinite(answer).all() for answer in answers):
+            raise EstimateError(NO_ANSWER)
+        probability, direction, magnitude, std, angle_std = answers
         return Estimates(
             probabilities=probability,
             segment=probability.argmax(axis=1),
-            angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
+            angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0 % 360.0,
             magnitude_n=magnitude,
             magnitude_std_n=std,
             angle_std_deg=angle_std,
         )
 
-    def _tensions(self, values: ArrayLike, shape: tuple[int, int]) -> Array:
-        tension = np.asarray(values, dtype=np.float64)
-        if tension.size != shape[0] * shape[1] or tension.shape[-1:] != shape[1:]:
+    def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
+        """(B, M), of one row or of any number."""
+        count = self.metadata.arm.cable_count
+        tension = finite_table(values, "tension differences")
+        if tension.shape[1] != count or (rows is not None and len(tension) != rows):
             raise EstimateError(
-                f"tension differences of shape {tension.shape}; this model needs {shape[1]}, "
+                f"tension differences of shape {np.shape(values)}; this model needs {count}, "
                 f"in the order {self.cable_names[0]} … {self.cable_names[-1]}"
             )
-        if not np.isfinite(tension).all():
-            raise EstimateError("tension differences must be finite; one is NaN or infinite")
-        return np.ascontiguousarray(tension.reshape(shape))
+        return tension
 
     def _commands(self, values: ArrayLike | None, rows: int) -> Array:
+        """(B, 2N), one command for all where only one is given."""
         count = self.metadata.arm.joint_count
         if values is None:
             raise EstimateError(f"this model needs the {count} commanded joint angles")
-        command = np.asarray(values, dtype=np.float64)
-        if command.shape[-1:] != (count,) or command.size not in (count, rows * count):
+        command = finite_table(values, "commanded joint angles")
+        if command.shape[1] != count or len(command) not in (1, rows):
             raise EstimateError(
-                f"commanded joint angles of shape {command.shape}; this model needs {count} a sample"
+                f"commanded joint angles of shape {np.shape(values)}; "
+                f"this model needs {count}, once or for each of {rows} samples"
             )
-        if not np.isfinite(command).all():
-            raise EstimateError("commanded joint angles must be finite; one is NaN or infinite")
+        if len(command) == rows:
+            return command
         return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
+
+
+def finite_table(values: ArrayLike, what: str) -> Array:
+    """Finite numbers (B, K) from (B, K) or (K,)."""
+    try:
+        table = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise EstimateError(f"{what} must be numbers, equally many a sample ({error})") from error
+    if table.ndim == 1:
+        table = table[None]
+    if table.ndim != 2:
+        raise EstimateError(
+            f"{what} of shape {table.shape}; needed is one row of numbers, or a table of rows"
+        )
+    flat = table.reshape(-1)
+    # the product alone is quicker, and infinite where any of them is
+    if not math.isfinite(flat.dot(flat)) and not np.isfinite(flat).all():
+        raise EstimateError(f"{what} must be finite; one is NaN or infinite")
+    return table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -26,6 +26,8 @@ UNITS = {
 """Unit of every input and output."""
 
 _KEY = "cablesense"
+
+_Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class ModelFileError(CableSenseError):
@@ -62,16 +64,17 @@ class ModelMetadata(BaseModel):
     joint_names: tuple[str, ...]
     units: dict[str, str] = Field(default_factory=lambda: dict(UNITS))
     pose_aware: bool
-    pose_range_deg: float
-    force_range_n: float
-    tare_samples: int
+    pose_range_deg: _Finite
+    force_range_n: _Finite
+    tare_samples: Annotated[int, Field(ge=1)]
     command: str
     seed: int
     version: str
 
     def to_properties(self) -> dict[str, str]:
         """As ONNX metadata properties."""
-        return {_KEY: json.dumps(self.model_dump(mode="json"), sort_keys=True)}
+        content = _without_infinities(self.model_dump(mode="json"))
+        return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], source: str) -> ModelMetadata:
@@ -95,19 +98,36 @@ class ModelMetadata(BaseModel):
             metadata = cls.model_validate(_with_infinities(content))
         except (ValueError, ValidationError, RecursionError) as error:
             line = " ".join(str(error).split())[:200]
-            raise ModelFileError(f"{source}: its metadata cannot be read ({line})") from error
+            raise ModelFileError(
+                f"{source}: its metadata cannot be read ({line}); train the model again"
+            ) from error
         if metadata.arm.identity != metadata.arm_identity:
             raise ModelFileError(
-                f"{source}: says arm {metadata.arm_identity} but describes {metadata.arm.identity}; "
-                "the file was altered"
+                f"{source}: says arm {metadata.arm_identity} but describes "
+                f"{metadata.arm.identity}; the file was altered, so train the model again"
+            )
+        order = (metadata.arm.cable_names, metadata.arm.joint_names)
+        if (metadata.cable_names, metadata.joint_names) != order:
+            raise ModelFileError(
+                f"{source}: orders its inputs {', '.join(metadata.cable_names)} and "
+                f"{', '.join(metadata.joint_names)}; its arm has them as "
+                f"{', '.join(order[0])} and {', '.join(order[1])}, so train the model again"
             )
         return metadata
 
 
+def _without_infinities(content: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no infinity; a rigid actuator's stiffness is written as null."""
+    actuators = content["arm"]["actuators"]
+    if actuators["kp_n_m"] == float("inf"):
+        actuators["kp_n_m"] = None
+    return content
+
+
 def _with_infinities(content: object) -> object:
-    """JSON has no infinity; a rigid actuator's stiffness was written as null."""
+    """The inverse of `_without_infinities`."""
     if isinstance(content, dict) and isinstance(content.get("arm"), dict):
         actuators = content["arm"].get("actuators")
-        if isinstance(actuators, dict) and actuators.get("kp_n_m") is None:
+        if isinstance(actuators, dict) and actuators.get("kp_n_m", 0.0) is None:
             actuators["kp_n_m"] = float("inf")
     return content

@@ -9,8 +9,11 @@ from cablesense_training.inference.metadata import ModelFileError
 
 
 def bundled_models() -> list[str]:
-    """Names of the bundled models, for example `cdsm`."""
-    return sorted(path.stem for path in config_path("models").glob("*.onnx"))
+    """Names of the bundled models, for example `cdsm`; peers to compare with are in `peers/`."""
+    folder = config_path("models")
+    return sorted(
+        path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.onnx")
+    )
 
 
 def find_model(name_or_path: str | Path) -> Path:
@@ -19,16 +22,23 @@ def find_model(name_or_path: str | Path) -> Path:
     Raises:
         ModelFileError: neither a bundled model nor a file; the message lists the bundled names.
     """
-    path = Path(name_or_path)
-    if path.suffix == ".onnx":
-        if path.is_file():
-            return path
+    name, bundled = str(name_or_path), bundled_models()
+    if Path(name).suffix == ".onnx":
+        if _is_file(Path(name)):
+            return Path(name)
         raise ModelFileError(
-            f"no model file {path}; give an existing .onnx file or one of {', '.join(bundled_models())}"
+            f"no model file {name}; give an existing .onnx file or one of {', '.join(bundled)}"
         )
-    if str(name_or_path) in bundled_models():
-        return config_path(f"models/{name_or_path}.onnx")
+    if name in bundled:
+        return config_path(f"models/{name}.onnx")
     raise ModelFileError(
-        f"unknown model {str(name_or_path)!r}; bundled models are {', '.join(bundled_models())}, "
+        f"unknown model {name!r}; bundled models are {', '.join(bundled)}, "
         "and any other is given as the path of its .onnx file"
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a null in it
+        return False

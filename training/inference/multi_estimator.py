@@ -1,4 +1,4 @@
-"""The multi-contact estimator: tension differences in, which segments are touched and how hard out."""
+"""The multi-contact estimator: from tension differences to touched segments and their forces."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.estimator import EstimateError
+from cablesense_training.inference.estimator import NO_ANSWER, EstimateError, finite_table
 from cablesense_training.inference.session import ModelSession
 
 Array = NDArray[np.float64]
@@ -55,30 +55,38 @@ class MultiEstimator:
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M), at commanded angles (B, 2N) if the model is pose-aware.
+        """The contacts behind tension differences (B, M) or (M,).
+
+        A pose-aware model needs the commanded angles, (B, 2N) or (2N,), too.
 
         Raises:
             EstimateError: wrong shape, not finite, or a command that is missing.
         """
         arm = self.metadata.arm
-        tension = _table(tension_differences_n, arm.cable_count, "tension differences")
+        tension = _columns(tension_differences_n, arm.cable_count, "tension differences")
         steady: dict[str, Array] = {}
         if self.metadata.pose_aware:
             if joint_commands_rad is None:
-                raise EstimateError(f"this model needs the {arm.joint_count} commanded joint angles")
-            command = np.broadcast_to(
-                _table(joint_commands_rad, arm.joint_count, "commanded joint angles"),
-                (len(tension), arm.joint_count),
-            )
+                raise EstimateError(
+                    f"this model needs the {arm.joint_count} commanded joint angles"
+                )
+            command = _columns(joint_commands_rad, arm.joint_count, "commanded joint angles")
+            if len(command) not in (1, len(tension)):
+                raise EstimateError(
+                    f"{len(command)} commands for {len(tension)} samples; give one, or one each"
+                )
+            command = np.broadcast_to(command, (len(tension), arm.joint_count))
             steady = self._session.steady_inputs(np.ascontiguousarray(command))
         probability, magnitude, std = self._session.run(tension, steady)
+        if not all(np.isfinite(part).all() for part in (probability, magnitude, std)):
+            raise EstimateError(NO_ANSWER)
         return MultiEstimates(probability, magnitude, std)
 
 
-def _table(values: ArrayLike, columns: int, what: str) -> Array:
-    table = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    if table.ndim != 2 or table.shape[1] != columns:
-        raise EstimateError(f"{what} of shape {np.shape(values)}; this model needs {columns} a sample")
-    if not np.isfinite(table).all():
-        raise EstimateError(f"{what} must be finite; one is NaN or infinite")
-    return np.ascontiguousarray(table)
+def _columns(values: ArrayLike, columns: int, what: str) -> Array:
+    table = finite_table(values, what)
+    if table.shape[1] != columns:
+        raise EstimateError(
+            f"{what} of shape {np.shape(values)}; this model needs {columns} a sample"
+        )
+    return table

@@ -1,7 +1,7 @@
 """A model's graph in two parts: what the command alone decides, and what every sample decides.
 
-Commands change seldom and tensions a thousand times a second. Whatever in the graph depends on the commanded angles
-alone is computed when they change and kept.
+Commands change seldom and tensions a thousand times a second. Whatever in the graph depends on the
+commanded angles alone is computed when they change and kept.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto,
 
 
 def split_graph(model: ModelProto, changing: str) -> tuple[ModelProto | None, ModelProto]:
-    """Split a model into (steady, changing) parts by whether a tensor depends on the input `changing`.
+    """Split a model into (steady, changing) parts by whether tensors depend on input `changing`.
 
-    The steady part's outputs are inputs of the changing part, by the same names. The steady part is None where there
-    is nothing in it to keep.
+    The steady part's outputs are inputs of the changing part, by the same names. The steady part is
+    None where there is nothing in it to keep.
     """
     graph = model.graph
     moving = {changing}

@@ -1,19 +1,20 @@
-"""A model file opened: checked, and ready to run on one processor core."""
+"""A model file opened: checked, tried, and ready to run on one processor core."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime
-from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
+from onnx import TensorProto
 
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
+from cablesense_training.inference.model_safety import require_bounded, require_harmless
 from cablesense_training.inference.partition import split_graph
 
 Array = NDArray[np.float64]
@@ -27,24 +28,29 @@ COMMAND = "joint_command_rad"
 
 @dataclass(frozen=True)
 class ModelSession:
-    """An ONNX model whose metadata has been read.
+    """An ONNX model whose metadata has been read, and which has answered once.
 
     Attributes:
         source: the file, for messages.
         metadata: what the file says about itself.
+        moving: the part of the graph that every sample needs; what it takes beside the tension
+            differences is what `steady_inputs` gives.
     """
 
     source: str
     metadata: ModelMetadata
-    _moving: onnxruntime.InferenceSession
+    moving: onnxruntime.InferenceSession
     _steady: onnxruntime.InferenceSession | None
 
     @classmethod
-    def open(cls, path: str | Path, outputs: Sequence[str], arm: Arm | None = None) -> ModelSession:
+    def open(
+        cls, path: str | Path, outputs: Sequence[str], arm: Arm | None = None
+    ) -> ModelSession:
         """Read a model file that gives `outputs` and, where an arm is named, fits it.
 
         Raises:
-            ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for another arm.
+            ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
+                another arm.
         """
         source = str(path)
         model = _read(Path(path))
@@ -55,77 +61,148 @@ class ModelSession:
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
             )
-        _require_signature(model, metadata, outputs, source)
+        _require_outputs(model, metadata, outputs, source)
+        _require_inputs(model, metadata, source)
         try:
+            require_bounded(onnx.shape_inference.infer_shapes(model, data_prop=True), source)
             steady, moving = split_graph(model, TENSION)
-            return cls(
+            session = cls(
                 source,
                 metadata,
                 _session(moving),
                 None if steady is None else _session(steady),
             )
+        except ModelFileError:
+            raise
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            line = " ".join(str(error).split())[:200]
-            raise ModelFileError(f"{source}: ONNX Runtime cannot run it ({line})") from error
+            raise ModelFileError(
+                f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
+            ) from error
+        session._require_answers(dict(zip(outputs, _widths(outputs, metadata), strict=True)))
+        return session
 
     def steady_inputs(self, joint_commands_rad: Array) -> dict[str, Array]:
         """What the graph makes of commanded angles (B, 2N) alone, for `run`."""
         if self._steady is None:
             return {COMMAND: joint_commands_rad} if self.metadata.pose_aware else {}
         names = [output.name for output in self._steady.get_outputs()]
-        values = self._steady.run(names, {COMMAND: joint_commands_rad})
+        values = _run(self._steady, names, {COMMAND: joint_commands_rad}, self.source)
         steady = dict(zip(names, values, strict=True))
-        if any(entry.name == COMMAND for entry in self._moving.get_inputs()):
+        if any(entry.name == COMMAND for entry in self.moving.get_inputs()):
             steady[COMMAND] = joint_commands_rad
         return steady
 
     def run(self, tension_differences_n: Array, steady: dict[str, Array]) -> list[Array]:
         """The model's outputs, in the order of `open`, for tension differences (B, M)."""
-        outputs: list[Array] = self._moving.run(None, {TENSION: tension_differences_n, **steady})
-        return outputs
+        return _run(self.moving, None, {TENSION: tension_differences_n, **steady}, self.source)
+
+    def _require_answers(self, widths: Mapping[str, tuple[int, ...]]) -> None:
+        """A file that opens may still not run; two idle arms at once show it."""
+        arm = self.metadata.arm
+        idle = self.steady_inputs(np.zeros((2, arm.joint_count)))
+        answers = self.run(np.zeros((2, arm.cable_count)), idle)
+        for (name, width), answer in zip(widths.items(), answers, strict=True):
+            if answer.dtype != np.float64 or answer.shape != (2, *width):
+                raise ModelFileError(
+                    f"{self.source}: gives {name} as {answer.dtype} of shape {answer.shape} for "
+                    f"two samples; needed is float64 of shape {(2, *width)}"
+                )
+            if not np.isfinite(answer).all():
+                raise ModelFileError(
+                    f"{self.source}: gives {name} that is not finite for an arm at rest; "
+                    "train it again"
+                )
 
 
 def _read(path: Path) -> onnx.ModelProto:
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ModelFileError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not a model file")
+            raise ModelFileError(
+                f"{path}: larger than {MAX_FILE_BYTES} bytes, so not a model file"
+            )
         content = path.read_bytes()
-    except OSError as error:
-        raise ModelFileError(f"{path}: cannot be read ({error.strerror})") from error
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise ModelFileError(
+            f"{path}: cannot be read ({why}); give the path of a .onnx file"
+        ) from error
     try:
         model = onnx.load_model_from_string(content)
+        require_harmless(model, str(path))
         onnx.checker.check_model(model)
-    except (DecodeError, onnx.checker.ValidationError, ValueError, TypeError) as error:
-        line = " ".join(str(error).split())[:200]
-        raise ModelFileError(f"{path}: not a valid ONNX file ({line})") from error
+    except ModelFileError:
+        raise
+    except Exception as error:  # protobuf and onnx raise whatever the broken place led to
+        raise ModelFileError(
+            f"{path}: not a valid ONNX file ({_line(error)}); needed is a model file, "
+            "as `cablesense train` writes it"
+        ) from error
     return model
 
 
-def _require_signature(
+def _require_outputs(
     model: onnx.ModelProto, metadata: ModelMetadata, outputs: Sequence[str], source: str
 ) -> None:
     given = [output.name for output in model.graph.output]
     if given != list(outputs):
         raise ModelFileError(
-            f"{source}: a {metadata.kind} model that gives {', '.join(given)}; needed are {', '.join(outputs)}"
+            f"{source}: a {metadata.kind} model that gives {', '.join(given)}; "
+            f"needed are {', '.join(outputs)}"
         )
+
+
+def _require_inputs(model: onnx.ModelProto, metadata: ModelMetadata, source: str) -> None:
     expected = {TENSION: metadata.arm.cable_count}
     if metadata.pose_aware:
         expected[COMMAND] = metadata.arm.joint_count
-    found = {
-        entry.name: entry.type.tensor_type.shape.dim[-1].dim_value
-        for entry in model.graph.input
-        if entry.type.tensor_type.shape.dim
-    }
-    if found != expected:
-        raise ModelFileError(f"{source}: takes inputs {found}; its own metadata say {expected}")
+    needed = ", ".join(f"{name} (batch, {width})" for name, width in expected.items())
+    found = [entry.name for entry in model.graph.input]
+    if sorted(found) != sorted(expected):
+        raise ModelFileError(f"{source}: takes {', '.join(found)}; its metadata need {needed}")
+    for entry in model.graph.input:
+        tensor = entry.type.tensor_type
+        dims = [dim.dim_value for dim in tensor.shape.dim]
+        if tensor.elem_type != TensorProto.DOUBLE or dims != [0, expected[entry.name]]:
+            kind = TensorProto.DataType.Name(tensor.elem_type)
+            raise ModelFileError(
+                f"{source}: takes {entry.name} as {kind} of shape {dims} (0: any number); its "
+                f"metadata need DOUBLE {needed}"
+            )
+
+
+def _widths(outputs: Sequence[str], metadata: ModelMetadata) -> list[tuple[int, ...]]:
+    """Shape of each output, the samples' axis left out."""
+    count = metadata.arm.segment_count
+    if metadata.kind == "multi-contact":
+        return [(count,)] * len(outputs)
+    widths = {"contact_probability": (count + 1,), "direction": (2,)}
+    return [widths.get(name, ()) for name in outputs]
+
+
+def _run(
+    session: onnxruntime.InferenceSession,
+    names: list[str] | None,
+    inputs: dict[str, Array],
+    source: str,
+) -> list[Array]:
+    try:
+        outputs: list[Array] = session.run(names, inputs)
+    except Exception as error:  # ONNX Runtime's classes have no common base
+        raise ModelFileError(
+            f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
+        ) from error
+    return outputs
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
 
 
 def _session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
-    options.log_severity_level = 3
+    options.log_severity_level = 4
     return onnxruntime.InferenceSession(
         model.SerializeToString(), options, providers=["CPUExecutionProvider"]
     )
