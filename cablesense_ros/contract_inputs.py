@@ -1,4 +1,4 @@
-"""Subscriptions to everything that the contract says of a running arm, for a node that shows or records it."""
+"""Subscriptions to all that the contract says of a running arm, for who shows or records it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ def of_node(node_name: str, topic: str) -> str:
 
 
 def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
-    """Subscribes `node` to arm and estimator and hands every message to `live`; what breaks the contract is logged."""
+    """Subscribes `node` to arm and estimator; every message goes to `live`.
+
+    What breaks the contract is logged.
+    """
     warn = ThrottledLog(node.get_logger().warning, time.monotonic)
     now = time.monotonic
     wrench = of_node(estimator, topics.WRENCH)

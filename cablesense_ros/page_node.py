@@ -1,4 +1,4 @@
-"""The `page` node: subscribes to the arm and the estimator, serves the live page, publishes what a person asks for."""
+"""The `page` node: shows arm and estimator in the browser, publishes what a person asks for."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PAGE_PARAMETERS: Final = (
     NodeParameter(
         "home_at_start",
         False,
-        "Command the straight pose as soon as someone listens, so that arm and estimator agree on it.",
+        "Command the straight pose as soon as arm and estimator listen, so that they agree on it.",
     ),
     NodeParameter(
         "joint_speed_deg_s",

@@ -1,4 +1,4 @@
-"""The page in a real Chromium, over real DDS: it draws, and a push on it moves the arm, the wrench and the estimate.
+"""The page in a real Chromium, over real DDS: it draws, and a push on it moves the estimate.
 
 Set CABLESENSE_PAGE_SCREENSHOT to a file name to keep a picture of the pushed arm.
 """
@@ -48,7 +48,7 @@ FLAGS = (
 )
 PICTURE = os.environ.get("CABLESENSE_PAGE_SCREENSHOT")
 WIDTH, HEIGHT = (1600, 900) if PICTURE else (1200, 640)
-"""Small unless a picture is wanted: Chromium renders in software here, which costs time by the pixel."""
+"""Small unless a picture is wanted: Chromium renders in software, which costs by the pixel."""
 
 
 class Browser:
@@ -236,7 +236,8 @@ def wait_for_drawing(browser, timeout_s=20.0):
 def keep_screenshot(browser):
     if PICTURE:
         browser.evaluate(
-            "document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
+            "document.querySelectorAll('.mantine-Notification-closeButton')"
+            ".forEach(b => b.click())"
         )
         time.sleep(5.0)
         Path(PICTURE).write_bytes(browser.screenshot())

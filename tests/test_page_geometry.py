@@ -1,4 +1,4 @@
-"""Scene maths: cables drawn as long as they are, arrows that point at the arm and scale with newtons, safe colours."""
+"""Scene maths: cables as long as they are, arrows that push and scale with newtons, colours."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Error so far: only steady moments count, angles wrap, a wrong segment is no small direction error."""
+"""Error so far: only steady moments count, angles wrap, a wrong segment is its own error."""
 
 import dataclasses
 

@@ -1,1 +1,1 @@
-"""The `cablesense` command: one file for each verb, each thin, each importing its room only when it runs."""
+"""The `cablesense` command: a thin file for each verb, which imports its room when it runs."""

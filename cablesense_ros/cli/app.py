@@ -1,6 +1,7 @@
 """The `cablesense` command: gathers the verbs and turns errors into one line and an exit code.
 
-Exit codes: 0 done; 1 something that ran has failed; 2 wrong input, with a remedy in the message; 130 Ctrl-C.
+Exit codes: 0 done; 1 something that ran has failed; 2 wrong input, with a remedy in the
+message; 130 Ctrl-C.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ EXIT_INTERRUPTED = 130
 
 app = typer.Typer(
     name="cablesense",
-    help="Tells from cable tensions where a cable-driven arm is touched, in which direction and how hard.",
+    help="Tells from cable tensions where a cable-driven arm is touched, "
+    "in which direction and how hard.",
     epilog="Start with: cablesense demo",
     no_args_is_help=True,
     add_completion=False,

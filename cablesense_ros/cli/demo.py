@@ -44,8 +44,9 @@ def demo(
 ) -> None:
     """Watch an arm being pushed, and the force estimated from its cables beside the true one.
 
-    Starts the simulated arm, the estimator and a page in the browser where you can push the arm and move its joints.
-    Ctrl-C ends all of it. With --headless it needs no browser: a script of pushes runs for a minute.
+    Starts the simulated arm, the estimator and a page in the browser where you can push the arm
+    and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
+    pushes runs for a minute.
     """
     from cablesense_ros.demo.run import DemoOptions, run_headless, run_live
 

@@ -16,7 +16,7 @@ def info(
     ] = "cdsm",
     json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Show what an arm or a model is: identity, geometry, cables, sensors; or inputs, outputs, training.
+    """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
 
     Examples: [bold]cablesense info cdsm[/bold], [bold]cablesense info my_arm.yaml --json[/bold],
     [bold]cablesense info config/models/cdsm.onnx[/bold]

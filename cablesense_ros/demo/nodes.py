@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from cablesense_ros.demo.processes import ChildCommand
 
 DOMAINS = 100
-"""ROS domain ids that are safe on Linux go from 0 to 101; 0 is everyone's, so the demo takes 1 … 100."""
+"""Domain ids that are safe on Linux go from 0 to 101; 0 is everyone's: the demo takes 1 … 100."""
 
 
 def node_command(name: str, parameters: Mapping[str, str | int | float | bool]) -> ChildCommand:
@@ -22,7 +22,10 @@ def node_command(name: str, parameters: Mapping[str, str | int | float | bool]) 
 
 
 def demo_environment() -> dict[str, str]:
-    """This process's environment, kept on this machine and, unless ROS_DOMAIN_ID is set, in a ROS domain of its own."""
+    """This process's environment, with DDS kept on this machine.
+
+    Unless ROS_DOMAIN_ID is set, the nodes get a ROS domain of their own.
+    """
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 import rclpy
@@ -31,7 +32,7 @@ RECORD_EVERY_S = 0.04
 
 
 class Observer:
-    """Publishes pushes and commands, and knows the present; runs its node in a thread until `close`."""
+    """Pushes and commands, and knows the present; its node runs in a thread until `close`."""
 
     def __init__(self, arm: Arm) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -49,7 +50,7 @@ class Observer:
 
     @property
     def connected(self) -> bool:
-        """Whether simulator and estimator listen: the command has three readers, this node among them."""
+        """Whether simulator and estimator listen: with this node, a command has three readers."""
         return self._commands.get_subscription_count() >= 3
 
     def snapshot(self) -> Snapshot:
@@ -126,13 +127,13 @@ def _events(
     before = np.zeros_like(script[0].command_rad)
     for push in script:
         if not np.array_equal(push.command_rad, before):
-            events.append((push.move_s, lambda push=push: observer.command(push.command_rad)))
+            events.append((push.move_s, partial(observer.command, push.command_rad)))
             before = push.command_rad
         events.append(
             (
                 push.start_s,
-                lambda push=push: observer.push(push.segment, push.angle_deg, push.magnitude_n),
+                partial(observer.push, push.segment, push.angle_deg, push.magnitude_n),
             )
         )
-        events.append((push.end_s, lambda push=push: observer.push(push.segment, 0.0, 0.0)))
+        events.append((push.end_s, partial(observer.push, push.segment, 0.0, 0.0)))
     return sorted(events, key=lambda event: event[0])

@@ -1,4 +1,4 @@
-"""The picture of a headless demo: the arm at its hardest push, and true against estimated force over time."""
+"""The picture of a headless demo: the arm at its hardest push, and both forces over time."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def draw_picture(
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style = {
+    style: Any = {
         "figure.facecolor": GROUND,
         "axes.facecolor": GROUND,
         "savefig.facecolor": GROUND,
@@ -88,7 +88,7 @@ def _caption(results: Sequence[PushResult]) -> str:
 
 
 def _hardest_moment(record: Record, results: Sequence[PushResult]) -> int:
-    """Late in the hardest push that was estimated on the outer half of the arm, where the picture shows most."""
+    """Late in the hardest push on the outer half of the arm, where the picture shows most."""
     found = [r for r in results if r.estimate is not None] or list(results)
     half = max(r.push.segment for r in found) / 2
     push = max(found, key=lambda r: (r.push.segment > half, r.push.magnitude_n)).push
@@ -135,7 +135,8 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
 
 
 def _words(word: str, contact: Contact) -> str:
-    return f"{word}: segment {contact.segment}, {contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
+    force = f"{contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
+    return f"{word}: segment {contact.segment}, {force}"
 
 
 def _draw_plates(
@@ -153,7 +154,7 @@ def _draw_plates(
         origin = joints[segment - 1] if segment else np.zeros(3)
         rotation = rotations[segment - 1] if segment else np.eye(3)
         for x in plate_positions_m(mechanism, segment):
-            rim = origin + (ring + [x, 0.0, 0.0]) @ rotation.T
+            rim = origin + (ring + np.array([x, 0.0, 0.0])) @ rotation.T
             axes.add_collection3d(
                 Poly3DCollection(
                     [rim], facecolor="#7e8a9c2e", edgecolor="#7e8a9c", lw=0.8, zorder=2
@@ -167,13 +168,13 @@ def _draw_plates(
 
 def _draw_arrow(axes: Any, point: NDArray[np.float64], contact: Contact, colour: str) -> None:
     tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
-    neck = tip + min(HEAD_M, np.linalg.norm(tail - tip)) * unit(tail - tip)
+    neck = tip + min(HEAD_M, float(np.linalg.norm(tail - tip))) * unit(tail - tip)
     axes.plot(*np.stack([tail, neck], -1), color=colour, lw=3.6, zorder=6)
     axes.plot(*_cone(neck, tip), color=colour, lw=1.2, zorder=6)
 
 
 def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A zigzag (3, 2K) from the rim of a cone to its tip and back: dense enough to look solid from any side."""
+    """A zigzag (3, 2K) between a cone's rim and its tip, so dense that it looks solid."""
     along = unit(tip - base)
     side = unit(np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0]))
     turn = np.linspace(0.0, 2 * np.pi, 40)[:, None]
@@ -195,7 +196,14 @@ def _frame(axes: Any, mechanism: Mechanism) -> None:
     for name, way in zip("xyz", 0.1 * np.eye(3), strict=True):
         axes.quiver(*corner, *way, color=DIM, lw=1.2, arrow_length_ratio=0.15)
         axes.text(*(corner + 1.18 * way), name, color=DIM, ha="center", va="center")
-    axes.text(*(corner + [0.05, -0.03, -0.02]), "0.1 m", color=DIM, size=9, ha="center", va="top")
+    axes.text(
+        *(corner + np.array([0.05, -0.03, -0.02])),
+        "0.1 m",
+        color=DIM,
+        size=9,
+        ha="center",
+        va="top",
+    )
 
 
 def _draw_time(

@@ -1,7 +1,8 @@
 """Child processes that live and die together.
 
-Each child leads its own process group, so that Ctrl-C in the terminal reaches the parent alone and the parent ends the
-children in order. When the parent itself is killed, the kernel tells each child (Linux, `PR_SET_PDEATHSIG`).
+Each child leads its own process group, so that Ctrl-C in the terminal reaches the parent alone
+and the parent ends the children in order. When the parent itself is killed, the kernel tells
+each child (Linux, `PR_SET_PDEATHSIG`).
 """
 
 from __future__ import annotations

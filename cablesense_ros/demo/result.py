@@ -1,4 +1,4 @@
-"""What a headless demo found: each push, true against estimated, and the whole record over time."""
+"""What a headless demo found: each push, true against estimated, and the record over time."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class PushResult:
 
 @dataclass(frozen=True)
 class Record:
-    """A headless demo from start to end: a snapshot every few hundredths of a second, `times_s` since the start."""
+    """A headless demo from start to end: snapshots, and their times since the start."""
 
     times_s: NDArray[np.float64]
     snapshots: Sequence[Snapshot]
@@ -68,7 +68,7 @@ def push_results(script: Sequence[ScriptedPush], record: Record) -> list[PushRes
         steady = (record.times_s >= push.start_s + SETTLING_S) & (
             record.times_s < push.end_s - 0.1
         )
-        at = np.flatnonzero(steady & record.heard)
+        at = np.flatnonzero(steady & record.heard).tolist()
         contacts = [record.snapshots[i].estimate for i in at]
         results.append(PushResult(push, _median(contacts), len(at)))
     return results

@@ -135,7 +135,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 
 def _check_files(options: DemoOptions) -> Arm:
-    """Reads arm and model before anything starts, so that a wrong file is one line and not a silent node."""
+    """Reads arm and model before anything starts: a wrong file is one line, not a silent node."""
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.model_files import find_model
 

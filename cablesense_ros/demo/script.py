@@ -45,7 +45,7 @@ class ScriptedPush:
 
 
 def make_script(segment_count: int, duration_s: float, seed: int) -> list[ScriptedPush]:
-    """Pushes over `duration_s`: the first half at the straight arm, the rest at random poses, segments in turn.
+    """Pushes on one segment after another: at the straight arm first, then at random poses.
 
     Raises:
         ScriptError: the duration is too short for one push.

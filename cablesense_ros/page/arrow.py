@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import viser
 
@@ -22,7 +24,7 @@ class ForceArrow:
         rgb: Rgb,
         *,
         shaft_radius_m: float,
-        label_anchor: str,
+        label_anchor: Literal["bottom-left", "bottom-right"],
     ) -> None:
         self._radius_m = shaft_radius_m
         self._root = scene.add_frame(name, show_axes=False, visible=False)
@@ -55,7 +57,7 @@ class ForceArrow:
             self._shown = None
 
     def show(self, contact_m: Array, force_n: Array, clearance_m: float, label: str) -> None:
-        """Points the arrow at a contact (3,); both arguments in the base frame, the force in N and not zero."""
+        """Points the arrow at a contact (3,); base frame, the force (3,) in N and not zero."""
         shown = tuple(np.round(np.concatenate([contact_m, force_n]), 3))
         if shown == self._shown:
             return

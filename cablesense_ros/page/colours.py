@@ -1,7 +1,7 @@
 """The page's colours: safe for colour-blind eyes, readable on a dark ground.
 
-Tensions use the viridis map without its darkest tenth; the two forces and the segments use the palette of Okabe and Ito
-(*Color Universal Design*, 2008).
+Tensions use the viridis map without its darkest tenth; the two forces and the segments use the
+palette of Okabe and Ito (*Color Universal Design*, 2008).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TENSION_STOPS = np.array(
 
 
 def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
-    """Colours (..., 3) of tensions: dark violet at 0 N (slack), yellow at `full_scale_n` and above."""
+    """Colours (..., 3) of tensions: violet at 0 N (slack), yellow from `full_scale_n` on."""
     share = np.clip(np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n, 0.0, 1.0)
     place = share * (len(_TENSION_STOPS) - 1)
     low = np.minimum(place.astype(int), len(_TENSION_STOPS) - 2)
@@ -76,4 +76,5 @@ def css(rgb: Rgb | NDArray[np.uint8]) -> str:
 
 def tension_gradient_css() -> str:
     """The tension map as a CSS gradient, slack on the left."""
-    return f"linear-gradient(90deg, {', '.join(css(stop.astype(np.uint8)) for stop in _TENSION_STOPS)})"
+    stops = ", ".join(css(stop.astype(np.uint8)) for stop in _TENSION_STOPS)
+    return f"linear-gradient(90deg, {stops})"

@@ -111,5 +111,5 @@ class Controls:
 
     def _go_home(self) -> None:
         for joint in self._joints:
-            joint.value = 0.0
+            joint.value = 0.0  # type: ignore[misc]  # mypy takes viser's setter for none
         self._send_command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ ARROW_METRES_PER_NEWTON = 0.002
 ARROW_LONGEST_M = 0.45
 ARROW_SHORTEST_M = 0.02
 ARROWS_APART_M = 0.022
-"""True and estimated arrows stand side by side along the segment, so that neither hides the other."""
+"""True and estimated arrow stand side by side along the segment: neither hides the other."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def cable_pieces(
             points += [
                 joint_positions_m[n] + segment_rotations[n] @ np.array([x, y, z]) for x in holes_x
             ]
-        pairs = list(zip(points[:-1], points[1:], strict=True))
+        pairs = list(pairwise(points))
         ends += pairs
         cables += [cable] * len(pairs)
     return CablePieces(np.array(ends), np.array(cables))
@@ -62,7 +63,7 @@ def cable_pieces(
 def piece_lengths_m(pieces: CablePieces, cable_count: int) -> Array:
     """(M,) length of each cable, the sum over its pieces."""
     lengths = np.linalg.norm(pieces.ends_m[:, 1] - pieces.ends_m[:, 0], axis=-1)
-    return np.bincount(pieces.cable, weights=lengths, minlength=cable_count)
+    return np.asarray(np.bincount(pieces.cable, lengths, cable_count), dtype=float)
 
 
 def unit(vector: Array) -> Array:
@@ -71,12 +72,15 @@ def unit(vector: Array) -> Array:
 
 
 def arrow_length_m(magnitude_n: float) -> float:
-    """Length of a force's arrow: 2 mm per newton, kept between what can be seen and what fits the view."""
+    """Length of a force's arrow: 2 mm per newton, within what can be seen and fits the view."""
     return float(np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M))
 
 
 def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[Array, Array]:
-    """Tail and tip (3,) of the arrow that pushes on a contact: it points at the arm and ends `clearance_m` before its axis."""
+    """Tail and tip (3,) of the arrow that pushes on a contact.
+
+    It points at the arm and ends `clearance_m` before its axis.
+    """
     magnitude = float(np.linalg.norm(force_n))
     direction = force_n / magnitude
     tip = contact_m - clearance_m * direction
@@ -84,7 +88,10 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
 
 
 def quaternion_z_to(direction: Array) -> Array:
-    """Quaternion (..., 4), w x y z, of the shortest turn from +z to `direction` (..., 3), which need not be of unit length."""
+    """Quaternion (..., 4), w x y z, of the shortest turn from +z to `direction` (..., 3).
+
+    The direction need not be of unit length.
+    """
     way = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     half = np.stack([1.0 + way[..., 2], -way[..., 1], way[..., 0], np.zeros_like(way[..., 0])], -1)
     opposite = half[..., 0] < 1e-14

@@ -1,4 +1,7 @@
-"""What is known of a running arm, put together from the contract's messages as they come; any ROS, or none, may call it."""
+"""What is known of a running arm, put together from the contract's messages as they come.
+
+Messages are duck-typed: no ROS is needed here.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +46,8 @@ class _Heard:
 class LiveArm:
     """Collects messages and gives a Snapshot of the present; safe to call from several threads.
 
-    Methods named `on_…` take a message of the contract and raise ContractError when it breaks it. Times are of one
-    monotonic clock, s.
+    Methods named `on_…` take a message and raise ContractError when it breaks the contract. Times
+    are of one monotonic clock, s.
     """
 
     def __init__(
@@ -100,7 +103,7 @@ class LiveArm:
             self._heard.estimate, self._heard.estimate_s = estimate, now_s
 
     def on_probabilities(self, message: Any) -> None:
-        """Takes the estimator's `contact_probabilities`; one of another length is not this arm's."""
+        """Takes the estimator's `contact_probabilities`; another length is not this arm's."""
         probabilities = np.asarray(message.data, dtype=float)
         if probabilities.shape == (self.mechanism.segment_count + 1,):
             with self._lock:
@@ -116,7 +119,7 @@ class LiveArm:
                     self._heard.health[part] = (now_s, level, status.message)
 
     def content_with(self, part: str) -> bool:
-        """Whether the estimator's last word on a part of itself, such as `tare`, was that all is well."""
+        """Whether the estimator's last word on a part of itself, such as `tare`, was OK."""
         with self._lock:
             heard = self._heard.health.get(part)
         return heard is not None and heard[1] == 0

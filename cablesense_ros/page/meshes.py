@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import trimesh
 
@@ -15,7 +17,7 @@ HOLE_RADIUS_M = 0.0032
 
 
 def routing_radius_m(mechanism: Mechanism) -> float:
-    """The largest distance of a guide hole from the axis: the measure that all drawn parts follow."""
+    """The largest distance of a guide hole from the axis: all drawn parts follow it."""
     return float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
 
 
@@ -26,8 +28,13 @@ def _disc(x_m: float, radius_m: float, thickness_m: float) -> trimesh.Trimesh:
     return disc
 
 
+def _joined(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of many, so that the browser has one thing to draw."""
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(parts))
+
+
 def plate_positions_m(mechanism: Mechanism, segment: int) -> list[float]:
-    """x of the guide plates of a segment (1 … N; 0 is the base) in its own frame; the last segment ends in one too."""
+    """Places of the guide plates of a segment (1 … N; 0 is the base) along its own x axis."""
     if segment == 0:
         return [0.0]
     length = float(mechanism.segment_length_m[segment - 1])
@@ -38,7 +45,7 @@ def plates(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
     """The guide plates of a segment, or the base plate for 0."""
     radius = PLATE_MARGIN * routing_radius_m(mechanism)
     positions = plate_positions_m(mechanism, segment)
-    return trimesh.util.concatenate([_disc(x, radius, PLATE_THICKNESS_M) for x in positions])
+    return _joined([_disc(x, radius, PLATE_THICKNESS_M) for x in positions])
 
 
 def grommets(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
@@ -51,7 +58,7 @@ def grommets(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
                 rim = _disc(x, HOLE_RADIUS_M, PLATE_THICKNESS_M * 1.5)
                 rim.apply_translation([0, mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]])
                 rims.append(rim)
-    return trimesh.util.concatenate(rims) if rims else trimesh.Trimesh()
+    return _joined(rims) if rims else trimesh.Trimesh()
 
 
 def body(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
@@ -63,7 +70,7 @@ def body(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
     spine = _disc(length / 2, radius, length - 2 * offset)
     neck_end = length if last else length - 0.2 * offset
     neck = _disc((0.2 * offset + neck_end) / 2, 0.45 * radius, neck_end - 0.2 * offset)
-    return trimesh.util.concatenate([spine, neck])
+    return _joined([spine, neck])
 
 
 def joint(mechanism: Mechanism) -> trimesh.Trimesh:

@@ -152,8 +152,8 @@ def free_port(host: str, port: int) -> int:
         except OSError as error:
             problem = str(error)
     raise PageError(
-        f"the page cannot be served on {host}, ports {port} to {port + PORT_TRIES - 1} ({problem}); "
-        "give another --host or --port"
+        f"the page cannot be served on {host}, ports {port} to {port + PORT_TRIES - 1} "
+        f"({problem}); give another --host or --port"
     )
 
 

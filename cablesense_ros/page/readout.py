@@ -1,4 +1,4 @@
-"""The figures beside the scene, as HTML: status, true and estimated force, probabilities, error so far, tension legend."""
+"""The figures beside the scene, as HTML: status, forces, probabilities, errors, legends."""
 
 from __future__ import annotations
 
@@ -75,11 +75,14 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
         bars.append(
             f"<div style='display:flex;align-items:center;gap:8px;font-size:12px'>"
             f"<span style='width:74px'>{name}</span>"
-            f"<span style='flex:1;height:9px;background:#30353f;border-radius:3px;overflow:hidden'>"
-            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;background:{colour}'>"
+            "<span style='flex:1;height:9px;background:#30353f;border-radius:3px;"
+            "overflow:hidden'>"
+            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;"
+            f"background:{colour}'>"
             f"</span></span><span style='width:52px;text-align:right'>{figure}</span></div>"
         )
-    return f"<div style='{_BOX}'><div style='{_DIM};font-size:11px'>contact probability</div>{''.join(bars)}</div>"
+    title = f"<div style='{_DIM};font-size:11px'>contact probability</div>"
+    return f"<div style='{_BOX}'>{title}{''.join(bars)}</div>"
 
 
 def errors_html(errors: Errors) -> str:
@@ -98,7 +101,8 @@ def errors_html(errors: Errors) -> str:
     )
     return (
         f"<div style='{_BOX}'><div style='display:flex;gap:6px'>{cells}</div>"
-        f"<div style='{_DIM};font-size:11px'>mean so far, over {errors.count} steady moments</div></div>"
+        f"<div style='{_DIM};font-size:11px'>mean so far, over {errors.count} steady moments</div>"
+        "</div>"
     )
 
 
@@ -108,7 +112,8 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
     if tensions_n is not None:
         now = f"now {round(float(tensions_n.min()))} to {round(float(tensions_n.max()))} N"
     return (
-        f"<div style='{_BOX};padding-bottom:2px'><div style='display:flex;justify-content:space-between'>"
+        f"<div style='{_BOX};padding-bottom:2px'>"
+        "<div style='display:flex;justify-content:space-between'>"
         f"<span>cable tension</span><span style='{_DIM}'>{now}</span></div>"
         f"<div style='height:10px;border-radius:3px;background:{tension_gradient_css()}'></div>"
         f"<div style='display:flex;justify-content:space-between;{_DIM};font-size:11px'>"
@@ -120,7 +125,8 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
 def traces_legend_html(segment_count: int) -> str:
     """Which line is which: a colour for each segment that a cable ends on."""
     marks = " ".join(
-        f"<span style='white-space:nowrap;margin-right:10px'><b style='color:{css(segment_rgb(n))}'>━</b> "
+        "<span style='white-space:nowrap;margin-right:10px'>"
+        f"<b style='color:{css(segment_rgb(n))}'>━</b> "
         f"ends on segment {n}</span>"
         for n in range(1, segment_count + 1)
     )

@@ -1,8 +1,9 @@
-"""The 3D scene: the arm with its cables coloured by tension, the true and the estimated force as arrows."""
+"""The 3D scene: the arm with its cables coloured by tension, both forces as arrows."""
 
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 import viser
 
 from cablesense_ros.page import meshes
@@ -30,7 +31,7 @@ POSE_STEP_RAD = 2e-5
 
 
 class ArmScene:
-    """The arm in a viser scene. Everything is made once; `pose`, `tensions` and `forces` move and colour it."""
+    """The arm in a viser scene, made once; `pose`, `tensions` and `forces` move and colour it."""
 
     def __init__(self, scene: viser.SceneApi, mechanism: Mechanism) -> None:
         self._mechanism = mechanism
@@ -68,9 +69,9 @@ class ArmScene:
 
     def pose(self, joint_angles_rad: Array) -> None:
         """Moves the arm; (2N,) joint angles."""
-        if self._pose_rad is not None:
-            if np.abs(joint_angles_rad - self._pose_rad).max() < POSE_STEP_RAD:
-                return
+        before = self._pose_rad
+        if before is not None and np.abs(joint_angles_rad - before).max() < POSE_STEP_RAD:
+            return
         self._pose_rad = np.array(joint_angles_rad, dtype=float)
         positions = joint_positions_m(self._mechanism, self._pose_rad)
         self._rotations = rotations = segment_rotations(self._mechanism, self._pose_rad)
@@ -176,7 +177,7 @@ class ArmScene:
         self,
         scene: viser.SceneApi,
         name: str,
-        mesh: object,
+        mesh: trimesh.Trimesh,
         rgb: tuple[int, int, int],
         opacity: float | None = None,
     ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from cablesense_ros.page.snapshot import Level, Snapshot
 
 SETTLING_S = 1.0
-"""A comparison waits this long after the true load changed: the arm swings and the estimate follows within it."""
+"""A comparison waits this long after a change: the arm swings and the estimate follows."""
 STILL_N = 0.01
 STILL_RAD = 0.003
 """Load and pose that change by less stand still."""
@@ -52,7 +52,7 @@ class Score:
         self._angle_sum_deg = self._magnitude_sum_n = 0.0
 
     def add(self, snapshot: Snapshot) -> bool:
-        """Compares one moment; says whether it counted, which it does once load and pose have stood still."""
+        """Compares one moment; says whether it counted: load and pose must have stood still."""
         if snapshot.status.level is Level.STALE:
             return False
         if self._changed(snapshot):

@@ -1,4 +1,4 @@
-"""What the page shows at one moment: plain values, so that the page knows nothing of where they came from."""
+"""What the page shows at one moment: plain values, wherever they came from."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Level(Enum):
 
 @dataclass(frozen=True)
 class Status:
-    """The estimator's own word about itself: a level, a short headline and what a person should know."""
+    """The estimator's own word about itself: level, headline, and what a person should know."""
 
     level: Level
     headline: str

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import viser
 
@@ -11,11 +13,11 @@ from cablesense_sim.mechanism import Mechanism
 
 WINDOW_S = 12.0
 SAMPLES = 240
-_DASHES = ([], [6, 3], [2, 3])
+_DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
 _AXIS_CSS = "#9aa3b2"
 _SOFT_ZERO = {"soft": 0.0, "mode": 1, "pad": 0.05}
 _SOFT_100 = {"soft": 100.0, "mode": 1, "pad": 0.05}
-"""The y axis covers 0 to 100 N at least. It grows in the browser: new scales would build the plot anew."""
+"""The y axis covers 0 to 100 N and grows in the browser: new scales would rebuild the plot."""
 
 
 class TraceBuffer:
@@ -31,7 +33,7 @@ class TraceBuffer:
         self._newest_s = -np.inf
 
     def add(self, time_s: float, tensions_n: Array) -> bool:
-        """Keeps a sample unless it follows the last too closely; a clock that jumps back starts anew."""
+        """Keeps a sample unless it follows too closely; a clock that jumps back starts anew."""
         if time_s < self._newest_s - self._window_s:
             self._times_s[:] = np.nan
         elif time_s - self._newest_s < self._step_s:
@@ -50,7 +52,7 @@ class TraceBuffer:
 
     @property
     def columns(self) -> tuple[Array, ...]:
-        """Seconds before the newest sample, then N of each cable; all of one length, at least two samples."""
+        """Seconds before the newest sample, then N of each cable; at least two samples long."""
         held = np.isfinite(self._times_s)
         if held.sum() < 2:
             empty = np.array([-self._window_s, 0.0])
@@ -93,8 +95,8 @@ class TracePlot:
         self._plot.data = self._buffer.columns
 
 
-def _series(mechanism: Mechanism) -> list[dict[str, object]]:
-    series: list[dict[str, object]] = []
+def _series(mechanism: Mechanism) -> list[Any]:
+    series: list[Any] = []
     seen: dict[int, int] = {}
     for cable, segment in enumerate(mechanism.cable_segment):
         turn = seen[int(segment)] = seen.get(int(segment), -1) + 1
@@ -110,7 +112,7 @@ def _series(mechanism: Mechanism) -> list[dict[str, object]]:
     return series
 
 
-def _axis(scale: str, label: str, size: int) -> dict[str, object]:
+def _axis(scale: str, label: str, size: int) -> Any:
     return {
         "scale": scale,
         "label": label,

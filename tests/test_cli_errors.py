@@ -1,0 +1,141 @@
+"""The command: help that is fast and light, one-line errors with exit code 2, figures as JSON."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from cablesense_ros.cli.app import app
+
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+VERBS = ("demo", "dataset", "train", "evaluate", "info")
+
+
+def run(*arguments, **options):
+    return subprocess.run(
+        [*COMMAND, *arguments], capture_output=True, text=True, timeout=60, **options
+    )
+
+
+def test_help_names_every_verb():
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    assert all(re.search(rf"\b{verb}\b", result.output) for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(verb):
+    result = CliRunner().invoke(app, [verb, "--help"])
+    assert result.exit_code == 0
+    assert len(result.output.splitlines()) > 8
+
+
+def test_help_loads_neither_ros_nor_torch_nor_the_page():
+    code = (
+        "import sys; from cablesense_ros.cli.app import app;"
+        "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib')"
+        " if m in sys.modules))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == ""
+    assert result.returncode == 0
+
+
+def test_version_is_shown():
+    result = CliRunner().invoke(app, ["--version"])
+    assert result.exit_code == 0
+    assert re.match(r"cablesense \d+\.\d+\.\d+", result.output)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (["info", "nonsense"], "bundled arms are cdsm"),
+        (["info", "missing.yaml"], "no arm file missing.yaml"),
+        (["info", "missing.onnx"], "no model file missing.onnx"),
+        (["demo", "--arm", "nonsense"], "bundled arms are cdsm"),
+        (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
+        (["demo", "--out", "/proc/none"], "give another --out"),
+    ],
+)
+def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, tmp_path):
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("cablesense: ")
+    assert remedy in lines[0]
+    assert list(tmp_path.rglob("*.png")) == []
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path):
+    path = tmp_path / "broken.onnx"
+    path.write_bytes(b"not a model")
+    result = run("info", str(path))
+    assert result.returncode == 2
+    assert "not a model that ONNX Runtime can load" in result.stderr
+
+
+def test_info_of_an_arm_as_json():
+    result = run("info", "cdsm", "--json")
+    description = json.loads(result.stdout)
+    assert result.returncode == 0
+    assert description["identity"].startswith("cdsm-")
+    assert [cable["ends_on_segment"] for cable in description["cables"]] == [
+        1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4,
+    ]  # fmt: skip
+    assert [cable["angle_deg"] for cable in description["cables"][3:6]] == [30.0, 270.0, 150.0]
+    assert description["cables"][0]["radius_m"] == pytest.approx(0.05)
+
+
+def test_info_of_an_arm_as_tables():
+    result = CliRunner().invoke(app, ["info", "cdsm_table2"])
+    assert result.exit_code == 0
+    assert "cable_9" in result.output
+    assert "cable_10" not in result.output
+
+
+def test_info_of_the_bundled_model_says_what_it_was_made_for():
+    from cablesense_sim.config_files import config_path
+
+    result = run("info", str(config_path("models/cdsm.onnx")), "--json")
+    description = json.loads(result.stdout)
+    names = [port["name"] for port in description["inputs"]]
+    assert "tension_difference_n" in names
+    assert description["metadata"]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
+    pytest.importorskip("rclpy", reason="needs rclpy")
+    pytest.importorskip("viser", reason="needs viser")
+    process = subprocess.Popen(
+        [*COMMAND, "demo", "--port", "18480", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    with process:
+        line = next(line for line in process.stdout if "http://" in line)
+        assert re.search(r"open http://127\.0\.0\.1:\d+ in a browser", line)
+        children = child_pids(process.pid)
+        assert len(children) == 3
+        process.send_signal(number)
+        assert process.wait(15) == code
+        assert "Traceback" not in process.stderr.read()
+    time.sleep(0.1)
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in children)  # noqa: PTH110
+    assert not any("Traceback" in log.read_text() for log in tmp_path.rglob("*.log"))
+
+
+def child_pids(pid):
+    with open(f"/proc/{pid}/task/{pid}/children") as children:  # noqa: PTH123
+        return [int(child) for child in children.read().split()]
