@@ -13,6 +13,7 @@ from pathlib import Path
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -27,8 +28,8 @@ PATIENCE_S = 20.0
 class NodeProcess:
     """One node started as a user would start it."""
 
-    def __init__(self, module: str, **parameters: object) -> None:
-        arguments = ["--ros-args"]
+    def __init__(self, module: str, namespace: str = "/", **parameters: object) -> None:
+        arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
         for name, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
@@ -113,6 +114,17 @@ class Graph:
         self.until(future.done, f"an answer of {service}")
         self.node.destroy_client(client)
         return future.result()
+
+    def change_state(self, node: str, transition: int) -> bool:
+        """Send a lifecycle node through a transition; give whether it succeeded."""
+        client = self.node.create_client(ChangeState, f"{node}/change_state")
+        self.until(client.service_is_ready, f"{node}/change_state")
+        request = ChangeState.Request()
+        request.transition.id = transition
+        future = client.call_async(request)
+        self.until(future.done, f"transition {transition} of {node}")
+        self.node.destroy_client(client)
+        return future.result().success
 
     def close(self) -> None:
         """Leave."""

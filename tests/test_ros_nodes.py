@@ -9,6 +9,8 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from ros_graph import Graph, NodeProcess, force  # noqa: E402
@@ -166,6 +168,24 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
 
 def _values(graph, status):
     return {v.key: v.value for v in graph.statuses[f"estimator: {status}"].values}
+
+
+def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
+    name = "/managed/estimator"
+    process = NodeProcess(ESTIMATOR, namespace="/managed", autostart=False)
+    wrenches = []
+    heard = graph.node.create_subscription(WrenchStamped, f"{name}/wrench", wrenches.append, 10)
+    for _ in range(2):
+        assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
+        assert not graph.call(f"{name}/tare").success
+        assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
+        wrenches.clear()
+        graph.until(lambda: wrenches, "zero wrenches without a source")
+        assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
+        assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
+    graph.node.destroy_subscription(heard)
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
 
 
 @pytest.mark.parametrize("module", [SIM, ESTIMATOR])
