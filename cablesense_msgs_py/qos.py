@@ -18,8 +18,8 @@ class Qos:
 PUBLISHER: Final = Qos(depth=10, reliable=True)
 """Every output: the system default, so that reliable and best-effort subscribers both match."""
 
-SENSOR: Final = Qos(depth=100, reliable=False)
-"""High-rate input: sensor data, best effort. A tenth of a second at 1 kHz, so that no pause of a
+SENSOR: Final = Qos(depth=500, reliable=False)
+"""High-rate input: sensor data, best effort. Half a second at 1 kHz, so that no pause of a
 process loses a sample; ROS's own sensor profile keeps five."""
 
 COMMAND: Final = Qos(depth=10, reliable=True)
