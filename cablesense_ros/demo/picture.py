@@ -186,9 +186,9 @@ def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.flo
 def _frame(axes: Any, mechanism: Mechanism) -> None:
     """No box around the arm: a scale of 0.1 m and the directions of the base axes say all."""
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-    low, high, half = -0.3 * reach, 1.1 * reach, 0.36 * reach
+    low, high, half = -0.28 * reach, 1.14 * reach, 0.36 * reach
     axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
-    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.42)
+    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.3)
     axes.set_proj_type("persp", focal_length=0.6)
     axes.view_init(elev=22, azim=-62)
     axes.set_axis_off()

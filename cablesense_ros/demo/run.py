@@ -65,7 +65,8 @@ def run_live(options: DemoOptions) -> None:
     with _ended_by_signals(), _processes(options, [page]) as processes:
         print("Starting the simulated arm, the estimator and the page …", flush=True)
         url = processes.wait_for_line("page", "page: ", PAGE_START_S)
-        print(f"CableSense demo: open {url} in a browser; Ctrl-C ends it.", flush=True)
+        busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
+        print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
         processes.run_until_child_ends()
 
 

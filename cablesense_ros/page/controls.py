@@ -62,7 +62,7 @@ class Controls:
                 initial_value=str(segment_count),
             )
             self._angle = gui.add_slider(
-                "angle, °", 0, 355, 5, 215, hint="0° from above, 90° towards +y"
+                "angle, °", 0, 355, 5, 215, hint="way of the force: 0° up, 90° to +y"
             )
             self._newtons = gui.add_slider("force, N", 0, int(FORCE_LIMIT_N), 1, 60)
             self._button = gui.add_button("Push", color="orange", icon=viser.Icon.HAND_FINGER)
