@@ -309,7 +309,7 @@ def _is_positive_definite(matrices: Array) -> NDArray[np.bool_]:
     for k in range(left.shape[-1]):
         pivot = left[:, k, k]
         positive &= pivot > 0.0
-        row = left[:, k, k + 1 :] / np.sqrt(np.where(pivot > 0.0, pivot, 1.0))[:, None]
+        row = left[:, k, k + 1 :] / np.sqrt(np.where(pivot > 0.0, pivot, np.inf))[:, None]
         left[:, k + 1 :, k + 1 :] -= row[:, :, None] * row[:, None, :]
     return positive
 

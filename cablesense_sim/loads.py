@@ -54,7 +54,8 @@ def contact_angle_deg(
 ) -> Array:
     """Angle (...) in [0, 360) of forces (..., 3) in the normal plane of their segment 1..N."""
     y, z = normal_components_n(mechanism, command_rad, segment, force_base_n)
-    return np.rad2deg(np.arctan2(y, z)) % 360.0
+    angle = np.rad2deg(np.arctan2(y, z)) % 360.0
+    return np.where(angle < 360.0, angle, 0.0)  # the remainder of -1e-15 rounds up to 360
 
 
 def normal_components_n(

@@ -1,0 +1,186 @@
+"""The arm in time: rest stays rest, loads settle to the equilibrium, nonsense is refused."""
+
+import itertools
+
+import numpy as np
+import pytest
+from arm_variants import variant
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import LoadError
+
+BENT = np.deg2rad([5.0, -4.0, 8.0, 3.0, -6.0, 2.0, 4.0, 7.0])
+
+
+@pytest.fixture(params=["cdsm", "cdsm_lab"])
+def dynamics(request: pytest.FixtureRequest) -> ArmDynamics:
+    return ArmDynamics(open_arm(request.param))
+
+
+def test_it_starts_at_rest_and_stays_there(dynamics: ArmDynamics) -> None:
+    rest = solve_equilibrium(dynamics.mechanism, np.zeros(8))
+    np.testing.assert_allclose(dynamics.tensions_n, rest.tensions_n, atol=1e-5)
+    dynamics.advance(0.2)
+    np.testing.assert_allclose(dynamics.tensions_n, rest.tensions_n, atol=1e-5)
+    np.testing.assert_allclose(dynamics.joint_angles_rad, rest.joint_angles_rad, atol=1e-9)
+    assert dynamics.time_s == pytest.approx(0.2)
+
+
+def test_a_push_moves_the_tensions_to_the_equilibrium_and_its_end_moves_them_back(
+    dynamics: ArmDynamics,
+) -> None:
+    before = dynamics.tensions_n
+    force = [0.0, 30.0, 10.0]
+    dynamics.load(3, force)
+    forces = np.zeros((4, 3))
+    forces[2] = force
+    np.testing.assert_array_equal(dynamics.forces_n, forces)
+    expected = solve_equilibrium(dynamics.mechanism, np.zeros(8), forces)
+    dynamics.settle(speed_rad_s=1e-8)
+    np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-3)
+    assert np.abs(dynamics.tensions_n - before).max() > 5.0
+    dynamics.load(3, np.zeros(3))
+    dynamics.settle(speed_rad_s=1e-8)
+    np.testing.assert_allclose(dynamics.tensions_n, before, atol=1e-3)
+
+
+def test_a_command_moves_the_arm_there(dynamics: ArmDynamics) -> None:
+    dynamics.command(BENT)
+    np.testing.assert_array_equal(dynamics.command_rad, BENT)
+    dynamics.settle(speed_rad_s=1e-8)
+    expected = solve_equilibrium(dynamics.mechanism, BENT)
+    np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-3)
+    give = 0.2 if dynamics.arm.name == "cdsm" else 3.0
+    assert np.rad2deg(np.abs(dynamics.joint_angles_rad - BENT)).max() < give
+
+
+def test_reset_rests_unloaded_at_a_command(dynamics: ArmDynamics) -> None:
+    dynamics.load(2, [0.0, 0.0, 50.0])
+    dynamics.advance(0.05)
+    dynamics.reset(BENT)
+    assert dynamics.time_s == 0.0
+    assert not dynamics.forces_n.any()
+    expected = solve_equilibrium(dynamics.mechanism, BENT)
+    dynamics.advance(0.05)
+    np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-4)
+    dynamics.reset()
+    assert not dynamics.command_rad.any()
+
+
+def test_stepped_together_or_apart_it_is_the_same(dynamics: ArmDynamics) -> None:
+    dynamics.load(4, [0.0, 20.0, 0.0])
+    dynamics.advance(0.05)
+    together = dynamics.tensions_n
+    dynamics.reset()
+    dynamics.load(4, [0.0, 20.0, 0.0])
+    for _ in range(50):
+        dynamics.advance(1e-3)
+    np.testing.assert_allclose(dynamics.tensions_n, together, atol=1e-9)
+
+
+def test_swinging_dies_down() -> None:
+    """Let go of a push, the arm loses energy: each tenth of a second moves it less."""
+    arm = variant({"segments.joint_damping_n_m_s": 0.05}, "cdsm_lab")
+    dynamics = ArmDynamics(arm)
+    rest = dynamics.joint_angles_rad
+    dynamics.load(4, [0.0, 30.0, 0.0])
+    dynamics.settle(speed_rad_s=1e-6)
+    dynamics.load(4, np.zeros(3))
+    swings = []
+    for _ in range(5):
+        angles = []
+        for _ in range(100):
+            dynamics.advance(1e-3)
+            angles.append(np.abs(dynamics.joint_angles_rad - rest).max())
+        swings.append(max(angles))
+    assert all(later < earlier for earlier, later in itertools.pairwise(swings))
+    assert swings[-1] < 0.5 * swings[0]
+
+
+def test_cables_never_push(dynamics: ArmDynamics) -> None:
+    dynamics.load(1, [0.0, 0.0, -200.0])
+    dynamics.load(4, [0.0, 60.0, 0.0])
+    lowest = np.inf
+    for _ in range(40):
+        dynamics.advance(5e-3)
+        lowest = min(lowest, dynamics.tensions_n.min())
+    assert lowest == 0.0
+
+
+def test_rigid_and_servo_actuators_come_to_the_same_rest() -> None:
+    """The servo so stiff that it hardly differs: what differs is the route, not the rest."""
+    tensions = []
+    for kp in (np.inf, 1e9):
+        dynamics = ArmDynamics(variant({"actuators.kp_n_m": kp}, "cdsm_lab"))
+        dynamics.command(BENT)
+        dynamics.load(3, [0.0, 25.0, -10.0])
+        dynamics.settle(speed_rad_s=1e-8)
+        tensions.append(dynamics.tensions_n)
+    np.testing.assert_allclose(*tensions, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (np.zeros(7), "8 finite joint angles"),
+        (np.zeros((1, 8)), "8 finite joint angles"),
+        (np.full(8, np.nan), "8 finite joint angles"),
+        (np.full(8, 0.9), "joint 1 is .* touch at 33.4"),
+        ([0, 0, 0, 0, 0.4, 0.5, 0, 0], "joint 3"),
+    ],
+)
+def test_impossible_commands_are_refused_and_change_nothing(
+    dynamics: ArmDynamics, command: object, words: str
+) -> None:
+    dynamics.command(BENT)
+    with pytest.raises(EquilibriumError, match=words):
+        dynamics.command(command)
+    np.testing.assert_array_equal(dynamics.command_rad, BENT)
+
+
+@pytest.mark.parametrize("command", [np.zeros(7), np.full(8, np.nan), np.full(8, 0.9)])
+def test_a_refused_reset_changes_nothing(dynamics: ArmDynamics, command: np.ndarray) -> None:
+    dynamics.load(2, [0.0, 5.0, 0.0])
+    dynamics.advance(0.01)
+    before = dynamics.time_s, dynamics.tensions_n.tolist(), dynamics.forces_n.tolist()
+    with pytest.raises(EquilibriumError):
+        dynamics.reset(command)
+    after = dynamics.time_s, dynamics.tensions_n.tolist(), dynamics.forces_n.tolist()
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    ("segment", "force", "words"),
+    [
+        (0, [0.0, 0.0, 1.0], "1 to 4"),
+        (5, [0.0, 0.0, 1.0], "1 to 4"),
+        (1, [0.0, 1.0], "three finite"),
+        (1, [0.0, 1.0, np.nan], "three finite"),
+        (1, [0.0, 1.0, np.inf], "three finite"),
+    ],
+)
+def test_impossible_loads_are_refused_and_change_nothing(
+    dynamics: ArmDynamics, segment: int, force: list[float], words: str
+) -> None:
+    with pytest.raises(LoadError, match=words):
+        dynamics.load(segment, force)
+    assert not dynamics.forces_n.any()
+
+
+def test_what_never_settles_says_so() -> None:
+    dynamics = ArmDynamics(open_arm("cdsm_lab"))
+    dynamics.load(4, [0.0, 30.0, 0.0])
+    with pytest.raises(EquilibriumError, match=r"still moves after 0\.01 s"):
+        dynamics.settle(longest_s=0.01)
+
+
+def test_what_it_gives_is_not_its_own() -> None:
+    dynamics = ArmDynamics(open_arm("cdsm"))
+    dynamics.forces_n[:] = 1.0
+    dynamics.command_rad[:] = 1.0
+    dynamics.joint_angles_rad[:] = 1.0
+    assert not dynamics.forces_n.any()
+    assert not dynamics.command_rad.any()
+    assert np.abs(dynamics.joint_angles_rad).max() < 0.01

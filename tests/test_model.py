@@ -1,0 +1,76 @@
+"""The MuJoCo model: named as the contract says, and made of nothing but the mechanism."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_variants import variant
+
+from cablesense_sim.arm_files import bundled_arms, open_arm
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.model import build_spec, unstretched_length_m
+
+
+@pytest.mark.parametrize("name", bundled_arms())
+def test_every_part_has_its_name(name: str) -> None:
+    arm = open_arm(name)
+    model = build_spec(Mechanism.from_arm(arm), arm.name).compile()
+    assert model.names.split(b"\0")[0].decode() == name
+    for n in range(1, arm.segment_count + 1):
+        assert model.body(f"segment_{n}").id > 0
+        assert model.site(f"contact_{n}").bodyid == model.body(f"segment_{n}").id
+    for joint in arm.joint_names:
+        assert model.joint(joint).type == mujoco.mjtJoint.mjJNT_HINGE
+    assert [model.tendon(cable).id for cable in arm.cable_names] == list(range(arm.cable_count))
+
+
+def test_masses_and_gravity_are_those_of_the_arm() -> None:
+    arm = variant(
+        {"segments.mass_kg": [0.4, 0.3, 0.2, 0.1], "gravity_m_s2": [1.0, 2.0, 3.0]}, "cdsm_lab"
+    )
+    model = build_spec(Mechanism.from_arm(arm)).compile()
+    masses = [float(model.body(f"segment_{n}").mass[0]) for n in range(1, 5)]
+    np.testing.assert_allclose(masses, [0.4, 0.3, 0.2, 0.1])
+    np.testing.assert_allclose(model.opt.gravity, [1.0, 2.0, 3.0])
+    assert model.body_mass.sum() == pytest.approx(1.0)
+
+
+def test_massless_segments_are_possible() -> None:
+    model = build_spec(Mechanism.from_arm(variant({"segments.mass_kg": 0}))).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all()
+
+
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+def test_straight_the_cables_bear_their_pretension(name: str) -> None:
+    arm = open_arm(name)
+    mechanism = Mechanism.from_arm(arm)
+    model = build_spec(mechanism).compile()
+    data = mujoco.MjData(model)
+    if not model.nmocap:
+        data.qpos[:] = 0
+        for i, give in enumerate(mechanism.pretension_n / mechanism.actuator_stiffness_n_m):
+            data.joint(f"screw_{i + 1}").qpos = -give
+    mujoco.mj_forward(model, data)
+    tension = model.tendon_stiffness * (data.ten_length - model.tendon_lengthspring[:, 1])
+    np.testing.assert_allclose(tension, 50.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        unstretched_length_m(mechanism), model.tendon_lengthspring[:, 1], rtol=1e-12
+    )
+
+
+def test_a_slack_cable_does_not_push() -> None:
+    mechanism = Mechanism.from_arm(open_arm("cdsm_lab"))
+    model = build_spec(mechanism).compile()
+    data = mujoco.MjData(model)
+    data.mocap_pos[:, 0] += 0.05  # pay out, so that all cables go slack
+    mujoco.mj_forward(model, data)
+    assert not data.qfrc_spring.any()
+
+
+def test_nothing_collides_and_nothing_but_cables_holds() -> None:
+    model = build_spec(Mechanism.from_arm(open_arm("cdsm"))).compile()
+    assert not model.jnt_stiffness.any()
+    assert not (model.geom_contype | model.geom_conaffinity).any()
+    assert not model.tendon_damping.any()
+    assert not model.dof_frictionloss.any()
