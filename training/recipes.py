@@ -24,7 +24,9 @@ RECIPES: dict[str, Recipe] = {
     "decoupled": _PAPER,
     "shared-backbone": _PAPER,
     "two-stage": _PAPER,
-    "scale-aware": Recipe(300_000, FitSettings(epochs=40, batch_size=1024, patience=1, decay=0.4)),
+    "scale-aware": Recipe(
+        300_000, FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6)
+    ),
     "multi-contact": _PAPER,
     "multi-contact-closed-form": Recipe(
         50_000, FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 
 def perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
@@ -15,6 +16,29 @@ def perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
         layers += [nn.Linear(inputs, width), nn.SiLU()]
         inputs = width
     return nn.Sequential(*layers)
+
+
+class GatedLayer(nn.Module):
+    """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
+
+    What an unknown pose does to the tensions is a product of angles and forces, which a plain
+    layer has to piece together. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
+    """
+
+    def __init__(self, inputs: int, width: int) -> None:
+        super().__init__()
+        self.gate = nn.Linear(inputs, width)
+        self.value = nn.Linear(inputs, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Features (B, width) of inputs (B, inputs)."""
+        return functional.silu(self.gate(x)) * self.value(x)
+
+
+def gated_perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
+    """Gated hidden layers of the given widths."""
+    pairs = zip([inputs, *widths], widths, strict=False)
+    return nn.Sequential(*(GatedLayer(before, width) for before, width in pairs))
 
 
 def one_hot_of_argmax(logits: Tensor) -> Tensor:

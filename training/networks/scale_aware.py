@@ -7,26 +7,25 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from cablesense_training.networks.layers import perceptron, tension_norm_n
+from cablesense_training.networks.layers import gated_perceptron, tension_norm_n
 from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
 
 
 class ScaleAwareNetwork(SingleContactNetwork):
     """Reads the pattern of the tension differences apart from their size.
 
-    While no cable goes slack, twice the force makes twice the differences: their pattern u = ΔT /
-        |ΔT| holds segment
-    and direction, and the magnitude is |ΔT| times a function of the pattern. Pattern, log |ΔT|
-    and the standardised differences (slack and sensor noise do depend on size) enter one trunk;
-    the magnitude's head answers the logarithm of F / |ΔT|, so its error is relative, as the
-    physics is.
+    While no cable goes slack, twice the force makes twice the differences: the pattern
+    u = ΔT / |ΔT| holds segment and direction, and the magnitude is |ΔT| times a function of it.
+    Pattern, log |ΔT| and the standardised differences (slack and sensor noise do depend on size)
+    enter one trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|, so
+    its error is relative, as the physics is.
     """
 
     def __init__(
-        self, cable_count: int, segment_count: int, widths: Sequence[int] = (256, 256, 256)
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (208, 208, 208)
     ) -> None:
         super().__init__(cable_count, segment_count, features=widths[-1])
-        self.trunk = perceptron(2 * cable_count + 1, widths)
+        self.trunk = gated_perceptron(2 * cable_count + 1, widths)
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
         self.direction_head = nn.Linear(widths[-1], 2)
         self.ratio_head = nn.Linear(widths[-1], 1)
