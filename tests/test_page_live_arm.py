@@ -1,0 +1,93 @@
+"""What the page makes of messages: plain objects stand in for ROS's."""
+
+import socket
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.page.live_arm import STALE_S, LiveArm
+from cablesense_ros.page.page import PageError, free_port
+from cablesense_ros.page.snapshot import Level
+from cablesense_sim.arm_files import open_arm
+
+ARM = open_arm("cdsm")
+
+
+@pytest.fixture
+def live():
+    return LiveArm(ARM, joint_speed_rad_s=1.0)
+
+
+def wrench(frame, force=(0.0, 0.0, 0.0)):
+    x, y, z = (float(component) for component in force)
+    zero = Message(x=0.0, y=0.0, z=0.0)
+    return Message(
+        header=Message(frame_id=frame),
+        wrench=Message(force=Message(x=x, y=y, z=z), torque=zero),
+    )
+
+
+def tensions():
+    return Message(name=list(ARM.cable_names), effort=[50.0] * 12)
+
+
+def test_a_push_makes_the_true_contact_that_was_asked_for(live):
+    for load in live.loads_of(3, 120.0, 40.0):
+        live.on_load(wrench(f"segment_{load.segment}", load.force_base_n))
+    true = live.snapshot(0.0).true
+    assert (true.segment, true.magnitude_n) == (3, pytest.approx(40.0))
+    assert true.angle_deg == pytest.approx(120.0)
+
+
+def test_a_push_elsewhere_releases_the_one_before(live):
+    live.on_load(wrench("segment_2", (0.0, 0.0, 10.0)))
+    released, pushed = live.loads_of(4, 0.0, 5.0)
+    assert released.segment == 2
+    assert not released.force_base_n.any()
+    assert pushed.segment == 4
+
+
+def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
+    live.on_joint_commands(Message(name=list(ARM.joint_names), position=[np.pi / 6] + [0.0] * 7))
+    for now_s in (0.0, 30.0):
+        live.snapshot(now_s)
+    live.on_tensions(tensions(), 30.0)
+    live.on_wrench(wrench("segment_1", (0.0, 0.0, 10.0)), 30.0)
+    estimate = live.snapshot(30.0).estimate
+    assert estimate.angle_deg == pytest.approx(0.0)
+    expected = [10.0 * np.sin(np.pi / 6), 0.0, 10.0 * np.cos(np.pi / 6)]
+    np.testing.assert_allclose(estimate.force_base_n, expected, atol=1e-9)
+
+
+def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
+    assert live.snapshot(0.0).status.level is Level.STALE
+    live.on_tensions(tensions(), 1.0)
+    live.on_wrench(wrench("segment_1", (0.0, 5.0, 0.0)), 1.0)
+    assert live.snapshot(1.1).status.headline == "Contact on segment 1"
+    live.on_tensions(tensions(), 2.0)
+    later = live.snapshot(1.0 + 2 * STALE_S)
+    assert later.estimate is None
+    assert later.status.level is Level.STALE
+
+
+@pytest.mark.parametrize("frame", ["segment_5", "segment_0", "base_link", ""])
+def test_a_load_in_an_unknown_frame_is_refused(live, frame):
+    with pytest.raises(CableSenseError, match="frame_id"):
+        live.on_load(wrench(frame, (0.0, 0.0, 1.0)))
+    assert live.snapshot(0.0).true is None
+
+
+@pytest.mark.parametrize("force", [float("nan"), float("inf"), -1.0])
+def test_a_push_that_is_no_number_is_refused(live, force):
+    with pytest.raises(CableSenseError):
+        live.loads_of(1, 0.0, force)
+
+
+def test_a_busy_port_gives_the_next_and_a_foreign_host_a_remedy():
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        port = busy.getsockname()[1]
+        assert free_port("127.0.0.1", port) > port
+    with pytest.raises(PageError, match="another --host or --port"):
+        free_port("203.0.113.7", 8080)
