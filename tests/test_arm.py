@@ -95,7 +95,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(key: str, listed: str) -
 @pytest.mark.parametrize("value", ["thick", None, True, {"a": 1}, float("nan"), []])
 def test_a_number_must_be_one(key: str, value: Any) -> None:
     line = refusal(changed(described(), key, value))
-    assert key in line
+    assert key.rpartition(".")[2] in line
 
 
 @pytest.mark.parametrize("key", sorted(set(NUMBERS) - {"actuators.kp_n_m"}))

@@ -8,8 +8,6 @@ from cablesense_sim.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-_BRANCHES = 8
-
 
 class TooManyFailures(Exception):  # noqa: N818
     """More cases without equilibrium than were allowed; the text gives one, and why."""
@@ -20,32 +18,17 @@ def tensions_at_rest_n(
 ) -> Array:
     """Tensions (B, M) for commands (B, 2N) and forces (B, N, 3); NaN in rows without equilibrium.
 
-    The solver refuses a batch as a whole, so a refused batch is split until what fails stands
-    alone.
-
     Raises:
         TooManyFailures: more than `allowed_failures` rows have no equilibrium.
     """
     tensions = np.full((len(command_rad), mechanism.cable_count), np.nan)
-    batches = [np.arange(len(command_rad))]
-    alone = 0
-    while batches:
-        refused = []
-        for rows in batches:
-            try:
-                rest = solve_equilibrium(mechanism, command_rad[rows], forces_n[rows])
-            except EquilibriumError as error:
-                # batches do not overlap, so each that is refused holds a failure of its own
-                refused.append(rows)
-                if alone + len(refused) > allowed_failures:
-                    raise TooManyFailures(str(error)) from error
-            else:
-                tensions[rows] = rest.tensions_n
-        alone += sum(len(rows) == 1 for rows in refused)
-        batches = [
-            part
-            for rows in refused
-            if len(rows) > 1
-            for part in np.array_split(rows, min(_BRANCHES, len(rows)))
-        ]
+    rows = np.arange(len(command_rad))
+    try:
+        rest = solve_equilibrium(mechanism, command_rad, forces_n)
+    except EquilibriumError as error:
+        if not 0 < error.failed.size <= allowed_failures:
+            raise TooManyFailures(str(error)) from error
+        rows = np.delete(rows, error.failed)
+        rest = solve_equilibrium(mechanism, command_rad[rows], forces_n[rows])
+    tensions[rows] = rest.tensions_n
     return tensions
