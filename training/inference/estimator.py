@@ -196,12 +196,10 @@ def finite_table(values: ArrayLike, what: str) -> Array:
         raise EstimateError(f"{what} must be numbers, equally many a sample ({error})") from error
     if table.ndim == 1:
         table = table[None]
-    if table.ndim != 2:
+    if table.ndim != 2 or not len(table):
         raise EstimateError(
-            f"{what} of shape {table.shape}; needed is one row of numbers, or a table of rows"
+            f"{what} of shape {table.shape}; needed is at least one row of numbers"
         )
-    flat = table.reshape(-1)
-    # the product alone is quicker, and infinite where any of them is
-    if not math.isfinite(flat.dot(flat)) and not np.isfinite(flat).all():
+    if not np.isfinite(table).all():
         raise EstimateError(f"{what} must be finite; one is NaN or infinite")
     return table

@@ -13,8 +13,8 @@ from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto,
 def split_graph(model: ModelProto, changing: str) -> tuple[ModelProto | None, ModelProto]:
     """Split a model into (steady, changing) parts by whether tensors depend on input `changing`.
 
-    The steady part's outputs are inputs of the changing part, by the same names. The steady part is
-    None where there is nothing in it to keep.
+    The steady part's outputs are inputs of the changing part, by the same names. The steady part
+    is None where there is nothing in it to keep.
     """
     graph = model.graph
     moving = {changing}

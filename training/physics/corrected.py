@@ -137,6 +137,7 @@ class ScaledSpread(Spread):
 
     def __init__(self, width: int) -> None:
         super().__init__(features=2, outputs=2, width=2)
+        del self.hidden, self.log_std  # layers of the base class that have no part here
         self.log_scale = _silent(width, 2)
 
     def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:

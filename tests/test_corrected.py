@@ -1,0 +1,159 @@
+"""The corrected closed form: statics until trained, bounded corrections after, finite always."""
+
+import numpy as np
+import pytest
+import torch
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.physics.corrected import LARGEST_CORRECTION, CorrectedClosedForm
+
+CDSM = open_arm("cdsm")
+
+
+@pytest.fixture(scope="module")
+def untrained():
+    return CorrectedClosedForm.for_arm(CDSM).eval()
+
+
+@pytest.fixture(scope="module")
+def wild():
+    """Weights as no training would leave them."""
+    network = CorrectedClosedForm.for_arm(CDSM).eval()
+    torch.manual_seed(1)
+    with torch.no_grad():
+        for layer in (network.correction, network.spread.log_scale):
+            torch.nn.init.normal_(layer.weight, std=50.0)
+    return network
+
+
+def _readings(arm, rows, reach_deg=10.0, seed=0):
+    mechanism = Mechanism.from_arm(arm)
+    rng = np.random.default_rng(seed)
+    command = np.deg2rad(rng.uniform(-reach_deg, reach_deg, (rows, mechanism.joint_count)))
+    segment = rng.integers(1, mechanism.segment_count + 1, rows)
+    angle, magnitude = rng.uniform(0.0, 360.0, rows), rng.uniform(3.0, 150.0, rows)
+    forces = normal_force_n(mechanism, command, segment, angle, magnitude)
+    difference = (
+        solve_equilibrium(mechanism, command, forces).tensions_n
+        - solve_equilibrium(mechanism, command).tensions_n
+    )
+    noisy = difference + rng.normal(0.0, 0.07, difference.shape)
+    return torch.as_tensor(noisy), torch.as_tensor(command), segment
+
+
+def _force(output):
+    return output.magnitude_n[:, None] * output.direction
+
+
+def test_untrained_it_answers_as_the_closed_form(untrained):
+    tension, command, segment = _readings(CDSM, 200)
+    with torch.no_grad():
+        output = untrained(tension, command)
+        found = untrained.closed_form(tension, command)
+    answered = output.contact_logits.argmax(dim=1).numpy()
+    assert (answered == segment).mean() > 0.98
+    chosen = torch.as_tensor(answered - 1)
+    rows = torch.arange(len(chosen))
+    torch.testing.assert_close(
+        _force(output), found.force_n[rows, chosen], atol=1e-6, rtol=1e-6
+    )
+    covariance = found.covariance_n2[rows, chosen]
+    along = output.direction[:, None] @ covariance @ output.direction[..., None]
+    torch.testing.assert_close(output.magnitude_std_n, along[:, 0, 0].sqrt())
+
+
+@pytest.mark.parametrize("size_n", [0.0, 1.0, 50.0, 1e3, 1e6, 1e9])
+def test_corrections_stay_within_their_bound_whatever_comes_in(untrained, wild, size_n):
+    generator = torch.Generator().manual_seed(2)
+    tension = size_n * torch.randn(100, 12, generator=generator, dtype=torch.float64)
+    command = 0.2 * torch.randn(100, 8, generator=generator, dtype=torch.float64)
+    with torch.no_grad():
+        plain, corrected = untrained(tension, command), wild(tension, command)
+        found = wild.closed_form(tension, command)
+    chosen = plain.contact_logits[:, 1:].argmax(dim=1)
+    rows = torch.arange(len(chosen))
+    covariance = found.covariance_n2[rows, chosen]
+    moved = _force(corrected) - _force(plain)
+    widest = LARGEST_CORRECTION * torch.sqrt(covariance.diagonal(dim1=1, dim2=2).sum(1))
+    assert bool((moved.norm(dim=1) <= widest * (1.0 + 1e-6) + 3e-3).all())
+    ratio = corrected.magnitude_std_n / plain.magnitude_std_n
+    assert bool(((ratio > np.exp(-1.01)) & (ratio < np.exp(1.01))).all())
+
+
+@pytest.mark.parametrize(
+    "tension",
+    [
+        np.zeros(12),
+        np.full(12, -1e3),
+        np.full(12, -50.0),
+        np.full(12, 1e6),
+        np.full(12, -1e6),
+        1e6 * np.eye(12)[3],
+        1e-12 * np.ones(12),
+    ],
+    ids=["nothing", "all slack", "all just slack", "1e6", "-1e6", "one at 1e6", "next to nothing"],
+)
+@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
+def test_absurd_readings_get_finite_answers(arm, tension):
+    network = CorrectedClosedForm.for_arm(open_arm(arm)).eval()
+    for command in (np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)):
+        with torch.no_grad():
+            output = network(torch.as_tensor(tension)[None], torch.as_tensor(command)[None])
+        assert all(bool(torch.isfinite(part).all()) for part in output)
+        assert float(output.magnitude_std_n) > 0.0
+        assert float(output.angle_std_deg) > 0.0
+        probabilities = torch.softmax(output.contact_logits, dim=-1)
+        torch.testing.assert_close(probabilities.sum(), torch.tensor(1.0, dtype=torch.float64))
+
+
+def test_without_contact_it_says_so(untrained):
+    rng = np.random.default_rng(3)
+    noise = torch.as_tensor(rng.normal(0.0, 0.07, (500, 12)))
+    command = torch.as_tensor(rng.uniform(-0.17, 0.17, (500, 8)))
+    with torch.no_grad():
+        logits = untrained(noise, command).contact_logits
+    assert float((logits.argmax(dim=1) == 0).double().mean()) > 0.98
+
+
+def test_every_weight_learns():
+    network = CorrectedClosedForm.for_arm(CDSM)
+    torch.manual_seed(4)
+    with torch.no_grad():
+        for layer in (network.correction, network.spread.log_scale):
+            torch.nn.init.normal_(layer.weight, std=0.1)
+    tension, command, _ = _readings(CDSM, 16)
+    output = network(tension, command)
+    sum(part.sum() for part in output).backward()
+    for name, weight in network.named_parameters():
+        assert weight.grad is not None, name
+        assert bool(torch.isfinite(weight.grad).all()), name
+        assert bool((weight.grad != 0.0).any()), name
+
+
+def _mirrored_arm():
+    """Six cables a segment, symmetric left to right."""
+    content = CDSM.model_dump()
+    content["cables"]["per_segment"] = 6
+    content["cables"]["angle_deg"] = {"first": 0.0, "per_segment": 0.0, "per_cable": 60.0}
+    return type(CDSM).model_validate(content)
+
+
+def test_mirrored_readings_of_a_symmetric_arm_get_mirrored_answers():
+    arm = _mirrored_arm()
+    network = CorrectedClosedForm.for_arm(arm).eval()
+    tension, command, _ = _readings(arm, 50, seed=5)
+    cable = np.arange(arm.cable_count)
+    partner = cable - cable % 6 + (-cable) % 6
+    mirror = torch.tensor([1.0, -1.0] * arm.segment_count, dtype=torch.float64)
+    with torch.no_grad():
+        here = network(tension, command)
+        there = network(tension[:, partner], command * mirror)
+    torch.testing.assert_close(there.contact_logits, here.contact_logits, atol=1e-5, rtol=1e-6)
+    torch.testing.assert_close(there.magnitude_n, here.magnitude_n, atol=1e-7, rtol=1e-7)
+    turned = here.direction * torch.tensor([-1.0, 1.0])
+    torch.testing.assert_close(there.direction, turned, atol=1e-7, rtol=1e-7)
+    torch.testing.assert_close(there.magnitude_std_n, here.magnitude_std_n)
+    torch.testing.assert_close(there.angle_std_deg, here.angle_std_deg)

@@ -1,0 +1,234 @@
+"""One contact from tension differences: the same alone or in a batch, whatever was asked before."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.inference.estimator import EstimateError, Estimator
+from cablesense_training.inference.metadata import ModelFileError
+
+CDSM = open_arm("cdsm")
+FIELDS = (
+    "probabilities", "segment", "angle_deg", "magnitude_n", "magnitude_std_n", "angle_std_deg",
+)  # fmt: skip
+tensions = st.lists(st.floats(-500.0, 500.0), min_size=12, max_size=12)
+commands = st.lists(st.floats(-0.3, 0.3), min_size=8, max_size=8)
+
+
+@pytest.fixture(scope="module")
+def estimator(model_files):
+    return Estimator.load(model_files(), CDSM)
+
+
+@pytest.fixture(scope="module")
+def tensions_only(model_files):
+    return Estimator.load(model_files("scale-aware"), CDSM)
+
+
+def _pushed(command, segment, angle_deg, magnitude_n):
+    mechanism = Mechanism.from_arm(CDSM)
+    forces = normal_force_n(mechanism, command, segment, angle_deg, magnitude_n)
+    loaded = solve_equilibrium(mechanism, command, forces).tensions_n
+    return loaded - solve_equilibrium(mechanism, command).tensions_n
+
+
+def _require_equal(one, other):
+    for field in FIELDS:
+        np.testing.assert_allclose(getattr(one, field), getattr(other, field), rtol=1e-9)
+
+
+def test_a_push_is_told_by_segment_direction_and_force(estimator):
+    rng = np.random.default_rng(0)
+    for segment in (1, 2, 3, 4):
+        command = rng.uniform(-0.17, 0.17, 8)
+        said = estimator.estimate(_pushed(command, segment, 250.0, 30.0), command)
+        assert said.segment == segment == said.probabilities.argmax()
+        assert said.angle_deg == pytest.approx(250.0, abs=0.2)
+        assert said.magnitude_n == pytest.approx(30.0, abs=0.05)
+        assert 0.0 < said.magnitude_std_n < 0.2
+        assert 0.0 < said.angle_std_deg < 1.0
+        assert said.probabilities.shape == (5,)
+        assert said.probabilities.sum() == pytest.approx(1.0)
+
+
+def test_nothing_is_told_as_no_contact(estimator):
+    assert estimator.estimate(np.zeros(12), np.zeros(8)).segment == 0
+
+
+def test_it_says_what_it_is(estimator, tensions_only):
+    assert estimator.arm_identity == CDSM.identity
+    assert estimator.cable_names == CDSM.cable_names
+    assert estimator.pose_aware
+    assert not tensions_only.pose_aware
+
+
+def test_a_model_of_several_contacts_is_no_estimator_of_one(model_files):
+    with pytest.raises(ModelFileError, match="multi-contact"):
+        Estimator.load(model_files("multi-contact"))
+
+
+def test_the_angle_lies_below_a_full_turn(estimator):
+    for angle_deg in (0.0, 90.0, 180.0, 270.0, 359.9999999):
+        difference = _pushed(np.zeros(8), 3, angle_deg, 50.0)
+        said = estimator.estimate(difference, np.zeros(8)).angle_deg
+        assert 0.0 <= said < 360.0
+        assert abs((said - angle_deg + 180.0) % 360.0 - 180.0) < 0.05
+
+
+@settings(max_examples=60, deadline=None)
+@given(values=tensions, command=commands)
+def test_whatever_finite_comes_the_answer_is_finite_and_in_its_range(estimator, values, command):
+    said = estimator.estimate(values, command)
+    assert said.segment == said.probabilities.argmax()
+    assert said.probabilities.sum() == pytest.approx(1.0)
+    assert 0.0 <= said.angle_deg < 360.0
+    for number in (said.magnitude_n, said.magnitude_std_n, said.angle_std_deg):
+        assert math.isfinite(number)
+        assert number >= 0.0
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(asked=st.lists(st.tuples(tensions, commands, st.booleans()), min_size=1, max_size=6))
+def test_an_answer_does_not_depend_on_what_was_asked_before(estimator, asked):
+    batch = estimator.estimate_batch([t for t, _, _ in asked], [c for _, c, _ in asked])
+    for row, (values, command, twice) in enumerate(asked):
+        for _ in range(1 + twice):
+            said = estimator.estimate(values, command)
+        for field in FIELDS:
+            np.testing.assert_allclose(
+                getattr(said, field), getattr(batch, field)[row], rtol=1e-6, atol=1e-9
+            )
+
+
+def test_an_estimate_keeps_when_the_next_is_made(estimator):
+    first = estimator.estimate(_pushed(np.zeros(8), 2, 30.0, 20.0), np.zeros(8))
+    kept = first.probabilities.copy()
+    estimator.estimate(_pushed(np.zeros(8), 4, 90.0, 80.0), np.zeros(8))
+    np.testing.assert_array_equal(first.probabilities, kept)
+
+
+def test_a_refused_command_leaves_the_next_answer_alone(estimator):
+    difference, command = _pushed(np.full(8, 0.1), 2, 30.0, 20.0), np.full(8, 0.1)
+    before = estimator.estimate(difference, command)
+    for wrong in (np.full(8, np.nan), np.zeros(7), None):
+        with pytest.raises(EstimateError):
+            estimator.estimate(difference, wrong)
+    _require_equal(estimator.estimate(difference, command), before)
+
+
+def test_inputs_stay_as_they_were(estimator):
+    values, command = np.arange(12.0), np.full(8, 0.05)
+    for array in (values, command):
+        array.setflags(write=False)
+    estimator.estimate(values, command)
+    estimator.estimate_batch(values[None], command)
+    np.testing.assert_array_equal(values, np.arange(12.0))
+    np.testing.assert_array_equal(command, 0.05)
+
+
+def test_any_kind_of_array_will_do(estimator):
+    values, command = np.arange(12.0), np.full(8, 0.05)
+    expected = estimator.estimate(values, command)
+    for same in (
+        values.tolist(),
+        tuple(values),
+        values.astype(np.float32),
+        values.astype(int),
+        np.repeat(values, 2)[::2],
+        values[None],
+        values.astype(">f8"),
+    ):
+        _require_equal(estimator.estimate(same, command[None]), expected)
+
+
+def test_one_command_serves_a_whole_batch(estimator):
+    rng = np.random.default_rng(2)
+    values, command = rng.normal(0.0, 20.0, (7, 12)), rng.uniform(-0.1, 0.1, 8)
+    once = estimator.estimate_batch(values, command)
+    each = estimator.estimate_batch(values, np.tile(command, (7, 1)))
+    _require_equal(once, each)
+    assert once.probabilities.shape == (7, 5)
+    assert once.segment.shape == once.angle_deg.shape == once.magnitude_n.shape == (7,)
+
+
+def test_a_model_of_tensions_alone_ignores_commands(tensions_only):
+    values = np.linspace(-20.0, 30.0, 12)
+    expected = tensions_only.estimate(values)
+    _require_equal(tensions_only.estimate(values, np.full(8, np.nan)), expected)
+    batch = tensions_only.estimate_batch(np.stack([values, 2.0 * values]))
+    np.testing.assert_allclose(batch.magnitude_n[0], expected.magnitude_n)
+
+
+NAN, INFINITE = np.full(12, np.nan), np.full(12, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("values", "command", "told"),
+    [
+        (np.zeros(11), np.zeros(8), r"\(11,\); this model needs 12"),
+        (np.zeros((2, 12)), np.zeros(8), r"\(2, 12\); this model needs 12"),
+        (np.zeros((0, 12)), np.zeros(8), "at least one row"),
+        (np.zeros((1, 1, 12)), np.zeros(8), "at least one row"),
+        (3.0, np.zeros(8), "needs 12"),
+        ([], np.zeros(8), "needs 12"),
+        (None, np.zeros(8), "tension differences"),
+        ("twelve", np.zeros(8), "must be numbers"),
+        ([[1.0], [1.0, 2.0]], np.zeros(8), "must be numbers"),
+        ([object()] * 12, np.zeros(8), "must be numbers"),
+        (NAN, np.zeros(8), "tension differences must be finite"),
+        (INFINITE, np.zeros(8), "tension differences must be finite"),
+        (np.zeros(12), None, "8 commanded joint angles"),
+        (np.zeros(12), np.zeros(6), r"\(6,\); this model needs 8"),
+        (np.zeros(12), np.zeros((2, 8)), "needs 8"),
+        (np.zeros(12), np.zeros((1, 2, 8)), "at least one row"),
+        (np.zeros(12), NAN[:8], "angles must be finite"),
+        (np.zeros(12), -INFINITE[:8], "angles must be finite"),
+    ],
+)
+def test_what_cannot_be_taken_is_refused_in_one_line(estimator, values, command, told):
+    with pytest.raises(EstimateError, match=told) as caught:
+        estimator.estimate(values, command)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "command"),
+    [
+        (np.zeros((3, 11)), np.zeros(8)),
+        (np.zeros((3, 12)), np.zeros((2, 8))),
+        (np.zeros((3, 12)), np.zeros((1, 3, 8))),
+        (np.zeros((3, 12)), None),
+        (np.stack([NAN, NAN]), np.zeros(8)),
+        (np.zeros((2, 12)), np.full((2, 8), np.inf)),
+        ([[0.0] * 12, [0.0] * 11], np.zeros(8)),
+    ],
+)
+def test_a_batch_that_cannot_be_taken_is_refused(estimator, values, command):
+    with pytest.raises(EstimateError):
+        estimator.estimate_batch(values, command)
+
+
+def test_an_empty_batch_is_refused(estimator):
+    with pytest.raises(EstimateError, match="at least one"):
+        estimator.estimate_batch(np.zeros((0, 12)), np.zeros((0, 8)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=12, max_size=12),
+    command=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=8),
+)
+def test_absurd_numbers_get_finite_answers_or_none(estimator, values, command):
+    try:
+        said = estimator.estimate(values, command)
+    except EstimateError as error:
+        assert "not finite" in str(error)
+        return
+    assert np.isfinite([said.angle_deg, said.magnitude_n, said.magnitude_std_n]).all()
