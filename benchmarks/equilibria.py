@@ -1,0 +1,259 @@
+"""Equilibria per second with cables that only pull, and how long time-stepping takes for the same.
+
+    python benchmarks/equilibria.py [--json] [--out benchmarks/results/equilibria.json]
+
+Worker processes, one per core and each with one BLAS thread, solve random poses within ±10
+degrees under one contact of 0 to 200 N. Handing out the cases and taking back the tensions counts,
+starting the workers does not. Then 2,000 hard cases (±20 degrees, one to four contacts) and their residuals.
+
+The peer steps the same model in time, from the unloaded rest until no joint moves faster than
+`STILL_RAD_S`, under loads that leave the plates of either arm apart. Two ratios compare the time
+per case: as run, `ArmDynamics.settle` on one core against the solver on all; and on one core each
+with the peer's time counted as its number of steps times MuJoCo's bare step, without Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+CASES = 65_536
+SHARE = 2_048
+HARD_CASES = 2_000
+STEPPED_CASES = 12
+STILL_RAD_S = {"cdsm": 1e-8, "cdsm_lab": 1e-6}
+STEPPED_LARGEST_N = {"cdsm": 200.0, "cdsm_lab": 100.0}
+BAR_PER_S, RATIO_BAR = 10_000, 500
+BARE_STEPS = 20_000
+
+
+@dataclass(frozen=True)
+class ArmFigures:
+    """One arm's figures; a rate counts cases per second, a ratio is of times per case."""
+
+    cases: int
+    per_second: float
+    per_second_one_core: float
+    slack_share: float
+    without_rest: int
+    largest_residual_n_m: float
+    largest_iterations: int
+    stepped_cases: int
+    steps_to_rest: float
+    stepping_ms: float
+    stepping_with_python_ms: float
+    largest_tension_difference_n: float
+    ratio_as_run: float
+    ratio_bare_one_core: float
+
+
+@dataclass(frozen=True)
+class HardFigures:
+    """The hard cases on the stiff arm."""
+
+    cases: int
+    converged: int
+    largest_residual_n_m: float
+    largest_iterations: int
+    slack_share: float
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print, write; 1 where a bar is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--out", type=Path, help="also write the JSON to this file")
+    options = parser.parse_args(arguments)
+    for library in ("OMP", "OPENBLAS", "MKL"):  # read by the workers, which start afterwards
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+    workers = len(os.sched_getaffinity(0))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        arms = {name: _measure(pool, workers, name) for name in ("cdsm", "cdsm_lab")}
+        hard = pool.submit(_hard).result()
+    met = (
+        all(arm.per_second >= BAR_PER_S for arm in arms.values())
+        and arms["cdsm_lab"].ratio_as_run >= RATIO_BAR
+        and hard.converged == hard.cases
+    )
+    report = {
+        "command": "python benchmarks/equilibria.py --out benchmarks/results/equilibria.json",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": f"{platform.machine()}, {workers} cores, Python {platform.python_version()}",
+        "versions": {name: version(name) for name in ("numpy", "mujoco")},
+        "workers": f"{workers} processes with one BLAS thread each",
+        "load_average_at_the_end": os.getloadavg()[0],
+        "bar": {"per_second": BAR_PER_S, "cdsm_lab_ratio_as_run": RATIO_BAR, "met": met},
+        "arms": {name: asdict(figures) for name, figures in arms.items()},
+        "hard": asdict(hard),
+    }
+    text = json.dumps(report, indent=2)
+    if options.out:
+        partial = options.out.with_suffix(".part")
+        partial.write_text(text + "\n", encoding="utf-8")
+        partial.replace(options.out)
+    print(text if options.json else _table(report))
+    return 0 if met else 1
+
+
+def _cases(
+    mechanism: Mechanism, count: int, degrees: float, contacts: int, largest_n: float
+) -> tuple[Array, Array]:
+    """Commands (B, 2N) and forces (B, N, 3), one to `contacts` contacts each."""
+    rng = np.random.default_rng(1)
+    segments = mechanism.segment_count
+    command = np.deg2rad(rng.uniform(-degrees, degrees, (count, mechanism.joint_count)))
+    order = rng.random((count, segments)).argsort(axis=1)
+    touched = order < rng.integers(1, contacts + 1, (count, 1))
+    forces = np.zeros((count, segments, 3))
+    for n in range(segments):
+        magnitude = rng.uniform(0, largest_n, count) * touched[:, n]
+        forces += normal_force_n(mechanism, command, n + 1, rng.uniform(0, 360, count), magnitude)
+    return command, forces
+
+
+def _with_rest(name: str, command: Array, forces: Array) -> NDArray[np.int64]:
+    """Positions of the cases in which the plates stay apart."""
+    try:
+        solve_equilibrium(Mechanism.from_arm(open_arm(name)), command, forces)
+    except EquilibriumError as error:
+        return np.delete(np.arange(len(command)), error.failed)
+    return np.arange(len(command))
+
+
+def _solve(
+    name: str, command: Array, forces: Array
+) -> tuple[Array, Array, NDArray[np.int64], float]:
+    """Tensions, residuals, iterations, and the processor seconds that they took."""
+    start = time.process_time()
+    rest = solve_equilibrium(Mechanism.from_arm(open_arm(name)), command, forces)
+    return rest.tensions_n, rest.residual_n_m, rest.iterations, time.process_time() - start
+
+
+def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> ArmFigures:
+    mechanism = Mechanism.from_arm(open_arm(name))
+    command, forces = _cases(mechanism, CASES, degrees=10, contacts=1, largest_n=200)
+    # also warms the workers up: each has solved before the clock starts
+    parts = [slice(i, i + SHARE) for i in range(0, CASES, SHARE)]
+    kept = pool.map(_with_rest, *zip(*((name, command[p], forces[p]) for p in parts), strict=True))
+    good = np.concatenate([p.start + rows for p, rows in zip(parts, kept, strict=True)])
+    shares = np.array_split(good, len(parts))
+    start = time.perf_counter()
+    handed_out = ((name, command[share], forces[share]) for share in shares)
+    found = list(pool.map(_solve, *zip(*handed_out, strict=True)))
+    seconds = time.perf_counter() - start
+    tensions, residual, iterations = (
+        np.concatenate(part) for part in list(zip(*found, strict=True))[:3]
+    )
+    one_core = len(good) / sum(part[3] for part in found)
+    steps, with_python_s, difference = pool.submit(_step_to_rest, name).result()
+    bare_s = statistics.mean(steps) * pool.submit(_bare_step_s, name).result()
+    return ArmFigures(
+        cases=len(good),
+        per_second=len(good) / seconds,
+        per_second_one_core=one_core,
+        slack_share=float((tensions == 0).any(axis=1).mean()),
+        without_rest=CASES - len(good),
+        largest_residual_n_m=float(residual.max()),
+        largest_iterations=int(iterations.max()),
+        stepped_cases=len(steps),
+        steps_to_rest=statistics.mean(steps),
+        stepping_ms=1e3 * bare_s,
+        stepping_with_python_ms=1e3 * with_python_s,
+        largest_tension_difference_n=difference,
+        ratio_as_run=with_python_s * len(good) / seconds,
+        ratio_bare_one_core=bare_s * one_core,
+    )
+
+
+def _step_to_rest(name: str) -> tuple[list[int], float, float]:
+    """Steps of every case, mean processor seconds, largest difference from equilibrium, N."""
+    arm = open_arm(name)
+    mechanism = Mechanism.from_arm(arm)
+    largest_n = STEPPED_LARGEST_N[name]
+    command, forces = _cases(mechanism, STEPPED_CASES, 10, contacts=1, largest_n=largest_n)
+    rest = solve_equilibrium(mechanism, command, forces)
+    dynamics = ArmDynamics(arm)
+    steps, seconds, difference = [], 0.0, 0.0
+    for i in range(STEPPED_CASES):
+        dynamics.reset(command[i])
+        for n in range(arm.segment_count):
+            dynamics.load(n + 1, forces[i, n])
+        start = time.process_time()
+        steps.append(dynamics.settle(STILL_RAD_S[name]))
+        seconds += time.process_time() - start
+        difference = max(difference, float(np.abs(dynamics.tensions_n - rest.tensions_n[i]).max()))
+    return steps, seconds / STEPPED_CASES, difference
+
+
+def _bare_step_s(name: str) -> float:
+    """Processor seconds of one MuJoCo step, looped in C."""
+    dynamics = ArmDynamics(open_arm(name))
+    start = time.process_time()
+    mujoco.mj_step(dynamics.model, dynamics.data, BARE_STEPS)
+    return (time.process_time() - start) / BARE_STEPS
+
+
+def _hard() -> HardFigures:
+    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    command, forces = _cases(mechanism, HARD_CASES, degrees=20, contacts=4, largest_n=200)
+    good = _with_rest("cdsm", command, forces)
+    tensions, residual, iterations, _ = _solve("cdsm", command[good], forces[good])
+    return HardFigures(
+        cases=HARD_CASES,
+        converged=len(good),
+        largest_residual_n_m=float(residual.max()),
+        largest_iterations=int(iterations.max()),
+        slack_share=float((tensions == 0).any(axis=1).mean()),
+    )
+
+
+def _table(report: dict[str, Any]) -> str:
+    lines = [f"{report['workers']}; {report['machine']}"]
+    for name, arm in report["arms"].items():
+        lines += [
+            f"{name}: {arm['per_second']:,.0f} equilibria per second "
+            f"({arm['per_second_one_core']:,.0f} on one core), residual at most "
+            f"{arm['largest_residual_n_m']:.1e} N·m, slack in {arm['slack_share']:.0%}",
+            f"  stepping to rest: {arm['steps_to_rest']:,.0f} steps, {arm['stepping_ms']:.1f} ms "
+            f"bare, {arm['stepping_with_python_ms']:.1f} ms with Python; "
+            f"{arm['ratio_as_run']:,.0f} times as long as run, "
+            f"{arm['ratio_bare_one_core']:,.0f} times bare on one core; tensions within "
+            f"{arm['largest_tension_difference_n']:.1e} N",
+        ]
+    hard = report["hard"]
+    lines.append(
+        f"hard cases: {hard['converged']} of {hard['cases']} at rest, residual at most "
+        f"{hard['largest_residual_n_m']:.1e} N·m, {hard['largest_iterations']} steps at most"
+    )
+    lines.append("bars met" if report["bar"]["met"] else "a bar is missed")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
