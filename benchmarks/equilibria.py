@@ -4,7 +4,8 @@
 
 Worker processes, one per core and each with one BLAS thread, solve random poses within ±10
 degrees under one contact of 0 to 200 N. Handing out the cases and taking back the tensions counts,
-starting the workers does not. Then 2,000 hard cases (±20 degrees, one to four contacts) and their residuals.
+starting the workers does not. Then 2,000 hard cases (±20 degrees, one to four contacts) with their
+residuals.
 
 The peer steps the same model in time, from the unloaded rest until no joint moves faster than
 `STILL_RAD_S`, under loads that leave the plates of either arm apart. Two ratios compare the time

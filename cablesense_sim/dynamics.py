@@ -127,7 +127,7 @@ class ArmDynamics:
         for _ in range(max(1, round(duration_s / self.model.opt.timestep))):
             self._apply_forces()
             mujoco.mj_step(self.model, self.data)
-        mujoco.mj_tendon(self.model, self.data)
+        self._measure_tendons()
 
     def settle(self, speed_rad_s: float = 1e-9, longest_s: float = 60.0) -> int:
         """Step until the joints move slower than `speed_rad_s`; gives the number of steps.
@@ -139,10 +139,14 @@ class ArmDynamics:
             self._apply_forces()
             mujoco.mj_step(self.model, self.data)
             if np.abs(self.data.qvel).max() < speed_rad_s:
-                mujoco.mj_kinematics(self.model, self.data)
-                mujoco.mj_tendon(self.model, self.data)
+                self._measure_tendons()
                 return steps
         raise EquilibriumError(f"the arm still moves after {longest_s} s of simulated time")
+
+    def _measure_tendons(self) -> None:
+        """A step leaves cable lengths as they were at its start; take them where it ended."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_tendon(self.model, self.data)
 
     def _apply_forces(self) -> None:
         """MuJoCo takes forces at centres of mass; a force elsewhere brings its moment along."""

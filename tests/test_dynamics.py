@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
+from cablesense_sim import kinematics
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
@@ -184,3 +185,17 @@ def test_what_it_gives_is_not_its_own() -> None:
     assert not dynamics.forces_n.any()
     assert not dynamics.command_rad.any()
     assert np.abs(dynamics.joint_angles_rad).max() < 0.01
+
+
+def test_tensions_and_joint_angles_are_of_the_same_moment() -> None:
+    """In motion too, the stretch that a tension tells is that of the pose beside it."""
+    dynamics = ArmDynamics(open_arm("cdsm_lab"))
+    mechanism = dynamics.mechanism
+    dynamics.load(4, [0.0, 30.0, 0.0])
+    at_command = kinematics.cable_lengths_m(mechanism, np.zeros(8))
+    unstretched = at_command - mechanism.pretension_n / mechanism.stiffness_n_m
+    for duration_s in (1e-3, 5e-3, 2e-2):
+        dynamics.advance(duration_s)
+        lengths = kinematics.cable_lengths_m(mechanism, dynamics.joint_angles_rad)
+        expected = mechanism.stiffness_n_m * np.maximum(lengths - unstretched, 0.0)
+        np.testing.assert_allclose(dynamics.tensions_n, expected, atol=1e-6)
