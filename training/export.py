@@ -6,7 +6,6 @@ import contextlib
 import io
 import logging
 import os
-import tempfile
 import warnings
 from pathlib import Path
 
@@ -60,7 +59,8 @@ class _SingleAnswers(nn.Module):
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         output = self.network(*inputs)
         direction = output.direction
-        length = torch.sqrt((direction * direction).sum(-1, keepdim=True) + 1e-24)
+        # a small addend would do as well, did the exporter not leave out what it takes for zero
+        length = torch.sqrt((direction * direction).sum(-1, keepdim=True)).clamp(min=1e-9)
         return (
             torch.softmax(output.contact_logits, dim=-1),
             direction / length,
@@ -142,10 +142,11 @@ def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Ten
 
 
 def _write_whole(path: Path, content: bytes) -> None:
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
-            beside.write(content)
-        os.chmod(beside.name, 0o644)
-        Path(beside.name).replace(path)
+        beside.write_bytes(content)
+        beside.replace(path)
     except OSError as error:
         raise TrainingError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,93 @@
+"""A network's file answers as the network does, is whole or absent, and is the same every time."""
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from model_fixtures import metadata_for
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.errors import TrainingError
+from cablesense_training.export import AGREEMENT, export_model
+from cablesense_training.inference.estimator import OUTPUTS, Estimator
+from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
+from cablesense_training.inference.session import ModelSession
+from cablesense_training.networks import MultiContactNetwork
+from cablesense_training.networks.registry import NETWORKS, build_network
+
+CDSM = open_arm("cdsm")
+
+
+def _small_network(seed=0):
+    return build_network("two-stage", CDSM, seed)
+
+
+def _metadata(**changes):
+    return metadata_for(CDSM, network="two-stage", pose_aware=False, **changes)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_file_answers_as_pytorch_does(model_files, name):
+    path = model_files(name)
+    onnx.checker.check_model(onnx.load(path))
+    assert path.stat().st_size < 2_000_000
+    network = build_network(name, CDSM).double().eval()
+    rng = np.random.default_rng(0)
+    tension = rng.normal(0.0, 1.0, (200, 12)) * rng.uniform(0.0, 80.0, (200, 1))
+    command = rng.uniform(-0.17, 0.17, (200, 8))
+    tension[:2] = 0.0
+    tension[1] = -60.0
+    with torch.no_grad():
+        output = network(torch.as_tensor(tension), torch.as_tensor(command))
+    if isinstance(network, MultiContactNetwork):
+        expected = [torch.sigmoid(output.contact_logits), *output[1:]]
+        session = ModelSession.open(path, MULTI_OUTPUTS, CDSM)
+    else:
+        direction = torch.nn.functional.normalize(output.direction, dim=-1)
+        expected = [torch.softmax(output.contact_logits, dim=-1), direction, *output[2:]]
+        session = ModelSession.open(path, OUTPUTS, CDSM)
+    found = session.run(tension, session.steady_inputs(command))
+    for here, there in zip(expected, found, strict=True):
+        np.testing.assert_allclose(there, here.numpy(), rtol=AGREEMENT, atol=AGREEMENT)
+
+
+def test_the_same_network_makes_the_same_bytes(tmp_path):
+    paths = [tmp_path / name for name in ("first.onnx", "second.onnx", "other.onnx")]
+    for path, seed in zip(paths, (1, 1, 2), strict=True):
+        export_model(_small_network(seed), path, _metadata())
+    first, second, other = (path.read_bytes() for path in paths)
+    assert first == second
+    assert first != other
+
+
+def test_the_file_says_nothing_of_the_machine_that_made_it(model_files):
+    for network in ("closed-form-corrected", "two-stage"):
+        content = model_files(network).read_bytes()
+        for trace in (b"/home", b"/work", b"/tmp", b"site-packages", b".py"):
+            assert trace not in content
+
+
+def test_metadata_travel_with_the_file(tmp_path):
+    path = tmp_path / "model.onnx"
+    metadata = _metadata(command="cablesense train --seed 5", seed=5)
+    export_model(_small_network(), path, metadata)
+    assert Estimator.load(path).metadata == metadata
+
+
+def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr("cablesense_training.export.AGREEMENT", -1.0)
+    kept = tmp_path / "model.onnx"
+    kept.write_text("what was there")
+    with pytest.raises(TrainingError, match="differs by"):
+        export_model(_small_network(), kept, _metadata())
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
+    assert kept.read_text() == "what was there"
+
+
+@pytest.mark.parametrize("name", ["no/such/folder/model.onnx", "folder"])
+def test_a_place_that_cannot_be_written_is_named_and_stays_clean(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(TrainingError, match="cannot be written"):
+        export_model(_small_network(), tmp_path / name, _metadata())
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+    assert not list((tmp_path / "folder").iterdir())

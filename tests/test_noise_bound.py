@@ -1,0 +1,90 @@
+"""The noise bound agrees with analysis, scales with the noise, and is attained where it should be."""
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm import Arm
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2
+from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.evaluation.noise_bound import force_covariance_n2, noise_bound
+
+CDSM = open_arm("cdsm")
+
+
+def _arm(base=CDSM, **sensors):
+    content = base.model_dump()
+    content["sensors"] |= sensors
+    return Arm.model_validate(content)
+
+
+def _dataset(arm, samples=400, **options):
+    options = {"no_contact_fraction": 0.0, **options}
+    return Dataset.from_protocol(arm, SingleContact(samples=samples, **options), seed=3)
+
+
+def test_one_segment_of_equal_cables_has_an_analytic_bound():
+    # three cables at radius r, 120 degrees apart, share the moment F c about the joint: the
+    # tensions change by 2 F c cos(angle to the cable) / (3 r), hence C = 3 v r^2 / (2 c^2) I
+    content = CDSM.model_dump()
+    content["segments"]["count"] = 1
+    content["segments"]["mass_kg"] = 0.0
+    content["cables"]["stiffness_n_m"] = 1e9
+    content["actuators"]["kp_n_m"] = 1e10
+    arm = Arm.model_validate(content)
+    dataset = _dataset(arm, samples=30, force_high_n=10.0)
+    mechanism = Mechanism.from_arm(arm)
+    radius, contact = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)[0], mechanism.contact_m[0]
+    variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
+    expected = 1.5 * variance * (radius / contact) ** 2 * np.eye(2)
+    found = force_covariance_n2(dataset)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-3 * expected[0, 0])
+
+
+def test_the_bound_shrinks_with_the_noise():
+    bounds = [
+        noise_bound(_dataset(_arm(noise_std_n=noise, step_n=0.0), force_low_n=20.0, samples=200))
+        for noise in (0.4, 0.1, 0.025)
+    ]
+    for louder, quieter in zip(bounds, bounds[1:], strict=False):
+        for figure in ("magnitude_mae_n", "magnitude_rmse_n", "direction_mae_deg"):
+            ratio = getattr(louder, figure) / getattr(quieter, figure)
+            assert ratio == pytest.approx(4.0, rel=0.02)
+
+
+def test_noise_and_step_count_as_one_variance():
+    stepped = noise_bound(_dataset(_arm(noise_std_n=0.0, step_n=0.2 * 12**0.5), samples=100))
+    noisy = noise_bound(_dataset(_arm(noise_std_n=0.2, step_n=0.0), samples=100))
+    assert stepped.magnitude_mae_n == pytest.approx(noisy.magnitude_mae_n, rel=1e-6)
+
+
+def test_contacts_are_counted_and_weak_ones_left_out():
+    dataset = _dataset(CDSM, samples=500, no_contact_fraction=0.2)
+    assert noise_bound(dataset).contacts == (dataset.segment > 0).sum()
+    firm = noise_bound(dataset, weakest_n=50.0)
+    assert firm.contacts == (dataset.magnitude_n >= 50.0).sum()
+    assert firm.direction_mae_deg < noise_bound(dataset).direction_mae_deg
+    assert len(force_covariance_n2(dataset)) == (dataset.segment > 0).sum()
+
+
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+def test_statics_attain_the_bound_while_all_cables_are_taut(name):
+    from test_closed_form import _candidates, _closed_form
+
+    arm = _arm(open_arm(name), noise_std_n=0.05, step_n=0.0)
+    dataset = _dataset(arm, samples=4000, pose="random", force_low_n=2.0, force_high_n=15.0)
+    variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
+    found = _candidates(
+        _closed_form(Mechanism.from_arm(arm), variance),
+        dataset.tension_difference_n,
+        dataset.command_rad,
+    )
+    own = found.force_n[np.arange(len(dataset)), dataset.segment - 1]
+    error = np.hypot(own[:, 0], own[:, 1]) - dataset.magnitude_n
+    taut = dataset.slack_cables == 0
+    assert taut.mean() > 0.9
+    bound = noise_bound(dataset.select(taut))
+    rmse = np.sqrt((error[taut] ** 2).mean())
+    assert rmse == pytest.approx(bound.magnitude_rmse_n, rel=0.06)
+    assert np.abs(error[taut]).mean() == pytest.approx(bound.magnitude_mae_n, rel=0.06)
