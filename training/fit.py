@@ -98,7 +98,8 @@ def fit(
 ) -> FitHistory:
     """Train a network in place and leave it in evaluation mode with the best weights seen.
 
-    A network without trainable parameters is only calibrated: its stated deviations are scaled to the held-out errors.
+    A network without trainable parameters is only calibrated: its stated deviations are scaled
+    to the held-out errors.
 
     Args:
         network: a single-contact network, or a multi-contact one; the dataset's labels are read
