@@ -27,7 +27,10 @@ from cablesense_sim.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 RESIDUAL_LIMIT_N_M = 1e-7
-"""Largest joint torque left unbalanced in a pose that counts as an equilibrium."""
+"""Largest joint torque left unbalanced in a pose that counts as an equilibrium.
+
+On arms so large and stiff that double precision cannot tell, what rounding leaves counts instead.
+"""
 
 MAX_FORCE_N = 1e6
 """Largest force component that is taken for one; what is larger has a wrong unit."""
@@ -39,8 +42,6 @@ _SHORTEST_STEP = 1e-9
 _CUT = (0.01, 0.9)
 _LONGEST_TURN_RAD = 0.1
 _LEAST_ESCAPE_RAD = 1e-3
-_ROUNDING_M = 2e-17
-"""Of a cable's length, times its lever: with the stiffness, the torque that rounding leaves."""
 
 
 class EquilibriumError(CableSenseError):
@@ -171,7 +172,7 @@ def _require_rest(
 ) -> None:
     """Every case at rest, and none bent so far that guide plates would have met before."""
     bend, limit = kinematics.bend_rad(angles), mechanism.bend_limit_rad
-    unbalanced = ~(residual <= RESIDUAL_LIMIT_N_M)
+    unbalanced = ~(residual <= max(RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism)))
     failed = np.flatnonzero(unbalanced | ~(bend < limit).all(-1))
     if not failed.size:
         return
@@ -189,6 +190,18 @@ def _require_rest(
         f"{why}; lower the loads or the commanded angles, or raise the stiffness",
         failed,
     )
+
+
+def _rounding_m(mechanism: Mechanism) -> float:
+    """What double precision leaves open of a cable's stretch, with some room."""
+    spans = 2.0 * mechanism.plate_offset_m * mechanism.segment_count
+    return 16.0 * float(np.finfo(float).eps) * spans
+
+
+def _rounding_n_m(mechanism: Mechanism) -> float:
+    """What that leaves open of a joint torque."""
+    radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
+    return _rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
 
 
 class _Point(NamedTuple):
@@ -242,7 +255,7 @@ def _solve_chunk(
     pretensioned = mechanism.pretension_n / mechanism.stiffness_n_m
     rest = kinematics.spans(mechanism, command).length_m.sum(-1) - pretensioned
     arms = kinematics.load_arms(mechanism, forces)
-    enough = max(0.01 * RESIDUAL_LIMIT_N_M, _ROUNDING_M * float(mechanism.stiffness_n_m.max()))
+    enough = max(0.01 * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
     angles, tensions = np.empty_like(command), np.empty_like(rest)
     residual = np.empty(len(command))
     stable = np.zeros(len(command), dtype=bool)
@@ -347,6 +360,7 @@ def _line_search(
     """
     slope = (step * start.gradient_n_m).sum(-1)
     rounding = 1e-13 * (np.abs(start.potential_j) + 1.0)
+    rounding += _rounding_m(mechanism) * start.tension_n.sum(-1)
     fraction = np.ones(len(step))
     end = _Point.at(mechanism, start.angles_rad + step, rest, arms)
     while True:
