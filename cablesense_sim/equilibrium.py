@@ -193,9 +193,13 @@ def _require_rest(
 
 
 def _rounding_m(mechanism: Mechanism) -> float:
-    """What double precision leaves open of a cable's stretch, with some room."""
-    spans = 2.0 * mechanism.plate_offset_m * mechanism.segment_count
-    return 16.0 * float(np.finfo(float).eps) * spans
+    """What double precision leaves open of a cable's stretch, with some room.
+
+    Where plates are wide and close together, a span is a small difference of large squares.
+    """
+    apart = 2.0 * mechanism.plate_offset_m
+    wide = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+    return 4.0 * float(np.finfo(float).eps) * mechanism.segment_count * max(apart, wide**2 / apart)
 
 
 def _rounding_n_m(mechanism: Mechanism) -> float:

@@ -281,6 +281,25 @@ def test_very_stiff_cables_are_no_harder() -> None:
     assert rest.iterations.max() < 20
 
 
+def test_large_arms_with_wide_and_close_plates_come_to_rest() -> None:
+    """Their spans are small differences of large squares, which rounding blurs most."""
+    large = Mechanism.from_arm(
+        variant(
+            {
+                "segments.length_m": 1.7,
+                "segments.contact_m": 0.3,
+                "segments.plate_offset_m": 0.04,
+                "cables.routing_radius_m": 1.0,
+                "cables.stiffness_n_m": 2e7,
+                "actuators.kp_n_m": np.inf,
+            }
+        )
+    )
+    rest = solve_equilibrium(large, *random_cases(large, 100, degrees=2, contacts=2))
+    assert rest.residual_n_m.max() < 1e-5
+    assert rest.iterations.max() < 20
+
+
 @pytest.mark.parametrize("count", [1, 2, 6])
 @pytest.mark.parametrize("each", [3, 5])
 def test_other_arms_come_to_rest_too(count: int, each: int) -> None:
