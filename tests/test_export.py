@@ -35,8 +35,7 @@ def test_the_file_answers_as_pytorch_does(model_files, name):
     rng = np.random.default_rng(0)
     tension = rng.normal(0.0, 1.0, (200, 12)) * rng.uniform(0.0, 80.0, (200, 1))
     command = rng.uniform(-0.17, 0.17, (200, 8))
-    tension[:2] = 0.0
-    tension[1] = -60.0
+    tension[0] = 0.0
     with torch.no_grad():
         output = network(torch.as_tensor(tension), torch.as_tensor(command))
     if isinstance(network, MultiContactNetwork):

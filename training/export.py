@@ -91,6 +91,7 @@ def _answers(network: Network) -> nn.Module:
 def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
     rng = np.random.default_rng(0)
     tension = torch.as_tensor(rng.normal(0.0, 20.0, (_TRIAL_ROWS, metadata.arm.cable_count)))
+    tension[0] = 0.0  # where a zero may be divided by another
     if not metadata.pose_aware:
         return (tension,)
     reach = np.deg2rad(metadata.pose_range_deg)

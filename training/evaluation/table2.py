@@ -17,6 +17,7 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.config_files import config_path
 from cablesense_training.evaluation.metrics import angle_difference_deg
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import ModelFileError
 
 Array = NDArray[np.float64]
 
@@ -70,13 +71,14 @@ def read_table2(path: Path | None = None) -> list[HungLoad]:
     """The rows of Table II, physical and simulated, from the bundled file.
 
     Raises:
-        CableSenseError: the file lacks a column or holds something that is not a number.
+        CableSenseError: the file has no rows, lacks a column or holds something that is not a
+            finite number.
     """
     path = path or config_path("measurements/table2.csv")
     cables = [f"cable_{i + 1}_n" for i in range(CABLES)]
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return [
+            rows = [
                 HungLoad(
                     source=row["source"],
                     segment=int(row["load_segment"]),
@@ -85,15 +87,29 @@ def read_table2(path: Path | None = None) -> list[HungLoad]:
                 )
                 for row in csv.DictReader(file)
             ]
+        if not rows:
+            raise ValueError("no rows")
+        if not all(np.isfinite([*row.tension_difference_n, row.weight_n]).all() for row in rows):
+            raise ValueError("a number is not finite")
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise CableSenseError(
             f"{path}: not Table II ({error}); needed are source, load_kg, load_segment and "
             f"{cables[0]} … {cables[-1]}"
         ) from error
+    return rows
 
 
 def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[HungLoadAnswer]:
-    """What a model of the three-segment arm says of the table's rows of one source."""
+    """What a model of the three-segment arm says of the table's rows of one source.
+
+    Raises:
+        ModelFileError: the model is for an arm of other cables.
+    """
+    if len(estimator.cable_names) != CABLES:
+        raise ModelFileError(
+            f"a model of arm {estimator.arm_identity} with {len(estimator.cable_names)} cables; "
+            f"Table II was measured on one with {CABLES}, such as cdsm_table2"
+        )
     straight = np.zeros(estimator.metadata.arm.joint_count)
     answers = []
     for load in read_table2():

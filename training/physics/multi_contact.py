@@ -24,6 +24,7 @@ UNTOUCHED_PRECISION = 1e6
 """Information, 1/N², that an untouched segment's force is zero: it cannot exceed a millinewton."""
 
 _FORCE_SCALE_N = 60.0
+_WEAKEST_N = 1e-3
 
 
 class MultiContactClosedForm(MultiContactNetwork):
@@ -86,7 +87,7 @@ class MultiContactClosedForm(MultiContactNetwork):
         held = ((1.0 - touched) * UNTOUCHED_PRECISION)[:, :, None].expand(-1, -1, 2)
         covariance = inverse(information + torch.diag_embed(held.reshape(-1, 2 * n)))
         force = (covariance @ pull).reshape(-1, n, 2)
-        magnitude = torch.sqrt((force * force).sum(-1) + 1e-12)
+        magnitude = torch.sqrt((force * force).sum(-1) + _WEAKEST_N**2)
         std = _radial_std(force, magnitude, covariance)
         features = [magnitude / _FORCE_SCALE_N, touched, balance.taut]
         hidden = self.widen(torch.cat(features, dim=-1).detach())
