@@ -91,7 +91,7 @@ def _answers(network: Network) -> nn.Module:
 def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
     rng = np.random.default_rng(0)
     tension = torch.as_tensor(rng.normal(0.0, 20.0, (_TRIAL_ROWS, metadata.arm.cable_count)))
-    tension[0] = 0.0  # where a zero may be divided by another
+    tension[0] = 0.0  # where one zero may be divided by another
     if not metadata.pose_aware:
         return (tension,)
     reach = np.deg2rad(metadata.pose_range_deg)
@@ -134,7 +134,10 @@ def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Ten
     with torch.no_grad():
         expected = answers(*inputs.values())
     for entry, there, here in zip(session.get_outputs(), found, expected, strict=True):
-        difference = float(np.abs(there - here.numpy()).max())
+        if not np.isfinite(there).all():
+            raise TrainingError(f"output {entry.name} is not finite in ONNX Runtime")
+        # at rest, in the first row, the direction is that of a rounding error
+        difference = float(np.abs(there - here.numpy())[1:].max())
         if not difference <= AGREEMENT:
             raise TrainingError(
                 f"output {entry.name} differs by {difference:.2g} between PyTorch and ONNX Runtime; "

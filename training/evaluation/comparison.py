@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -74,6 +75,8 @@ def compare(
     Raises:
         ModelFileError: a bundled model is missing or does not fit its arm.
     """
+    for name in _models():
+        find_model(name)
     figures = []
     for setting in SETTINGS:
         if on_setting is not None:
@@ -87,6 +90,12 @@ def compare(
     arm = open_arm(MULTI_ARM)
     dataset = Dataset.from_protocol(arm, multi_protocol(samples), seed, workers=workers)
     return Comparison(seed, samples, tuple(figures), multi_figures(dataset))
+
+
+def _models() -> Iterable[str]:
+    for setting in SETTINGS:
+        yield from (setting.model, *setting.peers.values())
+    yield from (MULTI_MODEL, *MULTI_PEERS.values())
 
 
 def setting_figures(setting: Setting, dataset: Dataset) -> SettingFigures:
@@ -161,17 +170,23 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def single_json(metrics: SingleContactMetrics) -> dict[str, Any]:
-    """One model's figures in one setting."""
+    """One model's figures in one setting; None where there was nothing to average."""
     errors = metrics.errors
-    return {
+    figures = {
         "contact_accuracy": metrics.contact_accuracy,
         "direction_mae_deg": errors.direction_mae_deg,
         "magnitude_mae_n": errors.magnitude_mae_n,
         "magnitude_rmse_n": errors.magnitude_rmse_n,
         "macro_f1": metrics.macro_f1,
         "coverage95": errors.magnitude_coverage95,
-        "by_force": list(_bins(metrics)),
     }
+    by_force = [_none_for_nan(force_bin) for force_bin in _bins(metrics)]
+    return {**_none_for_nan(figures), "by_force": by_force}
+
+
+def _none_for_nan(figures: dict[str, float]) -> dict[str, float | None]:
+    """JSON has no NaN."""
+    return {name: None if math.isnan(value) else value for name, value in figures.items()}
 
 
 def _bins(metrics: SingleContactMetrics) -> Iterable[dict[str, float]]:
