@@ -1,0 +1,93 @@
+"""`cablesense evaluate`: tables for people, JSON for programs, one line for what cannot be."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from cablesense_ros.cli.app import app
+from cablesense_training.evaluation.settings import TABLE2_MODEL
+from cablesense_training.inference.model_files import bundled_models, find_model
+
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "evaluate"]
+
+
+def _run(*arguments):
+    result = CliRunner().invoke(app, ["evaluate", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@pytest.fixture
+def table2_model(model_files):
+    bundled = TABLE2_MODEL in bundled_models()
+    return find_model(TABLE2_MODEL) if bundled else model_files(arm_name="cdsm_table2")
+
+
+def test_table2_as_json_has_six_rows_of_true_and_estimated(table2_model):
+    content = json.loads(_run("--table2", "--model", table2_model, "--json"))
+    assert content["model"]
+    assert len(content["rows"]) == 6
+    for row in content["rows"]:
+        assert row["true_segment"] == row["segment"]
+        assert row["true_angle_deg"] == 180.0
+        assert row["angle_deg"] == pytest.approx(180.0, abs=2.0)
+        assert row["true_magnitude_n"] in (9.81, 19.62)
+        assert row["magnitude_n"] == pytest.approx(row["true_magnitude_n"], rel=0.1)
+        error = row["magnitude_n"] / row["true_magnitude_n"] - 1.0
+        assert row["magnitude_error"] == pytest.approx(error)
+
+
+def test_table2_as_a_table_names_the_loads(table2_model):
+    text = _run("--table2", "--model", table2_model)
+    assert text.count("9.81 N") == 3
+    assert text.count("19.62 N") == 3
+    assert "physical arm" in text
+
+
+def test_one_model_is_evaluated_on_its_own_arm(model_files):
+    path = model_files()
+    content = json.loads(_run("--model", path, "--samples", 200, "--seed", 1, "--json"))
+    assert set(content) == {"single", "bound"}
+    assert content["single"]["contact_accuracy"] > 0.97
+    assert content["bound"]["contacts"] == pytest.approx(160, abs=2)
+    error, bound = content["single"]["magnitude_mae_n"], content["bound"]["magnitude_mae_n"]
+    assert 0.7 * bound < error < 2.0 * bound
+    again = json.loads(_run("--model", path, "--samples", 200, "--seed", 1, "--json"))
+    assert again == content
+    text = _run("--model", path, "--samples", 200)
+    assert "noise bound" in text
+    assert "closed-form-corrected" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (["--model", "nonsense"], "bundled models are"),
+        (["--model", "none.onnx"], "no model file none.onnx"),
+        (["--table2", "--model", "none.onnx"], "no model file none.onnx"),
+        (["--table2", "--model", "cdsm"], "cdsm_table2"),
+        (["--model", "setup.py"], "unknown model"),
+    ],
+)
+def test_a_refusal_is_one_line_and_exit_code_two(arguments, remedy):
+    result = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert remedy in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["--samples", "5"], ["--seed", "-1"], ["--workers", "0"]])
+def test_numbers_out_of_range_are_refused(arguments):
+    result = CliRunner().invoke(app, ["evaluate", *arguments])
+    assert result.exit_code == 2
+    assert arguments[0] in result.output
+
+
+def test_a_model_of_several_contacts_is_refused(model_files):
+    result = CliRunner().invoke(app, ["evaluate", "--model", str(model_files("multi-contact"))])
+    assert result.exit_code != 0
+    assert "multi-contact" in str(result.exception)

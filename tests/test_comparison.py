@@ -1,0 +1,126 @@
+"""The figures of `cablesense evaluate`: one table of samples, every model, in strict JSON."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_training.evaluation import comparison, settings
+from cablesense_training.evaluation.comparison import (
+    as_json,
+    compare,
+    setting_figures,
+    single_figures,
+)
+from cablesense_training.evaluation.settings import SETTINGS, Setting
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import ModelFileError
+
+FIGURES = {
+    "contact_accuracy", "direction_mae_deg", "magnitude_mae_n", "magnitude_rmse_n", "macro_f1",
+    "coverage95", "by_force",
+}  # fmt: skip
+
+
+@pytest.fixture
+def untrained(model_files, monkeypatch):
+    """Every model of the comparison stands in for by an untrained one of its kind."""
+
+    def find_model(name):
+        arm = "cdsm_lab" if "lab" in name else "cdsm"
+        if "multi" in name:
+            return model_files("multi-contact")
+        if "tensions" in name or "two_stage" in name:
+            return model_files("two-stage", arm)
+        return model_files("closed-form-corrected", arm)
+
+    monkeypatch.setattr(comparison, "find_model", find_model)
+
+
+def test_every_setting_every_model_and_the_bound_on_the_same_samples(untrained):
+    told = []
+    result = compare(7, 150, on_setting=told.append)
+    assert told == [setting.name for setting in SETTINGS] + ["multi"]
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    content = json.loads(json.dumps(as_json(result)), parse_constant=refuse)
+    names = {"straight", "random_pose", "compliant", "tensions_only"}
+    assert content["seed"] == 7
+    assert content["samples"] == 150
+    assert set(content["single"]) == set(content["bound"]) == names
+    for figures in content["single"].values():
+        assert set(figures) == FIGURES | {"mae_over_bound"}
+    for name, peer in content["peers"].items():
+        assert set(peer) <= names, name
+    assert set(content["peers"]["closed_form"]) == names - {"tensions_only"}
+    assert set(content["peers"]["two_stage"]) == names
+    assert {"recognition_accuracy", "macro_f1", "magnitude_mae_n"} <= set(content["multi"])
+    for name in ("straight", "random_pose", "compliant"):
+        assert content["single"][name]["contact_accuracy"] > 0.95
+        assert content["single"][name]["mae_over_bound"] < 2.0
+    assert 0.0 <= content["coverage95"] <= 1.0
+
+
+def test_the_same_seed_gives_the_same_figures(untrained):
+    setting = SETTINGS[0]
+    one, again, other = (
+        setting_figures(setting, Dataset.from_protocol(setting.arm, setting.protocol(100), seed))
+        for seed in (1, 1, 2)
+    )
+    assert repr(one) == repr(again)  # NaN where a bin is empty
+    assert repr(one) != repr(other)
+
+
+def test_a_perfect_answer_has_no_error(monkeypatch):
+    arm = open_arm("cdsm")
+    dataset = Dataset.from_protocol(arm, SingleContact(samples=100), seed=0)
+
+    class Oracle:
+        def estimate_batch(self, tension, command):
+            np.testing.assert_array_equal(tension, dataset.tension_difference_n)
+            np.testing.assert_array_equal(command, dataset.command_rad)
+            return type(
+                "Said",
+                (),
+                {
+                    "segment": dataset.segment,
+                    "angle_deg": dataset.angle_deg,
+                    "magnitude_n": dataset.magnitude_n,
+                    "magnitude_std_n": np.ones(100),
+                    "angle_std_deg": np.ones(100),
+                },
+            )
+
+    figures = single_figures(Oracle(), dataset)
+    assert figures.contact_accuracy == 1.0
+    assert figures.errors.magnitude_rmse_n == figures.errors.direction_mae_deg == 0.0
+
+
+def test_settings_are_bundled_arms_of_known_protocols():
+    for setting in SETTINGS:
+        assert isinstance(setting.protocol(10), SingleContact)
+        assert setting.arm.name == setting.arm_name
+    assert isinstance(settings.multi_protocol(10), MultiContact)
+    assert open_arm(settings.MULTI_ARM).segment_count == 4
+
+
+def test_a_model_for_another_arm_is_refused(model_files, monkeypatch):
+    monkeypatch.setattr(comparison, "find_model", lambda name: model_files("two-stage"))
+    setting = Setting("mixed", "cdsm_lab", "straight", "cdsm", {})
+    dataset = Dataset.from_protocol(setting.arm, setting.protocol(100), seed=0)
+    with pytest.raises(ModelFileError, match="made for arm cdsm-"):
+        setting_figures(setting, dataset)
+
+
+def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):
+    def refuse(*arguments, **options):
+        raise AssertionError("samples were drawn for nothing")
+
+    monkeypatch.setattr(Dataset, "from_protocol", refuse)
+    monkeypatch.setattr("cablesense_training.inference.model_files.bundled_models", list)
+    with pytest.raises(ModelFileError, match="unknown model"):
+        compare(0, 100)
