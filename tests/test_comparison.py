@@ -15,7 +15,6 @@ from cablesense_training.evaluation.comparison import (
     single_figures,
 )
 from cablesense_training.evaluation.settings import SETTINGS, Setting
-from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import ModelFileError
 
 FIGURES = {

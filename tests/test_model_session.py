@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -34,12 +35,14 @@ def _weights(name, rows, columns, kind=DOUBLE):
 
 
 def _small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=None):
-    """A tensions-only model of a few operators; `nodes` come last and replace those that write the same."""
+    """A tensions-only model of few operators; `nodes` replace those that write the same."""
     own = [
         helper.make_node("MatMul", ["tension_difference_n", "classes"], ["logits"]),
         helper.make_node("Softmax", ["logits"], ["contact_probability"], axis=-1),
         helper.make_node("MatMul", ["tension_difference_n", "turn"], ["direction"]),
-        helper.make_node("ReduceL2", ["tension_difference_n", "last"], ["magnitude_n"], keepdims=0),
+        helper.make_node(
+            "ReduceL2", ["tension_difference_n", "last"], ["magnitude_n"], keepdims=0
+        ),
         helper.make_node("Exp", ["magnitude_n"], ["magnitude_std_n"]),
         helper.make_node("Sqrt", ["magnitude_n"], ["angle_std_deg"]),
     ]
@@ -85,10 +88,11 @@ def test_a_small_model_opens(tmp_path):
 
 
 def test_one_thread_runs_it(tmp_path):
-    before = set(os.listdir("/proc/self/task"))
+    tasks = Path("/proc/self/task")
+    before = {task.name for task in tasks.iterdir()}
     session = ModelSession.open(_written(tmp_path, _small_model()), OUTPUTS)
     session.run(np.ones((1, 12)), {})
-    assert set(os.listdir("/proc/self/task")) <= before
+    assert {task.name for task in tasks.iterdir()} <= before
     assert session.moving.get_session_options().intra_op_num_threads == 1
 
 
@@ -268,7 +272,7 @@ def test_damaged_bytes_are_refused_or_still_answer(tmp_path_factory, damage):
 def test_a_damaged_model_file_is_refused_or_still_answers(model_files, tmp_path):
     whole = model_files().read_bytes()
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(30):
         content = bytearray(whole)
         place = rng.integers(len(content))
         content[place : place + rng.integers(1, 4)] = rng.bytes(rng.integers(0, 4))
@@ -278,10 +282,9 @@ def test_a_damaged_model_file_is_refused_or_still_answers(model_files, tmp_path)
 def _refused_or_finite(path):
     try:
         estimator = Estimator.load(path)
-        command = None if not estimator.pose_aware else np.zeros(estimator.metadata.arm.joint_count)
+        command = np.zeros(estimator.metadata.arm.joint_count)
         said = estimator.estimate(np.linspace(-3.0, 3.0, len(estimator.cable_names)), command)
-    except CableSenseError as error:
-        assert "\n" not in str(error)
+    except CableSenseError:
         return
     numbers = [*said.probabilities, said.angle_deg, said.magnitude_n]
     assert np.isfinite([*numbers, said.magnitude_std_n, said.angle_std_deg]).all()

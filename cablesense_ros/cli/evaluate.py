@@ -1,4 +1,4 @@
-"""`cablesense evaluate`: how good the estimators are, on fresh samples or on the paper's own measurements."""
+"""`cablesense evaluate`: how good the estimators are, on fresh samples or measured ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def evaluate(
     model: Annotated[
         str,
         typer.Option(
-            help="Evaluate this single-contact model (a path, or a bundled name) alone, on its own arm."
+            help="Evaluate this single-contact model (a path, or a bundled name) alone, "
+            "on its own arm."
         ),
     ] = "",
     table2: Annotated[
@@ -40,8 +41,9 @@ def evaluate(
 ) -> None:
     """Compare the bundled models, their peers and the noise bound on fresh samples.
 
-    Without options: single contacts on the straight arm, at random poses, on a compliant arm, and from tensions
-    alone; several contacts at once. With [bold]--table2[/bold]: the six loads that were hung on the physical arm.
+    Without options: single contacts on the straight arm, at random poses, on a compliant arm, and
+    from tensions alone; several contacts at once. With [bold]--table2[/bold]: the six loads that
+    were hung on the physical arm.
 
     Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
     [bold]cablesense evaluate --model my_arm.onnx[/bold]
@@ -173,7 +175,8 @@ def _figures_table(title: str) -> Table:
     from rich.table import Table
 
     return Table(
-        "estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds", title=title
+        "estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds",
+        title=title,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cablesense_sim.arm_files import open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -29,7 +30,6 @@ from cablesense_training.evaluation.settings import (
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.multi_estimator import MultiEstimator
-from cablesense_sim.arm_files import open_arm
 
 FIRM_N = 2.0
 """Below this force the figures beside the noise bound are not compared: noise decides them."""
@@ -61,7 +61,7 @@ class Comparison:
 
     @property
     def coverage95(self) -> float:
-        """Share of the shipped models' stated 95 % magnitude intervals that hold the truth, pose known."""
+        """Share of the shipped models' stated 95 % magnitude intervals that hold the truth."""
         known = [s.shipped.errors for s in self.settings]
         total = sum(e.found for e in known)
         return sum(e.magnitude_coverage95 * e.found for e in known) / total
@@ -130,7 +130,7 @@ def single_figures(estimator: Estimator, dataset: Dataset) -> SingleContactMetri
 
 
 def multi_figures(dataset: Dataset) -> dict[str, MultiContactMetrics]:
-    """Metrics of the shipped multi-contact model and its peers, contacts below `WEAKEST_MULTI_N` left out."""
+    """Metrics of the multi-contact models, contacts below `WEAKEST_MULTI_N` left out."""
     figures = {}
     for name, model in {"shipped": MULTI_MODEL, **MULTI_PEERS}.items():
         estimator = MultiEstimator.load(find_model(model), dataset.arm)

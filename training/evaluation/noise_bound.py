@@ -1,10 +1,11 @@
 """The noise bound: how well any unbiased estimator could do on the very same samples (Cramér-Rao).
 
-With the segment known, the force's two components f are what is unknown, and the tension differences are Gaussian
-about dT(f) with variance v each. Their information is G' G / v, with G = d dT / d f from the equilibrium's own
-sensitivity, so no unbiased estimate of f has a covariance below C = v (G' G)^-1 (Kay, Fundamentals of Statistical
-Signal Processing, vol. I, 1993, section 3.8). Angle and magnitude follow by drawing from N(f, C), which also holds for
-weak forces, where an angle's error is not Gaussian.
+With the segment known, the force's two components f are what is unknown, and the tension
+differences are Gaussian about dT(f) with variance v each. Their information is G' G / v, with G =
+d dT / d f from the equilibrium's own sensitivity, so no unbiased estimate of f has a covariance
+below C = v (G' G)^-1 (Kay, Fundamentals of Statistical Signal Processing, vol. I, 1993, section
+3.8). Angle and magnitude follow by drawing from N(f, C), which also holds for weak forces, where
+an angle's error is not Gaussian.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class NoiseBound:
 
 
 def force_covariance_n2(dataset: Dataset) -> Array:
-    """Bound (C, 2, 2) on the covariance of the (y, z) force of each of the dataset's C contacts, in order."""
+    """Bound (C, 2, 2) on the covariance of the (y, z) force of the dataset's C contacts."""
     touched = np.flatnonzero(dataset.segment > 0)
     mechanism = Mechanism.from_arm(dataset.arm)
     command, forces = dataset.command_rad[touched], dataset.forces_n[touched]

@@ -67,7 +67,7 @@ SETTINGS = (
         {"two_stage": "peers/cdsm_two_stage"},
     ),
 )
-"""Single contact; the random poses are known to the pose-aware models and unknown to the others."""
+"""Single contact; random poses are known to the pose-aware models and unknown to the others."""
 
 MULTI_ARM = "cdsm"
 MULTI_MODEL = "cdsm_multi"

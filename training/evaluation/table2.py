@@ -1,7 +1,8 @@
-"""The main job on real input: the paper's Table II, the only tensions measured on the physical arm.
+"""The main job on real input: the paper's Table II, tensions measured on the physical arm.
 
-Loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment, nine-cable arm, straight and level. The
-estimator is told nothing of that: it gets nine tension differences and answers segment, direction and newtons.
+Loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment, nine-cable arm,
+straight and level. The estimator is told nothing of that: it gets nine tension differences and
+answers segment, direction and newtons.
 """
 
 from __future__ import annotations
