@@ -19,8 +19,10 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
-from cablesense_training.inference.session import COMMAND, TENSION
-from cablesense_training.networks import MultiContactNetwork, Network
+from cablesense_training.inference.session import COMMAND, TAUT, TENSION
+from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
+from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.physics.corrected import CorrectedClosedForm
 
 OPSET = 20
 
@@ -36,13 +38,13 @@ def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
     The file is written beside and then renamed, so a failure leaves nothing behind.
 
     Raises:
-        TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder cannot be written.
+        TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder
+            cannot be written.
     """
     answers = _answers(network).double().eval()
     trial = _trial_inputs(metadata)
     inputs = [TENSION, COMMAND] if metadata.pose_aware else [TENSION]
-    outputs = MULTI_OUTPUTS if isinstance(network, MultiContactNetwork) else SINGLE_OUTPUTS
-    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, list(outputs))
+    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, _outputs(network))
     properties = metadata.to_properties()
     onnx.helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=False)
@@ -51,23 +53,46 @@ def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
     _write_whole(path, content)
 
 
+def _outputs(network: Network) -> list[str]:
+    if isinstance(network, MultiContactNetwork):
+        return list(MULTI_OUTPUTS)
+    if isinstance(network, CorrectedClosedForm):
+        return [*SINGLE_OUTPUTS, TAUT]
+    return list(SINGLE_OUTPUTS)
+
+
 class _SingleAnswers(nn.Module):
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: SingleContactNetwork) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         output = self.network(*inputs)
-        direction = output.direction
         # a small addend would do as well, did the exporter not leave out what it takes for zero
-        length = torch.sqrt((direction * direction).sum(-1, keepdim=True)).clamp(min=1e-9)
-        return (
-            torch.softmax(output.contact_logits, dim=-1),
-            direction / length,
-            output.magnitude_n,
-            output.magnitude_std_n,
-            output.angle_std_deg,
-        )
+        length = torch.sqrt((output.direction * output.direction).sum(-1, keepdim=True))
+        return _single_answers(output, output.direction / length.clamp(min=1e-9))
+
+
+class _StaticsAnswers(nn.Module):
+    """Directions are of unit length already; which cables are taut is told beside the answers."""
+
+    def __init__(self, network: CorrectedClosedForm) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        output, taut = self.network.answer_and_taut(*inputs)
+        return *_single_answers(output, output.direction), taut
+
+
+def _single_answers(output: SingleContactOutput, direction: Tensor) -> tuple[Tensor, ...]:
+    return (
+        torch.softmax(output.contact_logits, dim=-1),
+        direction,
+        output.magnitude_n,
+        output.magnitude_std_n,
+        output.angle_std_deg,
+    )
 
 
 class _MultiAnswers(nn.Module):
@@ -81,11 +106,11 @@ class _MultiAnswers(nn.Module):
 
 
 def _answers(network: Network) -> nn.Module:
-    return (
-        _MultiAnswers(network)
-        if isinstance(network, MultiContactNetwork)
-        else _SingleAnswers(network)
-    )
+    if isinstance(network, MultiContactNetwork):
+        return _MultiAnswers(network)
+    if isinstance(network, CorrectedClosedForm):
+        return _StaticsAnswers(network)
+    return _SingleAnswers(network)
 
 
 def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:

@@ -145,10 +145,8 @@ class Estimator:
             EstimateError: see its docstring.
         """
         tension = self._tensions(tension_differences_n)
-        steady: dict[str, Array] = {}
-        if self.pose_aware:
-            steady = self._session.steady_inputs(self._commands(joint_commands_rad, len(tension)))
-        answers = self._session.run(tension, steady)
+        commands = self._commands(joint_commands_rad, len(tension)) if self.pose_aware else None
+        answers = self._session.run(tension, commands)
         if not all(np.isfinite(answer).all() for answer in answers):
             raise EstimateError(NO_ANSWER)
         probability, direction, magnitude, std, angle_std = answers

@@ -64,7 +64,7 @@ class MultiEstimator:
         """
         arm = self.metadata.arm
         tension = _columns(tension_differences_n, arm.cable_count, "tension differences")
-        steady: dict[str, Array] = {}
+        commands = None
         if self.metadata.pose_aware:
             if joint_commands_rad is None:
                 raise EstimateError(
@@ -76,8 +76,8 @@ class MultiEstimator:
                     f"{len(command)} commands for {len(tension)} samples; give one, or one each"
                 )
             command = np.broadcast_to(command, (len(tension), arm.joint_count))
-            steady = self._session.steady_inputs(np.ascontiguousarray(command))
-        probability, magnitude, std = self._session.run(tension, steady)
+            commands = np.ascontiguousarray(command)
+        probability, magnitude, std = self._session.run(tension, commands)
         if not all(np.isfinite(part).all() for part in (probability, magnitude, std)):
             raise EstimateError(NO_ANSWER)
         return MultiEstimates(probability, magnitude, std)

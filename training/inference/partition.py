@@ -1,41 +1,106 @@
-"""A model's graph in two parts: what the command alone decides, and what every sample decides.
+"""A model's graph in three parts, by how often what they compute changes.
 
-Commands change seldom and tensions a thousand times a second. Whatever in the graph depends on the
-commanded angles alone is computed when they change and kept.
+Commands change seldom, the set of slack cables now and then, tensions a thousand times a second.
+What depends on the command alone is *steady*; what depends on the command and on one named tensor
+is *held* while that tensor stays the same; the rest is *moving*, and computes that tensor too.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper
 
 
-def split_graph(model: ModelProto, changing: str) -> tuple[ModelProto | None, ModelProto]:
-    """Split a model into (steady, changing) parts by whether tensors depend on input `changing`.
+@dataclass(frozen=True)
+class GraphParts:
+    """Parts of one graph; a part's outputs are inputs of later parts, by the same names.
 
-    The steady part's outputs are inputs of the changing part, by the same names. The steady part
-    is None where there is nothing in it to keep.
+    Attributes:
+        steady: from the inputs that do not change; None where there is nothing in it to keep.
+        held: from those, the steady part and the held tensor; None likewise.
+        moving: from all that and the changing input to the graph's outputs.
     """
-    graph = model.graph
-    moving = {changing}
+
+    steady: ModelProto | None
+    held: ModelProto | None
+    moving: ModelProto
+
+
+def split_graph(model: ModelProto, changing: str, held: str | None = None) -> GraphParts:
+    """Split a model by whether its tensors depend on the input `changing`, or only on `held`.
+
+    `held` names a tensor that depends on `changing`; without it there is no held part.
+    """
+    direct = _reached(model.graph, {changing}, stop=held)
+    through_held = _reached(model.graph, {held} if held else set())
+    steady_nodes, held_nodes, moving_nodes = [], [], []
+    for node in model.graph.node:
+        if direct.intersection(node.output):
+            moving_nodes.append(node)
+        elif through_held.intersection(node.output):
+            held_nodes.append(node)
+        else:
+            steady_nodes.append(node)
+    values = _Values(model)
+    final = [output.name for output in model.graph.output]
+    steady_out = values.wanted(steady_nodes, [*held_nodes, *moving_nodes], final)
+    held_out = values.wanted(held_nodes, moving_nodes, final)
+    return GraphParts(
+        steady=values.part(steady_nodes, steady_out) if steady_out else None,
+        held=values.part(held_nodes, held_out) if held_out else None,
+        moving=values.part(moving_nodes, final) if steady_out or held_out else model,
+    )
+
+
+def _reached(graph: GraphProto, sources: set[str], stop: str | None = None) -> set[str]:
+    """Tensors that depend on `sources`; the dependence is not followed through `stop`."""
+    reached = set(sources)
     for node in graph.node:
-        if any(name in moving for name in node.input):
-            moving.update(node.output)
-    steady_nodes = [n for n in graph.node if not any(name in moving for name in n.output)]
-    moving_nodes = [n for n in graph.node if any(name in moving for name in n.output)]
-    made = {name for node in steady_nodes for name in node.output}
-    wanted = {name for node in moving_nodes for name in node.input}
-    wanted |= {output.name for output in graph.output}
-    kept = [name for node in steady_nodes for name in node.output if name in wanted & made]
-    if not kept:
-        return None, model
-    types = _tensor_types(model)
-    bridge = [helper.make_tensor_value_info(name, types[name], None) for name in kept]
-    constant_inputs = [i for i in graph.input if i.name != changing]
-    still_wanted = [i for i in constant_inputs if i.name in wanted]
-    steady = _part(model, steady_nodes, constant_inputs, bridge)
-    moving_inputs = [i for i in graph.input if i.name == changing] + bridge + still_wanted
-    return steady, _part(model, moving_nodes, moving_inputs, list(graph.output))
+        if any(name in reached and name != stop for name in node.input):
+            reached.update(node.output)
+    return reached
+
+
+class _Values:
+    """A model's tensors, and parts of its graph made of them."""
+
+    def __init__(self, model: ModelProto) -> None:
+        self._model = model
+        self._inputs = {entry.name: entry for entry in model.graph.input}
+        self._outputs = {entry.name: entry for entry in model.graph.output}
+        self._types = _tensor_types(model)
+        self._constants = {entry.name for entry in model.graph.initializer}
+
+    def wanted(
+        self, nodes: list[NodeProto], later: list[NodeProto], final: Iterable[str]
+    ) -> list[str]:
+        """What these nodes make that later ones, or the user of the model, take."""
+        taken = {name for node in later for name in node.input} | set(final)
+        return [name for node in nodes for name in node.output if name in taken]
+
+    def part(self, nodes: list[NodeProto], outputs: list[str]) -> ModelProto:
+        """The nodes as a model of their own that gives `outputs`."""
+        made = {name for node in nodes for name in node.output} | self._constants | {""}
+        taken = [name for node in nodes for name in node.input if name not in made]
+        taken += [name for name in outputs if name not in made]
+        used = {name for node in nodes for name in node.input} | set(outputs)
+        graph = helper.make_graph(
+            nodes,
+            self._model.graph.name,
+            [self._value(name) for name in dict.fromkeys(taken)],
+            [self._value(name) for name in outputs],
+            initializer=[v for v in self._model.graph.initializer if v.name in used],
+        )
+        return helper.make_model(
+            graph, opset_imports=self._model.opset_import, ir_version=self._model.ir_version
+        )
+
+    def _value(self, name: str) -> ValueInfoProto:
+        known = self._inputs.get(name) or self._outputs.get(name)
+        return known or helper.make_tensor_value_info(name, self._types[name], None)
 
 
 def _tensor_types(model: ModelProto) -> dict[str, int]:
@@ -49,19 +114,3 @@ def _tensor_types(model: ModelProto) -> dict[str, int]:
         if types.get(name, TensorProto.UNDEFINED) == TensorProto.UNDEFINED
     }
     return types | missing
-
-
-def _part(
-    model: ModelProto,
-    nodes: list[NodeProto],
-    inputs: list[ValueInfoProto],
-    outputs: list[ValueInfoProto],
-) -> ModelProto:
-    used = {name for node in nodes for name in node.input} | {o.name for o in outputs}
-    initializers = [value for value in model.graph.initializer if value.name in used]
-    graph: GraphProto = helper.make_graph(
-        nodes, model.graph.name, inputs, outputs, initializer=initializers
-    )
-    return helper.make_model(
-        graph, opset_imports=model.opset_import, ir_version=model.ir_version
-    )

@@ -15,7 +15,6 @@ from onnx import TensorProto
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
 from cablesense_training.inference.model_safety import require_bounded, require_harmless
-from cablesense_training.inference.partition import split_graph
 
 Array = NDArray[np.float64]
 
@@ -24,6 +23,8 @@ MAX_FILE_BYTES = 64 * 1024 * 1024
 
 TENSION = "tension_difference_n"
 COMMAND = "joint_command_rad"
+TAUT = "taut"
+"""An output that some models give beside what is asked: 1 for taut cables, 0 for slack ones."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,15 @@ class ModelSession:
     Attributes:
         source: the file, for messages.
         metadata: what the file says about itself.
-        moving: the part of the graph that every sample needs; what it takes beside the tension
-            differences is what `steady_inputs` gives.
+        model: the graph.
+        outputs: names of what it answers.
     """
 
     source: str
     metadata: ModelMetadata
-    moving: onnxruntime.InferenceSession
-    _steady: onnxruntime.InferenceSession | None
+    model: onnx.ModelProto
+    outputs: tuple[str, ...]
+    _whole: onnxruntime.InferenceSession
 
     @classmethod
     def open(
@@ -65,13 +67,7 @@ class ModelSession:
         _require_inputs(model, metadata, source)
         try:
             require_bounded(onnx.shape_inference.infer_shapes(model, data_prop=True), source)
-            steady, moving = split_graph(model, TENSION)
-            session = cls(
-                source,
-                metadata,
-                _session(moving),
-                None if steady is None else _session(steady),
-            )
+            session = cls(source, metadata, model, tuple(outputs), open_session(model))
         except ModelFileError:
             raise
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
@@ -81,26 +77,36 @@ class ModelSession:
         session._require_answers(dict(zip(outputs, _widths(outputs, metadata), strict=True)))
         return session
 
-    def steady_inputs(self, joint_commands_rad: Array) -> dict[str, Array]:
-        """What the graph makes of commanded angles (B, 2N) alone, for `run`."""
-        if self._steady is None:
-            return {COMMAND: joint_commands_rad} if self.metadata.pose_aware else {}
-        names = [output.name for output in self._steady.get_outputs()]
-        values = _run(self._steady, names, {COMMAND: joint_commands_rad}, self.source)
-        steady = dict(zip(names, values, strict=True))
-        if any(entry.name == COMMAND for entry in self.moving.get_inputs()):
-            steady[COMMAND] = joint_commands_rad
-        return steady
+    @property
+    def tells_taut(self) -> bool:
+        """Whether the model gives `TAUT` beside its answers."""
+        return any(entry.name == TAUT for entry in self.model.graph.output)
 
-    def run(self, tension_differences_n: Array, steady: dict[str, Array]) -> list[Array]:
-        """The model's outputs, in the order of `open`, for tension differences (B, M)."""
-        return _run(self.moving, None, {TENSION: tension_differences_n, **steady}, self.source)
+    def run(self, tension_differences_n: Array, joint_commands_rad: Array | None) -> list[Array]:
+        """The model's `outputs` for tension differences (B, M) and, if pose-aware, (B, 2N).
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
+        inputs = {TENSION: tension_differences_n}
+        if self.metadata.pose_aware and joint_commands_rad is not None:
+            inputs[COMMAND] = joint_commands_rad
+        try:
+            answers: list[Array] = self._whole.run(list(self.outputs), inputs)
+        except Exception as error:  # ONNX Runtime's classes have no common base
+            raise self.cannot_run(error) from error
+        return answers
+
+    def cannot_run(self, error: Exception) -> ModelFileError:
+        """The error for a model on which ONNX Runtime gave up."""
+        return ModelFileError(
+            f"{self.source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
+        )
 
     def _require_answers(self, widths: Mapping[str, tuple[int, ...]]) -> None:
         """A file that opens may still not run; two idle arms at once show it."""
         arm = self.metadata.arm
-        idle = self.steady_inputs(np.zeros((2, arm.joint_count)))
-        answers = self.run(np.zeros((2, arm.cable_count)), idle)
+        answers = self.run(np.zeros((2, arm.cable_count)), np.zeros((2, arm.joint_count)))
         for (name, width), answer in zip(widths.items(), answers, strict=True):
             if answer.dtype != np.float64 or answer.shape != (2, *width):
                 raise ModelFileError(
@@ -144,7 +150,7 @@ def _require_outputs(
     model: onnx.ModelProto, metadata: ModelMetadata, outputs: Sequence[str], source: str
 ) -> None:
     given = [output.name for output in model.graph.output]
-    if given != list(outputs):
+    if given not in (list(outputs), [*outputs, TAUT]):
         raise ModelFileError(
             f"{source}: a {metadata.kind} model that gives {', '.join(given)}; "
             f"needed are {', '.join(outputs)}"
@@ -179,26 +185,12 @@ def _widths(outputs: Sequence[str], metadata: ModelMetadata) -> list[tuple[int, 
     return [widths.get(name, ()) for name in outputs]
 
 
-def _run(
-    session: onnxruntime.InferenceSession,
-    names: list[str] | None,
-    inputs: dict[str, Array],
-    source: str,
-) -> list[Array]:
-    try:
-        outputs: list[Array] = session.run(names, inputs)
-    except Exception as error:  # ONNX Runtime's classes have no common base
-        raise ModelFileError(
-            f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
-        ) from error
-    return outputs
-
-
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())[:200]
 
 
-def _session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
+def open_session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
+    """A session of a model or a part of one, on one thread and silent."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

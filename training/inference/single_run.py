@@ -1,16 +1,23 @@
-"""One sample at a time through a model, in buffers that stay where they are.
+"""One sample at a time through a model, each part of its graph no oftener than needed.
 
-Binding inputs and outputs once spares ONNX Runtime's looking up of names, and the making of
-arrays, at every sample.
+Inputs and outputs are bound once to buffers that stay where they are, which spares ONNX Runtime's
+looking up of names, and the making of arrays, at every sample.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import onnxruntime
 from numpy.typing import NDArray
 
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.session import TENSION, ModelSession
+from cablesense_training.inference.partition import split_graph
+from cablesense_training.inference.session import (
+    COMMAND,
+    TAUT,
+    TENSION,
+    ModelSession,
+    open_session,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,37 +33,80 @@ class SingleRun:
     def __init__(self, session: ModelSession) -> None:
         arm = session.metadata.arm
         self._session = session
-        self._tension = np.zeros((1, arm.cable_count))
-        self._steady = session.steady_inputs(np.zeros((1, arm.joint_count)))
-        self._buffers = session.run(self._tension, self._steady)
-        self._moving = session.moving
-        self._binding = self._moving.io_binding()
-        for name, buffer in {TENSION: self._tension, **self._steady}.items():
-            self._binding.bind_input(
-                name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data
-            )
-        for entry, buffer in zip(self._moving.get_outputs(), self._buffers, strict=True):
-            self._binding.bind_output(
-                entry.name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data
-            )
-        self.tension_difference_n: Array = self._tension[0]
-        self.outputs: list[Array] = [buffer.reshape(buffer.shape[1:]) for buffer in self._buffers]
+        held = TAUT if session.tells_taut else None
+        parts = split_graph(session.model, TENSION, held)
+        self._buffers = {
+            TENSION: np.zeros((1, arm.cable_count)),
+            COMMAND: np.zeros((1, arm.joint_count)),
+            TAUT: np.ones((1, arm.cable_count)),
+        }
+        self._taut: bytes | None = b"" if parts.held is not None else None
+        self._parts = [
+            self._bound(open_session(part))
+            for part in (parts.steady, parts.held, parts.moving)
+            if part is not None
+        ]
+        self._steady = self._parts[0] if parts.steady is not None else None
+        self._held = self._parts[-2] if parts.held is not None else None
+        self._moving, self._moving_binding = self._parts[-1]
+        self.tension_difference_n: Array = self._buffers[TENSION][0]
+        answers = [self._buffers[name] for name in session.outputs]
+        self.outputs: list[Array] = [answer.reshape(answer.shape[1:]) for answer in answers]
+        self._taut_now = self._buffers[TAUT]
 
     def set_command(self, joint_command_rad: Array) -> None:
-        """Take over what the graph makes of commanded angles (1, 2N) alone."""
-        for name, value in self._session.steady_inputs(joint_command_rad).items():
-            np.copyto(self._steady[name], value)
-
-    def run(self) -> None:
-        """Answer for `tension_difference_n` at the command last set, into `outputs`.
+        """Take over what the graph makes of commanded angles (1, 2N) alone.
 
         Raises:
             ModelFileError: ONNX Runtime cannot run the model.
         """
+        self._buffers[COMMAND][:] = joint_command_rad
+        if self._steady is not None:
+            self._run(*self._steady)
+        if self._taut is not None:
+            self._taut = b""
+
+    def run(self) -> None:
+        """Answer for `tension_difference_n` at the command last set, into `outputs`.
+
+        The answer stands if the cables found taut are those that the held part was computed for.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
+        self._run(self._moving, self._moving_binding)
+        if self._taut is None or self._held is None:
+            return
+        taut = self._taut_now.tobytes()
+        if taut != self._taut:
+            self._run(*self._held)
+            self._run(self._moving, self._moving_binding)
+            self._taut = taut
+
+    def _bound(
+        self, session: onnxruntime.InferenceSession
+    ) -> tuple[onnxruntime.InferenceSession, onnxruntime.IOBinding]:
+        """A part with its inputs and outputs in this run's buffers; what it gives gets new ones."""
+        inputs = {entry.name: self._buffers[entry.name] for entry in session.get_inputs()}
+        names = [entry.name for entry in session.get_outputs()]
+        for name, value in zip(names, session.run(names, inputs), strict=True):
+            self._buffers.setdefault(name, value)
+        binding = session.io_binding()
+        for name, buffer in inputs.items():
+            binding.bind_input(
+                name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data
+            )
+        for name in names:
+            buffer = self._buffers[name]
+            binding.bind_output(
+                name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data
+            )
+        return session, binding
+
+    def _run(
+        self, session: onnxruntime.InferenceSession, binding: onnxruntime.IOBinding
+    ) -> None:
         try:
-            self._moving.run_with_iobinding(self._binding)
+            session.run_with_iobinding(binding)
         except Exception as error:  # ONNX Runtime's classes have no common base
-            line = " ".join(str(error).split())[:200]
-            raise ModelFileError(
-                f"{self._session.source}: ONNX Runtime cannot run it ({line}); train it again"
-            ) from error
+            raise self._session.cannot_run(error) from error

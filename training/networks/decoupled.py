@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_training.networks.layers import perceptron
-from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
+from cablesense_training.networks.single_contact import Answer, LearntNetwork
 
 
-class DecoupledNetwork(SingleContactNetwork):
+class DecoupledNetwork(LearntNetwork):
     """Three networks that share nothing but the standardised input."""
 
     def __init__(

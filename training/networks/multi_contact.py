@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from cablesense_training.networks.layers import perceptron
 from cablesense_training.networks.output import MultiContactOutput
-from cablesense_training.networks.spread import Spread
+from cablesense_training.networks.spread import Spread, StatedSpread
 from cablesense_training.scaling import Standardiser
 
 
@@ -24,16 +24,46 @@ class MultiAnswer(NamedTuple):
 
 
 class MultiContactNetwork(nn.Module, ABC):
-    """Raw tension differences in newtons in, `MultiContactOutput` in physical units out."""
+    """Raw tension differences in newtons in, `MultiContactOutput` in physical units out.
+
+    Attributes:
+        pose_aware: whether `forward` needs the commanded joint angles.
+        magnitude: scaling of the force magnitudes in the loss.
+        spread: head for the standard deviations of the magnitudes.
+    """
 
     pose_aware: ClassVar[bool] = False
+    spread: StatedSpread
 
-    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+    def __init__(self, cable_count: int, segment_count: int) -> None:
         super().__init__()
         self.cable_count = cable_count
         self.segment_count = segment_count
-        self.tension = Standardiser(cable_count)
         self.magnitude = Standardiser(segment_count)
+
+    @abstractmethod
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Set the scaling from samples: tension differences (B, M) and magnitudes (B, N)."""
+
+    @abstractmethod
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> MultiContactOutput:
+        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""
+
+
+class LearntMultiContactNetwork(MultiContactNetwork):
+    """A network without physics in it; subclasses give `answer`.
+
+    Attributes:
+        tension: scaling of the M tension differences, in buffers that `adapt` sets.
+    """
+
+    spread: Spread
+
+    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+        super().__init__(cable_count, segment_count)
+        self.tension = Standardiser(cable_count)
         self.spread = Spread(features, outputs=segment_count)
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
@@ -55,7 +85,7 @@ class MultiContactNetwork(nn.Module, ABC):
         return MultiContactOutput(answer.contact_logits, answer.magnitude_n, std)
 
 
-class TwoStageMultiContactNetwork(MultiContactNetwork):
+class TwoStageMultiContactNetwork(LearntMultiContactNetwork):
     """The paper's network: a sigmoid per segment, whose verdict joins the input of stage two."""
 
     def __init__(

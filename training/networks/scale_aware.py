@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_training.networks.layers import gated_perceptron, tension_norm_n
-from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
+from cablesense_training.networks.single_contact import Answer, LearntNetwork
 
 
-class ScaleAwareNetwork(SingleContactNetwork):
+class ScaleAwareNetwork(LearntNetwork):
     """Reads the pattern of the tension differences apart from their size.
 
     While no cable goes slack, twice the force makes twice the differences: the pattern

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 
 from cablesense_training.networks.layers import perceptron
-from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
+from cablesense_training.networks.single_contact import Answer, LearntNetwork
 
 
-class SharedBackboneNetwork(SingleContactNetwork):
+class SharedBackboneNetwork(LearntNetwork):
     """Contact, direction and magnitude are linear in the same hidden features."""
 
     def __init__(

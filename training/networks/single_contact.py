@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_training.networks.output import SingleContactOutput
-from cablesense_training.networks.spread import Spread
+from cablesense_training.networks.spread import Spread, StatedSpread
 from cablesense_training.scaling import Standardiser
 
 
@@ -32,23 +32,44 @@ class Answer(NamedTuple):
 class SingleContactNetwork(nn.Module, ABC):
     """Raw tension differences in newtons in, `SingleContactOutput` in physical units out.
 
-    Subclasses give `answer`; scaling lies in buffers that `adapt` sets from the training data.
-
     Attributes:
         pose_aware: whether `forward` needs the commanded joint angles.
-        tension: scaling of the M tension differences.
-        magnitude: scaling of the force magnitude.
+        magnitude: scaling of the force magnitude in the loss.
         spread: head for the standard deviations of (magnitude, N; angle, degrees).
     """
 
     pose_aware: ClassVar[bool] = False
+    spread: StatedSpread
 
-    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+    def __init__(self, cable_count: int, segment_count: int) -> None:
         super().__init__()
         self.cable_count = cable_count
         self.segment_count = segment_count
-        self.tension = Standardiser(cable_count)
         self.magnitude = Standardiser(1)
+
+    @abstractmethod
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Set the scaling from training samples: tension differences (B, M), magnitudes (B,)."""
+
+    @abstractmethod
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> SingleContactOutput:
+        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""
+
+
+class LearntNetwork(SingleContactNetwork):
+    """A network without physics in it; subclasses give `answer`.
+
+    Attributes:
+        tension: scaling of the M tension differences, in buffers that `adapt` sets.
+    """
+
+    spread: Spread
+
+    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+        super().__init__(cable_count, segment_count)
+        self.tension = Standardiser(cable_count)
         self.spread = Spread(features, outputs=2)
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:

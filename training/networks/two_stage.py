@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_training.networks.layers import one_hot_of_argmax, perceptron
-from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
+from cablesense_training.networks.single_contact import Answer, LearntNetwork
 
 
-class TwoStageNetwork(SingleContactNetwork):
+class TwoStageNetwork(LearntNetwork):
     """First the contact, then magnitude and direction given the contact; equations (9) to (13).
 
     With x the standardised tension differences, stage one gives the contact class, whose one-hot

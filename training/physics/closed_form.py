@@ -59,16 +59,22 @@ class Candidates(NamedTuple):
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
         covariance_n2: (B, N, 2, 2) of the force, N².
-        explained: (B, N) chi² that a contact on the segment explains, of `misfit_none`.
+        information: (B, N, 2, 2) its inverse, 1/N².
         misfit_none: (B,) chi² of "no contact", 2N degrees of freedom.
         taut: (B, M) one for taut cables, zero for slack ones.
     """
 
     force_n: Tensor
     covariance_n2: Tensor
-    explained: Tensor
+    information: Tensor
     misfit_none: Tensor
     taut: Tensor
+
+    @property
+    def explained(self) -> Tensor:
+        """(B, N) chi² that a contact on the segment explains, of `misfit_none`."""
+        force = self.force_n[:, :, None]
+        return (force @ self.information * force).sum((2, 3))
 
 
 class Balance(NamedTuple):
@@ -121,7 +127,7 @@ class ClosedForm(nn.Module):
         angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
         commanded = self.kinematics(angles)
         normal_cross = self.kinematics.normal_cross(commanded)
-        unloaded_tension, unloaded_torque = self._unloaded(angles, commanded, normal_cross)
+        unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
 
         tension = tension_difference_n[:, :, None] + unloaded_tension
         taut = (tension > self.slack_below_n).to(tension.dtype)
@@ -148,7 +154,7 @@ class ClosedForm(nn.Module):
             taut=taut[..., 0],
         )
 
-    def _unloaded(
+    def unloaded(
         self, angles: Tensor, commanded: Pose, normal_cross: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Tensions (B, M, 1) under the arm's own weight, all taut, and the torque (B, 2N, 1) they leave unbalanced.
@@ -179,12 +185,11 @@ class ClosedForm(nn.Module):
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
         covariance = inverse(information)
         force = covariance @ pull
-        explained = (pull * force).sum((2, 3))
         misfit_none = (torque * (precision @ torque)).sum((1, 2))
         return Candidates(
             force_n=force.reshape(-1, n, 2),
             covariance_n2=covariance,
-            explained=explained,
+            information=information,
             misfit_none=misfit_none,
             taut=taut,
         )

@@ -1,9 +1,9 @@
 """The closed form, weighed and corrected by a small network: the estimator that CableSense ships.
 
-Statics gives one candidate per segment with its misfit and covariance. What is left to learn is little: how strongly
-to believe a misfit, what speaks for "no contact", where many slack cables bend the estimate, and how wide the error
-really is. Corrections are counted in standard deviations of the closed form and bounded, so that an arm unlike the
-training data still gets an answer by statics.
+Statics gives one candidate per segment with its information. What is left to learn is little: how
+strongly to believe it, what speaks for "no contact", where many slack cables bend the estimate,
+and how wide the error really is. Corrections are counted in standard deviations of the closed form
+and bounded, so that an arm unlike the training data still gets an answer by statics.
 """
 
 from __future__ import annotations
@@ -19,50 +19,59 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.networks.layers import one_hot_of_argmax
-from cablesense_training.networks.single_contact import Answer, SingleContactNetwork
-from cablesense_training.networks.spread import Spread
+from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.networks.single_contact import SingleContactNetwork
+from cablesense_training.networks.spread import StatedSpread
 from cablesense_training.physics.closed_form import Candidates, ClosedForm, pose_corrections_for
+from cablesense_training.physics.second_order import SecondOrderClosedForm
 
-LARGEST_CORRECTION = 2.0
-"""In standard deviations of the closed form."""
+LARGEST_CORRECTION = 1.0
+"""In standard deviations of the closed form; that of a tanh, so it costs no operator."""
 
 _FORCE_SCALE_N = 100.0
-_WEAKEST_N = 1e-3
+_WEAKEST_N = 1e-6
 
 
 class CorrectedClosedForm(SingleContactNetwork):
-    """Single-contact estimator for tension differences (B, M) and commanded joint angles (B, 2N); computes in float64.
+    """Single contact from tension differences (B, M) and joint commands (B, 2N), in float64.
 
     Args:
         mechanism: the arm.
-        reading_variance_n2: variance of one tension difference, N².
-        pose_corrections: Gauss-Newton steps of the closed form, see `ClosedForm`.
-        force_range_n: largest force expected; the prior of a contact is uniform in angle and in magnitude up to it.
+        closed_form: statics of that arm.
+        force_range_n: largest force expected; the prior of a contact is uniform over the disc of
+            forces up to it.
+        width: of the hidden layer.
     """
 
     pose_aware: ClassVar[bool] = True
-    quarter_turn: Tensor
-    half_trace: Tensor
+    frame: Tensor
+    to_features: Tensor
 
     def __init__(
         self,
         mechanism: Mechanism,
-        reading_variance_n2: float,
-        pose_corrections: int,
+        closed_form: ClosedForm | SecondOrderClosedForm,
         force_range_n: float = 200.0,
-        width: int = 64,
+        width: int = 48,
     ) -> None:
         segments, cables = mechanism.segment_count, mechanism.cable_count
-        super().__init__(cables, segments, features=2)
-        self.spread = ScaledSpread(width)
-        self.closed_form = ClosedForm(mechanism, reading_variance_n2, pose_corrections)
-        self.log_force_range = math.log(force_range_n)
+        super().__init__(cables, segments)
+        self.closed_form = closed_form
+        self.spread = StatedSpread(2)
+        self.log_prior = -2.0 * math.log(force_range_n)
         self.log_trust = nn.Parameter(torch.zeros(()))
         self.segment_bias = nn.Parameter(torch.zeros(segments))
-        self.hidden = nn.Linear(3 + segments + cables, width)
-        self.correction = _silent(width, 2)
-        self.register_buffer("quarter_turn", torch.tensor([[0.0, -1.0], [1.0, 0.0]]))
-        self.register_buffer("half_trace", 0.5 * torch.eye(2))
+        self.hidden = nn.Linear(3 + segments, width, bias=False)
+        self.hidden_taut = nn.Linear(cables, width)
+        self.heads = nn.Linear(width, 4)
+        nn.init.zeros_(self.heads.weight)
+        nn.init.zeros_(self.heads.bias)
+        self.register_buffer(
+            "frame", torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]])
+        )
+        scale = torch.eye(3 + segments)
+        scale[2, 2] = 1.0 / _FORCE_SCALE_N
+        self.register_buffer("to_features", scale)
         self.double()
 
     @classmethod
@@ -70,91 +79,97 @@ class CorrectedClosedForm(SingleContactNetwork):
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
         mechanism = Mechanism.from_arm(arm)
         variance = difference_variance_n2(arm.sensors, tare_samples)
-        return cls(mechanism, variance, pose_corrections_for(mechanism))
+        corrections = pose_corrections_for(mechanism)
+        if corrections <= 1:
+            return cls(mechanism, SecondOrderClosedForm(mechanism, variance))
+        return cls(mechanism, ClosedForm(mechanism, variance, corrections))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Physics needs no scaling; only the loss does, and counts magnitudes in the sensors' own noise."""
+        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
         self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
 
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """See the base class; features are the closed form's two standard deviations and the hidden layer."""
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> SingleContactOutput:
+        """See the base class."""
+        return self.answer_and_taut(tension_difference_n, joint_command_rad)[0]
+
+    def answer_and_taut(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None
+    ) -> tuple[SingleContactOutput, Tensor]:
+        """The answers, and (B, M) one for each taut cable and zero for each slack one."""
         assert joint_command_rad is not None
+        n = self.segment_count
         found = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
         evidence = self._evidence(found)
         chosen = one_hot_of_argmax(evidence)[:, None]
         force = chosen @ found.force_n
-        covariance = (chosen @ found.covariance_n2.reshape(-1, self.segment_count, 4)).reshape(
-            -1, 2, 2
-        )
+        root = (chosen @ _square_root(found.covariance_n2).reshape(-1, n, 4)).reshape(-1, 2, 2)
+
         strength = _length(force)
-        radial = force / strength
-        axes = torch.cat([radial, radial @ self.quarter_turn], dim=1)
-        stds = torch.sqrt((axes @ covariance * axes).sum(-1))
-        features = [radial, strength * (1.0 / _FORCE_SCALE_N), chosen, found.taut[:, None]]
-        hidden = torch.tanh(self.hidden(torch.cat(features, dim=-1)[:, 0]))
-        shift = LARGEST_CORRECTION * torch.tanh(self.correction(hidden))
-        force = force + (shift * stds)[:, None] @ axes
+        axes = (force / strength @ self.frame).reshape(-1, 2, 2)
+        stds = _length(axes @ root).transpose(1, 2)
+        seen = torch.cat([axes[:, :1], strength, chosen], dim=-1)
+        hidden = torch.tanh(
+            seen @ (self.to_features @ self.hidden.weight.T)
+            + self.hidden_taut(found.taut)[:, None]
+        )
+        shift, widen = torch.tanh(self.heads(hidden)).chunk(2, dim=-1)
+        force = force + shift * stds @ axes
         magnitude = _length(force)
-        angle_std_deg = torch.rad2deg(stds[:, 1:] / magnitude[:, 0])
-        return Answer(
+        std = stds * torch.exp(widen) * self.spread.factor
+        output = SingleContactOutput(
             contact_logits=functional.pad(evidence, (1, 0)),
             direction=(force / magnitude)[:, 0],
             magnitude_n=magnitude[:, 0, 0],
-            features=torch.cat([stds[:, :1], angle_std_deg, hidden], -1),
+            magnitude_std_n=std[:, 0, 0],
+            angle_std_deg=torch.rad2deg(std / magnitude)[:, 0, 1],
         )
+        return output, found.taut
 
     def _evidence(self, found: Candidates) -> Tensor:
-        """Log evidence (B, N) against no contact: misfit explained, less the Occam factor of two free components.
+        """Log evidence (B, N) against no contact.
 
-        With prior density 1 / (2 pi F F_max) the evidence integral over f is v / (F F_max) at the best fit, v being
-        the variance of a component (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
+        Half the misfit explained, less the Occam factor of two free components: with a prior
+        density of 1 / (pi F_max²), the evidence integral over f is 2 sqrt(det C) / F_max² at the
+        best fit (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
         chapter 28).
         """
-        variance = (found.covariance_n2 * self.half_trace).sum((2, 3))
-        squared = (found.force_n * found.force_n).sum(-1) + variance
-        occam = torch.log(variance * variance / squared)
-        explained = torch.exp(self.log_trust) * found.explained
-        return 0.5 * (explained + occam) + (self.segment_bias - self.log_force_range)
+        trusted = found.information * (0.5 * torch.exp(self.log_trust))
+        occam = 0.5 * torch.log(_determinant(found.covariance_n2)) + math.log(2.0) + self.log_prior
+        force = found.force_n[:, :, None]
+        explained = (force @ trusted * force).sum((2, 3))
+        return explained + (occam + self.segment_bias)
 
 
 class PlainClosedForm(CorrectedClosedForm):
-    """The peer to beat: statics at the commanded pose, as a data sheet would do it; nothing in it is trained."""
+    """The peer to beat: statics at the commanded pose; nothing in it is trained."""
 
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
         """The closed form of an arm that is taken to stand where it is commanded."""
-        network = cls(
-            Mechanism.from_arm(arm),
-            difference_variance_n2(arm.sensors, tare_samples),
-            pose_corrections=0,
-        )
+        mechanism = Mechanism.from_arm(arm)
+        variance = difference_variance_n2(arm.sensors, tare_samples)
+        network = cls(mechanism, ClosedForm(mechanism, variance, pose_corrections=0))
         network.requires_grad_(False)
         return network
 
 
-class ScaledSpread(Spread):
-    """The closed form's standard deviations, widened or narrowed by what the hidden layer knows."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__(features=2, outputs=2, width=2)
-        del self.hidden, self.log_std  # layers of the base class that have no part here
-        self.log_scale = _silent(width, 2)
-
-    def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
-        """Standard deviations (N, degrees) from the first two features; the rest is the hidden layer."""
-        known = features.detach()
-        scale = torch.exp(torch.tanh(self.log_scale(known[:, 2:])))
-        return known[:, :2] * scale * self.factor
+def _length(rows: Tensor) -> Tensor:
+    """Lengths (..., 1) of the last axis, kept off zero."""
+    return torch.linalg.vector_norm(rows, dim=-1, keepdim=True) + _WEAKEST_N
 
 
-def _silent(inputs: int, outputs: int) -> nn.Linear:
-    """A layer that says nothing until it is trained."""
-    layer = nn.Linear(inputs, outputs)
-    nn.init.zeros_(layer.weight)
-    nn.init.zeros_(layer.bias)
-    return layer
+def _determinant(matrix: Tensor) -> Tensor:
+    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
 
 
-def _length(force: Tensor) -> Tensor:
-    """Length (B, 1, 1) of forces (B, 1, 2), kept off zero."""
-    return torch.sqrt((force * force).sum(-1, keepdim=True) + _WEAKEST_N**2)
+def _square_root(matrix: Tensor) -> Tensor:
+    """Symmetric square roots of symmetric positive definite 2 by 2 matrices (..., 2, 2).
+
+    `(A + sqrt(det A) I) / sqrt(tr A + 2 sqrt(det A))`, by Cayley and Hamilton.
+    """
+    root_det = torch.sqrt(_determinant(matrix))[..., None, None]
+    trace = (matrix[..., 0, 0] + matrix[..., 1, 1])[..., None, None]
+    identity = torch.eye(2, dtype=matrix.dtype)
+    return (matrix + root_det * identity) / torch.sqrt(trace + 2.0 * root_det)

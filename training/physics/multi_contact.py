@@ -16,8 +16,9 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.networks.layers import perceptron
-from cablesense_training.networks.multi_contact import MultiAnswer, MultiContactNetwork
+from cablesense_training.networks.multi_contact import MultiContactNetwork
 from cablesense_training.networks.output import MultiContactOutput
+from cablesense_training.networks.spread import StatedSpread
 from cablesense_training.physics.closed_form import ClosedForm, inverse, pose_corrections_for
 
 UNTOUCHED_PRECISION = 1e6
@@ -46,7 +47,8 @@ class MultiContactClosedForm(MultiContactNetwork):
         width: int = 32,
     ) -> None:
         segments = mechanism.segment_count
-        super().__init__(mechanism.cable_count, segments, features=2 * segments)
+        super().__init__(mechanism.cable_count, segments)
+        self.spread = StatedSpread(segments)
         self.closed_form = ClosedForm(mechanism, reading_variance_n2, pose_corrections)
         self.trust = nn.Parameter(torch.full((segments,), 0.5))
         self.bias = nn.Parameter(torch.full((segments,), -6.0))
@@ -93,10 +95,6 @@ class MultiContactClosedForm(MultiContactNetwork):
         hidden = self.widen(torch.cat(features, dim=-1).detach())
         scale = torch.exp(torch.tanh(self.log_widen(hidden)))
         return MultiContactOutput(logits, magnitude, std.detach() * scale * self.spread.factor)
-
-    def answer(self, tension_difference_n: Tensor) -> MultiAnswer:
-        """Not to be had from tensions alone; `forward` takes the command as well."""
-        raise TypeError("this network needs the commanded joint angles; call it with both inputs")
 
 
 def _own_chi2(force: Tensor, covariance: Tensor, segments: int) -> Tensor:

@@ -1,0 +1,175 @@
+"""The closed form for a stiff arm, to second order in its give: quick enough for a thousand answers a second.
+
+On a stiff arm the joints give way by a few milliradians, so what `ClosedForm` computes afresh at the true pose is here
+expanded about the commanded one. With the set W of taut cables, under a contact f on segment s,
+
+    dq(f) = dq_W + E_s f,    T(f) = W (T0 + k J dq),
+    L_s' f = J' T - tau_weight + r_s(f),    r_s(f) = (dJ dq)' T - (dtau_weight) dq - (dL_s dq)' f,
+
+all at the command, where r_s collects what the give changes: cable levers, weight, contact levers. It is quadratic in f,
+so one substitution of the first-order solution f0 solves for f to second order:
+
+    f = f0 + K_s r_s(f0),    f0 = K_s (J' T - tau_weight),    K_s = C_s L_s P.
+
+Everything but the last line depends on the command and on which cables are taut, and changes as seldom as they do.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.physics.closed_form import SLACK_WEIGHT, Candidates, ClosedForm, inverse
+from cablesense_training.physics.compact import Pose
+
+STEP_RAD = 1e-4
+"""Of the central differences that give the derivatives by the pose; their error is a part in 1e8."""
+
+
+class _Expansion(NamedTuple):
+    """Kinematics at the command and their derivatives by joint angle k.
+
+    Attributes:
+        jacobian_t: (B, 2N, M); lever: (B, 2N, 2N) by force component; weight: (B, 2N, 1).
+        jacobian_by: (B, k, 2N · M); lever_by: (B, k, 2N · 2N); weight_by: (B, k, 2N).
+    """
+
+    jacobian_t: Tensor
+    lever: Tensor
+    weight: Tensor
+    jacobian_by: Tensor
+    lever_by: Tensor
+    weight_by: Tensor
+
+
+class SecondOrderClosedForm(nn.Module):
+    """`Candidates` from tension differences (B, M) and commanded joint angles (B, 2N), float64.
+
+    Args:
+        mechanism: the arm; stiff, see `pose_corrections_for`.
+        reading_variance_n2: variance of one tension difference, N².
+    """
+
+    offsets: Tensor
+
+    def __init__(self, mechanism: Mechanism, reading_variance_n2: float) -> None:
+        super().__init__()
+        self.exact = ClosedForm(mechanism, reading_variance_n2, pose_corrections=1)
+        joints = mechanism.joint_count
+        forward = STEP_RAD * torch.eye(joints, dtype=torch.float64)
+        self.register_buffer("offsets", torch.cat([forward, -forward])[:, :, None])
+
+    @property
+    def reading_variance_n2(self) -> float:
+        """Variance of one tension difference, N²."""
+        return self.exact.reading_variance_n2
+
+    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
+        """See `Candidates`."""
+        n = self.exact.kinematics.segment_count
+        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
+        commanded = self.exact.kinematics(angles)
+        normal_cross = self.exact.kinematics.normal_cross(commanded)
+        unloaded_tension, _ = self.exact.unloaded(angles, commanded, normal_cross)
+        about = self._expand(angles, commanded, normal_cross)
+
+        difference = tension_difference_n[:, :, None]
+        taut = (difference > self.exact.slack_below_n - unloaded_tension).to(difference.dtype)
+        taut = taut[..., 0]
+        weight = taut[:, :, None] * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
+        precision = inverse(
+            about.jacobian_t @ (about.jacobian_t.transpose(1, 2) * weight)
+        ) * (1.0 / self.reading_variance_n2)
+        weighted = about.lever @ precision
+        information = _own(weighted @ about.lever.transpose(1, 2), n)
+        covariance = inverse(information)
+        gain = covariance @ weighted.reshape(-1, n, 2, 2 * n)
+        constant, bilinear, linear = self._give(about, weight)
+        still, _, _ = self._give(about, torch.ones_like(weight))
+        pulled = about.jacobian_t * taut[:, None]
+        balance = pulled @ unloaded_tension - about.jacobian_t @ unloaded_tension
+        flat_gain = gain.reshape(-1, 2 * n, 2 * n)
+        first = flat_gain @ pulled
+        offset = flat_gain @ (balance + constant - still)
+        bent = (gain[:, :, None] @ bilinear).reshape(-1, n, 4, 2)
+        straight = (gain @ linear).transpose(2, 3) + torch.eye(2, dtype=gain.dtype)
+
+        guess = first @ difference + offset
+        turned = (bent @ guess.reshape(-1, n, 2, 1)).reshape(-1, n, 2, 2) + straight
+        force = guess.reshape(-1, n, 1, 2) @ turned
+        misfit = (
+            pulled @ difference + balance + constant - still
+        )
+        return Candidates(
+            force_n=force[:, :, 0],
+            covariance_n2=covariance,
+            information=information,
+            misfit_none=(misfit * (precision @ misfit)).sum((1, 2)),
+            taut=taut,
+        )
+
+    def _expand(self, angles: Tensor, commanded: Pose, normal_cross: Tensor) -> _Expansion:
+        """Kinematics at the command, and central differences of them by every joint angle."""
+        n, m = self.exact.kinematics.segment_count, self.exact.kinematics.cable_count
+        joints = 2 * n
+        around = self.exact.kinematics((angles[:, None] + self.offsets).reshape(-1, joints, 1))
+        spread = (normal_cross[:, None] + 0.0 * self.offsets[:, :1]).reshape(
+            -1, 6 * n + 6, 3
+        )
+        lever, weight = self.exact.kinematics.levers(commanded, normal_cross)
+        levers, weights = self.exact.kinematics.levers(around, spread)
+
+        def by_angle(values: Tensor, size: int) -> Tensor:
+            sides = values.reshape(-1, 2, joints, size)
+            return (sides[:, 0] - sides[:, 1]) * (0.5 / STEP_RAD)
+
+        return _Expansion(
+            jacobian_t=commanded.jacobian_t_m,
+            lever=lever.reshape(-1, joints, joints),
+            weight=weight,
+            jacobian_by=by_angle(around.jacobian_t_m, joints * m),
+            lever_by=by_angle(levers, joints * joints),
+            weight_by=by_angle(weights, joints),
+        )
+
+    def _give(self, about: _Expansion, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """r_s(f) as its constant (B, 2N, 1), quadratic (B, N, 2, 2N, 2) and linear (B, N, 2N, 2) parts."""
+        n, m = self.exact.kinematics.segment_count, self.exact.kinematics.cable_count
+        joints = 2 * n
+        stiffness = weight / self.exact.compliance_m_n
+        rows = about.jacobian_t.transpose(1, 2)
+        soft = inverse(about.jacobian_t @ (rows * stiffness))
+        pretension = weight * self.exact.pretension_n
+        rest = soft @ (about.weight - about.jacobian_t @ pretension)
+        tension = pretension + stiffness * (rows @ rest)
+        give = soft @ about.lever.transpose(1, 2)
+        pull = stiffness * (rows @ give)
+
+        give_t, rest_t = give.transpose(1, 2), rest.transpose(1, 2)
+        by_give = (give_t @ about.jacobian_by).reshape(-1, joints, joints, m)
+        by_rest = (rest_t @ about.jacobian_by).reshape(-1, joints, m)
+        constant = by_rest @ tension - (rest_t @ about.weight_by).transpose(1, 2)
+        linear = (
+            (by_give @ tension[:, None])[..., 0]
+            + (by_rest @ pull).transpose(1, 2)
+            - give_t @ about.weight_by
+            - (rest_t @ about.lever_by).reshape(-1, joints, joints)
+        )
+        pulls = pull.reshape(-1, m, n, 2).transpose(1, 2)
+        levers = (give_t @ about.lever_by).reshape(-1, n, 2, n, 2, joints)
+        own_levers = torch.stack([levers[:, s, :, s] for s in range(n)], dim=1)
+        bilinear = by_give.reshape(-1, n, 2, joints, m) @ pulls[:, :, None]
+        return (
+            constant,
+            bilinear - own_levers.transpose(-1, -2),
+            linear.reshape(-1, n, 2, joints).transpose(2, 3),
+        )
+
+
+def _own(matrix: Tensor, segments: int) -> Tensor:
+    """The 2 by 2 blocks (B, N, 2, 2) on the diagonal of (B, 2N, 2N)."""
+    blocks = matrix.reshape(-1, segments, 2, segments, 2)
+    return torch.stack([blocks[:, s, :, s] for s in range(segments)], dim=1)
