@@ -11,7 +11,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint setup lock clean
+.PHONY: help demo test lint setup models lock clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -33,6 +33,9 @@ lint: setup build/mypy/cablesense_training  ## style, types and the arrows betwe
 	exit $$failed
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
+
+models: setup  ## trains every bundled model again
+	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
 
 lock: setup  ## writes the versions of .venv to constraints.txt
 	@mkdir -p build

@@ -1,0 +1,24 @@
+#!/bin/sh
+# Trains every bundled model again, as `make models` does; one processor thread, about 25 minutes.
+# The same commands, seed 0, stand in the files themselves: cablesense info config/models/cdsm.onnx
+set -eu
+cd "$(dirname "$0")/../.."
+train() { ${CABLESENSE:-cablesense} train --threads 1 "$@"; }
+here=config/models
+mkdir -p $here/peers
+
+train --arm cdsm --out $here/cdsm.onnx
+train --arm cdsm_lab --out $here/cdsm_lab.onnx
+train --arm cdsm_table2 --out $here/cdsm_table2.onnx
+train --arm cdsm --network scale-aware --out $here/cdsm_tensions_only.onnx
+train --arm cdsm --network multi-contact-closed-form --pose straight --out $here/cdsm_multi.onnx
+
+for arm in cdsm cdsm_lab cdsm_table2; do
+    train --arm $arm --network closed-form --out $here/peers/${arm}_closed_form.onnx
+done
+for arm in cdsm cdsm_lab; do
+    train --arm $arm --network two-stage --out $here/peers/${arm}_two_stage.onnx
+done
+train --arm cdsm --network two-stage --pose straight --out $here/peers/cdsm_straight_two_stage.onnx
+train --arm cdsm_table2 --network two-stage --pose straight --out $here/peers/cdsm_table2_two_stage.onnx
+train --arm cdsm --network multi-contact --pose straight --out $here/peers/cdsm_multi_two_stage.onnx
