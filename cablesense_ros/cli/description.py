@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.arm import load_arm
 from cablesense_sim.arm_files import find_arm
 from cablesense_sim.mechanism import Mechanism
@@ -68,32 +66,26 @@ def describe_model(path: str) -> Description:
     Raises:
         CableSenseError: the file is missing or no model.
     """
-    import onnxruntime
+    from cablesense_training.inference.model_files import find_model
+    from cablesense_training.inference.session import read_model
 
-    file = Path(path)
-    if not file.is_file():
-        raise CableSenseError(
-            f"no model file {path}; give the path of a .onnx file, such as config/models/cdsm.onnx"
-        )
-    try:
-        session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises classes of its own, of no common kind
-        line = " ".join(str(error).split())[:200]
-        raise CableSenseError(
-            f"{path}: not a model that ONNX Runtime can load ({line})"
-        ) from error
+    file = find_model(path)
+    model, metadata = read_model(file)
+    said = metadata.model_dump(mode="json", exclude={"arm", "units"})
     return {
         "kind": "model",
         "file": str(file),
         "size_bytes": file.stat().st_size,
-        "inputs": [_port(port) for port in session.get_inputs()],
-        "outputs": [_port(port) for port in session.get_outputs()],
-        "metadata": dict(sorted(session.get_modelmeta().custom_metadata_map.items())),
+        "inputs": [_port(port, metadata.units) for port in model.graph.input],
+        "outputs": [_port(port, metadata.units) for port in model.graph.output],
+        "metadata": said,
     }
 
 
-def _port(port: Any) -> dict[str, Any]:
-    return {"name": port.name, "type": port.type, "shape": list(port.shape)}
+def _port(port: Any, units: dict[str, str]) -> dict[str, Any]:
+    dims = port.type.tensor_type.shape.dim
+    shape = [dim.dim_param or dim.dim_value for dim in dims]
+    return {"name": port.name, "unit": units.get(port.name, "1"), "shape": shape}
 
 
 def description_tables(description: Description) -> list[Table]:
@@ -144,9 +136,11 @@ def _model_tables(model: Description) -> list[Table]:
     for way in ("inputs", "outputs"):
         for port in model[way]:
             shape = ", ".join(map(str, port["shape"]))
-            facts.add_row(way[:-1], f"{port['name']} ({shape}) {port['type']}")
+            unit = "" if port["unit"] == "1" else f", {port['unit']}"
+            facts.add_row(way[:-1], f"{port['name']} ({shape}){unit}")
     for key, value in model["metadata"].items():
-        facts.add_row(key, value)
+        shown = f"{value[0]} … {value[-1]}" if isinstance(value, list) else str(value)
+        facts.add_row(key.replace("_", " "), shown)
     return [facts]
 
 

@@ -55,9 +55,7 @@ class ModelSession:
                 another arm.
         """
         source = str(path)
-        model = _read(Path(path))
-        properties = {entry.key: entry.value for entry in model.metadata_props}
-        metadata = ModelMetadata.from_properties(properties, source)
+        model, metadata = read_model(path)
         if arm is not None and arm.identity != metadata.arm_identity:
             raise ModelFileError(
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
@@ -118,6 +116,17 @@ class ModelSession:
                     f"{self.source}: gives {name} that is not finite for an arm at rest; "
                     "train it again"
                 )
+
+
+def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
+    """The graph in a model file, and what the file says about itself; nothing is run.
+
+    Raises:
+        ModelFileError: unreadable, not ONNX, or not a CableSense model.
+    """
+    model = _read(Path(path))
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    return model, ModelMetadata.from_properties(properties, str(path))
 
 
 def _read(path: Path) -> onnx.ModelProto:
