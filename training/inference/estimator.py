@@ -107,14 +107,11 @@ class Estimator:
             EstimateError: see its docstring.
         """
         single = self._single
-        tension = self._tensions(tension_difference_n, 1)
-        if self.pose_aware:
-            command = self._commands(joint_command_rad, 1)
-            if (content := command.tobytes()) != self._command:
-                self._command = b""
-                single.set_command(command)
-                self._command = content
-        single.tension_difference_n[:] = tension[0]
+        if not self._fits(tension_difference_n):
+            tension_difference_n = self._tensions(tension_difference_n, 1)[0]
+        if self.metadata.pose_aware:
+            self._follow(joint_command_rad)
+        single.tension_difference_n[:] = tension_difference_n
         single.run()
         probability, direction, magnitude, std, angle_std = single.outputs
         segment = int(probability.argmax())
@@ -158,6 +155,28 @@ class Estimator:
             magnitude_std_n=std,
             angle_std_deg=angle_std,
         )
+
+    def _fits(self, values: ArrayLike) -> bool:
+        """Whether the values can be taken as they are; the sum of finite numbers is finite."""
+        return (
+            isinstance(values, np.ndarray)
+            and values.dtype == np.float64
+            and values.shape == self._single.tension_difference_n.shape
+            and math.isfinite(values.sum())
+        )
+
+    def _follow(self, joint_command_rad: ArrayLike | None) -> None:
+        """Compute what the command alone decides, if it is not the one before."""
+        if (
+            isinstance(joint_command_rad, np.ndarray)
+            and joint_command_rad.dtype == np.float64
+            and joint_command_rad.tobytes() == self._command
+        ):
+            return
+        command = self._commands(joint_command_rad, 1)
+        self._command = b""
+        self._single.set_command(command)
+        self._command = command.tobytes()
 
     def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
         """(B, M), of one row or of any number."""
