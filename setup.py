@@ -16,7 +16,6 @@ REQUIRES = [
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnx",  # checks a model file before it is run, and splits its graph
     "onnxruntime",  # runs the trained model
-    "protobuf",  # names the error of a file that is no model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
     "rich",  # tables and progress bars in the terminal
@@ -51,12 +50,13 @@ EXTRAS = {
         "import-linter",  # the arrows between the rooms
         "mypy",  # types
         "packaging",  # reads requirements, in tests and `make lock`
+        "pillow",  # looks at what the browser shows, in the page's test
         "pytest",  # the tests
         "pytest-timeout",  # a test that hangs fails instead
         "ruff",  # style
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml
-        "types-protobuf",  # types of google.protobuf
+        "types-protobuf",  # types of google.protobuf, which those of onnx build on
         "websockets",  # drives a real Chromium in the page's test
     ],
 }

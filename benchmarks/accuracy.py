@@ -2,10 +2,10 @@
 
     python benchmarks/accuracy.py [--samples 100000] [--quick] [--write]
 
-The shipped models and their bundled peers answer as ONNX files. Peers too large or too many to ship are trained here,
-by their recipes and with seed 0: gradient boosting in every setting, the paper's decoupled networks and shared backbone
-on the straight arm and at random poses. `--write` puts `accuracy.json` and the tables `accuracy.md` into
-`benchmarks/results/`.
+The shipped models and their bundled peers answer as ONNX files. Peers too large or too many to
+ship are trained here, by their recipes and with seed 0: gradient boosting in every setting, the
+paper's decoupled networks and shared backbone on the straight arm and at random poses. `--write`
+puts `accuracy.json` and the tables `accuracy.md` into `benchmarks/results/`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from cablesense_sim.arm_files import open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.comparison import (
@@ -42,13 +43,15 @@ from cablesense_training.inference.model_files import find_model
 from cablesense_training.networks.registry import build_network
 from cablesense_training.peers.boosting import BoostingPeer, BoostingSettings
 from cablesense_training.recipes import recipe_for
-from cablesense_sim.arm_files import open_arm
 
 RESULTS = Path(__file__).parent / "results"
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0
 BOOSTING_SAMPLES = 50_000
-TRAINED_HERE = {"straight": ("decoupled", "shared-backbone"), "random_pose": ("decoupled", "shared-backbone")}
+TRAINED_HERE = {
+    "straight": ("decoupled", "shared-backbone"),
+    "random_pose": ("decoupled", "shared-backbone"),
+}
 
 PAPER = {
     "contact_accuracy": 0.98,
@@ -160,11 +163,12 @@ def markdown(result: dict[str, Any]) -> str:
     lines = [
         "# Accuracy",
         "",
-        f"Made by `{result['command']}` in {result['seconds']:.0f} s; {result['samples']:,} fresh samples a setting, "
-        f"seed {result['seed']}: 0 to 200 N, one fifth of the samples without contact, sensor noise and step on. "
-        "Contact counts *no contact* as a class; direction is over the contacts found; force over all contacts, an "
-        "answer of none counting as 0 N. The paper's figures are for a straight arm without noise and without "
-        "contact-free samples.",
+        f"Made by `{result['command']}` in {result['seconds']:.0f} s; {result['samples']:,} fresh "
+        f"samples a setting, seed {result['seed']}: 0 to 200 N, one fifth of the samples without "
+        "contact, sensor noise and step on. Contact counts *no contact* as a class; direction is "
+        "over the contacts found; force over all contacts, an answer of none counting as 0 N. "
+        "The paper's figures are for a straight arm without noise and without contact-free "
+        "samples.",
     ]
     for name, setting in result["single"].items():
         lines += ["", f"## {name.replace('_', ' ')}", "", *_HEADER]
@@ -173,23 +177,24 @@ def markdown(result: dict[str, Any]) -> str:
         lines.append(_row("noise bound", setting["bound"]))
         lines.append(_row("the paper", result["paper"]))
         ratio = setting["mae_over_bound_above_2_n"]
-        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}.", "", *_BIN_HEADER]
+        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}.", ""]
+        lines += _BIN_HEADER
         lines += _bin_rows("shipped", setting["shipped"])
         lines += _bin_rows("two stage", setting["peers"]["two_stage"])
-    lines += ["", "## several contacts", "", "| estimator | recognised | macro F1 | force MAE per segment, N |"]
-    lines.append("| --- | --- | --- | --- |")
+    lines += ["", "## several contacts", "", *_MULTI_HEADER]
     for name, multi in result["multi"].items():
         errors = ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
         lines.append(
-            f"| {name.replace('_', ' ')} | {multi['recognition_accuracy']:.2%} | {multi['macro_f1']:.4f} | {errors} |"
+            f"| {name.replace('_', ' ')} | {multi['recognition_accuracy']:.2%} "
+            f"| {multi['macro_f1']:.4f} | {errors} |"
         )
-    lines += ["", "## Table II, physical rows", "", "| estimator | true | estimated | off from down | error |"]
-    lines.append("| --- | --- | --- | --- | --- |")
+    lines += ["", "## Table II, physical rows", "", *_TABLE2_HEADER]
     for name, rows in result["table2"].items():
         for row in rows:
             error = row["magnitude_n"] / row["true_n"] - 1.0
             lines.append(
-                f"| {name.replace('_', ' ')} | segment {row['true_segment']}, {row['true_n']:.2f} N "
+                f"| {name.replace('_', ' ')} "
+                f"| segment {row['true_segment']}, {row['true_n']:.2f} N "
                 f"| segment {row['segment']}, {row['magnitude_n']:.2f} N "
                 f"| {row['off_from_down_deg']:+.2f}° | {error:+.1%} |"
             )
@@ -197,11 +202,20 @@ def markdown(result: dict[str, Any]) -> str:
 
 
 _HEADER = (
-    "| estimator | contact | direction MAE, ° | force MAE, N | force RMSE, N | 95 % interval holds | training, s |",
+    "| estimator | contact | direction MAE, ° | force MAE, N | force RMSE, N "
+    "| 95 % interval holds | training, s |",
     "| --- | --- | --- | --- | --- | --- | --- |",
 )
 _BIN_HEADER = (
     "| estimator | force, N | contact | direction MAE, ° | force MAE, N |",
+    "| --- | --- | --- | --- | --- |",
+)
+_MULTI_HEADER = (
+    "| estimator | recognised | macro F1 | force MAE per segment, N |",
+    "| --- | --- | --- | --- |",
+)
+_TABLE2_HEADER = (
+    "| estimator | true | estimated | off from down | error |",
     "| --- | --- | --- | --- | --- |",
 )
 

@@ -1,7 +1,7 @@
 """The error family.
 
-Every error that CableSense raises on purpose derives from `CableSenseError`, so that a command can turn it into one line
-and a node into one log message::
+Every error that CableSense raises on purpose derives from `CableSenseError`, so that a command can
+turn it into one line and a node into one log message::
 
     CableSenseError
     ├── ArmFileError        an arm file that cannot be true       (cablesense_sim.arm)
@@ -14,4 +14,4 @@ and a node into one log message::
 
 
 class CableSenseError(Exception):
-    """Base of all errors raised on purpose: says what was wrong, where, and what would be right."""
+    """Base of all errors raised on purpose: says what was wrong, where, and what is right."""

@@ -1,4 +1,4 @@
-"""From a trained network to one ONNX file: raw tension differences in, answers in physical units out."""
+"""From a trained network to one ONNX file: tension differences in, answers in their units out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TRIAL_ROWS = 64
 
 
 def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
-    """Write a trained network as an ONNX file, in float64, and check that it answers as PyTorch does.
+    """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
 
     The file is written beside and then renamed, so a failure leaves nothing behind.
 
@@ -127,7 +127,7 @@ def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
 def _to_onnx(
     answers: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]
 ) -> onnx.ModelProto:
-    """The exporter reports its steps on standard output and in warnings about itself; neither helps a user."""
+    """The graph; the exporter's reports and warnings about itself help no user and stay unsaid."""
     batch = torch.export.Dim("batch", min=1)
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -165,8 +165,8 @@ def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Ten
         difference = float(np.abs(there - here.numpy())[1:].max())
         if not difference <= AGREEMENT:
             raise TrainingError(
-                f"output {entry.name} differs by {difference:.2g} between PyTorch and ONNX Runtime; "
-                f"at most {AGREEMENT:g} is allowed"
+                f"output {entry.name} differs by {difference:.2g} between PyTorch and ONNX "
+                f"Runtime; at most {AGREEMENT:g} is allowed"
             )
 
 

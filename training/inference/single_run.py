@@ -86,7 +86,7 @@ class SingleRun:
     def _bound(
         self, session: onnxruntime.InferenceSession
     ) -> tuple[onnxruntime.InferenceSession, onnxruntime.IOBinding]:
-        """A part with its inputs and outputs in this run's buffers; what it gives gets new ones."""
+        """A part with its inputs and outputs in this run's buffers; new outputs get new ones."""
         inputs = {entry.name: self._buffers[entry.name] for entry in session.get_inputs()}
         names = [entry.name for entry in session.get_outputs()]
         for name, value in zip(names, session.run(names, inputs), strict=True):

@@ -4,16 +4,19 @@ At rest the cables' joint torques balance weight and contact, slack or not:
 
     J(q)' T = tau_weight(q) + B_s(q)' f,
 
-with B_s the Jacobian of segment s's contact point. Against the unloaded state (q0, T0) of the same command this is
+with B_s the Jacobian of segment s's contact point. Against the unloaded state (q0, T0) of the same
+command this is
 
     tau := J(q)' dT + (J(q) - J(q0))' T0 - (tau_weight(q) - tau_weight(q0)) = B_s(q)' f,
 
-2N equations for the two components of f, solved by generalised least squares for every segment in turn; the segment
-whose misfit chi² is least is the contact. The pose q is not the commanded one: the arm gives way. Each taut cable's
-stretch T/k tells its true length, and Gauss-Newton on those lengths gives q.
+2N equations for the two components of f, solved by generalised least squares for every segment in
+turn; the segment whose misfit chi² is least is the contact. The pose q is not the commanded one:
+the arm gives way. Each taut cable's stretch T/k tells its true length, and Gauss-Newton on those
+lengths gives q.
 
-Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly zero for slack ones,
-whose tension is known; with T = k J dq this compresses the M tensions without loss.
+Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly
+zero for slack ones, whose tension is known; with T = k J dq this compresses the M tensions without
+loss.
 """
 
 from __future__ import annotations
@@ -41,7 +44,8 @@ POSE_TOLERANCE_RAD = 1e-5
 def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
     """Gauss-Newton steps that this arm's give under a force at its tip calls for.
 
-    Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n) below the tolerance.
+    Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
+    below the tolerance.
     """
     forces = np.zeros((2, mechanism.segment_count, 3))
     forces[0, -1, 1] = forces[1, -1, 2] = force_n
@@ -81,7 +85,8 @@ class Balance(NamedTuple):
     """Statics of B samples at their true poses; joints ordered pitches, then yaws.
 
     Attributes:
-        lever: (B, N, 2, 2N) joint torques of unit forces along the normals of each segment at the commanded angles.
+        lever: (B, N, 2, 2N) joint torques of unit forces along the normals of each segment at the
+            commanded angles.
         precision: (B, 2N, 2N) inverse covariance of the torques.
         torque_n_m: (B, 2N, 1) torques of the environment on the joints.
         taut: (B, M) one for taut cables, zero for slack ones.
@@ -99,7 +104,8 @@ class ClosedForm(nn.Module):
     Args:
         mechanism: the arm.
         reading_variance_n2: variance of one tension difference, N².
-        pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the command as the pose.
+        pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
+            command as the pose.
     """
 
     compliance_m_n: Tensor
@@ -157,9 +163,10 @@ class ClosedForm(nn.Module):
     def unloaded(
         self, angles: Tensor, commanded: Pose, normal_cross: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Tensions (B, M, 1) under the arm's own weight, all taut, and the torque (B, 2N, 1) they leave unbalanced.
+        """Tensions under the arm's own weight, and the joint torque that they leave unbalanced.
 
-        The torque is that at the pose which the unloaded arm is taken to stand in: the command, without corrections.
+        Tensions are (B, M, 1), of cables taken as taut; the torque is (B, 2N, 1), that at the pose
+        which the unloaded arm is taken to stand in: the command, without corrections.
         """
         pose = commanded
         stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]

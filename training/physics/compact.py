@@ -1,10 +1,11 @@
 """Kinematics in few tensor operations, for a graph that runs a thousand times a second.
 
-A small ONNX graph costs what its operators' dispatch costs, so this says what `cablesense_sim.kinematics` says in thirty
-operators instead of three hundred. With a = (1, cos, sin) of a joint's pitch and b = (1, cos, sin) of its yaw, the nine
-products a_i b_j are features in which the joint's rotation `Ry Rz`, the squared cable spans and their derivatives are
-all linear, so constant matrices do the rest. In here vectors are columns (B, ·, 1), and joint angles and torques are
-ordered *all pitches, then all yaws*.
+A small ONNX graph costs what its operators' dispatch costs, so this says what
+`cablesense_sim.kinematics` says in thirty operators instead of three hundred. With a = (1, cos,
+sin) of a joint's pitch and b = (1, cos, sin) of its yaw, the nine products a_i b_j are features in
+which the joint's rotation `Ry Rz`, the squared cable spans and their derivatives are all linear,
+so constant matrices do the rest. In here vectors are columns (B, ·, 1), and joint angles and
+torques are ordered *all pitches, then all yaws*.
 """
 
 from __future__ import annotations
@@ -128,7 +129,8 @@ class CompactKinematics(nn.Module):
     def normal_cross(self, pose: Pose) -> Tensor:
         """Cross products with the segments' y and z axes and with gravity: (B, 3 · 2(N + 1), 3).
 
-        Rows are (component, segment, axis); the last segment's two axes are gravity's acceleration and nothing.
+        Rows are (component, segment, axis); the last segment's two axes are gravity's acceleration
+        and nothing.
         """
         rows = 2 * self.segment_count + 2
         normals = pose.frames.index_select(2, self.normal_axes).transpose(1, 2)
@@ -137,8 +139,9 @@ class CompactKinematics(nn.Module):
         return crossed.transpose(1, 2).reshape(-1, 3 * rows, 3)
 
     def levers(self, pose: Pose, normal_cross: Tensor) -> tuple[Tensor, Tensor]:
-        """Joint torques (B, N, 2, 2N) of unit normal forces at the contact points, and (B, 2N, 1) of the weight.
+        """Joint torques of unit normal forces at the contact points, and of the weight.
 
+        They are (B, N, 2, 2N) and (B, 2N, 1).
         The torque on axis w of a force e at distance r is w · (r x e) = r · (e x w).
         """
         n = self.segment_count
@@ -155,7 +158,8 @@ class CompactKinematics(nn.Module):
 def _span_map(mechanism: Mechanism, rotation: Matrix) -> Matrix:
     """(3 · N · M, 9N): features to squared span, and halves of its derivatives by pitch and yaw.
 
-    A cable that does not pass a joint has span 1 there, which no derivative and no difference sees.
+    A cable that does not pass a joint has span 1 there, which no derivative and no difference
+    sees.
     """
     o, y, z = mechanism.plate_offset_m, mechanism.hole_y_m, mechanism.hole_z_m
     after = np.stack([np.full_like(y, o), y, z])
@@ -185,9 +189,10 @@ def _rotation_map(segment_count: int, rotation: Matrix) -> Matrix:
 
 
 def _lever_map(mechanism: Mechanism) -> Matrix:
-    """(N, (N + 1) · 2N): segment axes to the vectors from each joint to each contact point, zero beyond it.
+    """(N, (N + 1) · 2N): segment axes to the vectors from each joint to each contact point.
 
-    The last block gives the first moments of the mass that each joint carries, kg·m.
+    Beyond the contact point they are zero. The last block gives the first moments of the mass that
+    each joint carries, kg·m.
     """
     n = mechanism.segment_count
     reach = np.zeros((n, n + 1, n))

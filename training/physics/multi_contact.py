@@ -1,8 +1,9 @@
-"""Several contacts at once by statics: all segments' forces in one least-squares fit, then again over those touched.
+"""Several contacts at once by statics: all segments' forces in one fit, then of those touched.
 
-N segments with two force components each are 2N unknowns for 2N joint torques: solvable, without redundancy. A segment
-is touched where its force is too large for its own uncertainty. Leaving the untouched ones out gives the redundancy
-back, so the second fit, over the touched segments alone, tells their forces better.
+N segments with two force components each are 2N unknowns for 2N joint torques: solvable, without
+redundancy. A segment is touched where its force is too large for its own uncertainty. Leaving the
+untouched ones out gives the redundancy back, so the second fit, over the touched segments alone,
+tells their forces better.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _WEAKEST_N = 1e-3
 
 
 class MultiContactClosedForm(MultiContactNetwork):
-    """Contacts and magnitudes for tension differences (B, M) and commanded joint angles (B, 2N); computes in float64.
+    """Contacts and magnitudes for tension differences (B, M) and joint commands (B, 2N), float64.
 
     Args:
         mechanism: the arm.
@@ -66,7 +67,7 @@ class MultiContactClosedForm(MultiContactNetwork):
         return cls(mechanism, variance, pose_corrections_for(mechanism))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Physics needs no scaling; only the loss does, and counts magnitudes in the sensors' own noise."""
+        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
         self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
 
     def forward(

@@ -1,17 +1,20 @@
-"""The closed form for a stiff arm, to second order in its give: quick enough for a thousand answers a second.
+"""The closed form for a stiff arm, to second order in its give: a thousand answers a second.
 
-On a stiff arm the joints give way by a few milliradians, so what `ClosedForm` computes afresh at the true pose is here
-expanded about the commanded one. With the set W of taut cables, under a contact f on segment s,
+On a stiff arm the joints give way by a few milliradians, so what `ClosedForm` computes afresh at
+the true pose is here expanded about the commanded one. With the set W of taut cables, under a
+contact f on segment s,
 
     dq(f) = dq_W + E_s f,    T(f) = W (T0 + k J dq),
     L_s' f = J' T - tau_weight + r_s(f),    r_s(f) = (dJ dq)' T - (dtau_weight) dq - (dL_s dq)' f,
 
-all at the command, where r_s collects what the give changes: cable levers, weight, contact levers. It is quadratic in f,
-so one substitution of the first-order solution f0 solves for f to second order:
+all at the command, where r_s collects what the give changes: cable levers, weight, contact levers.
+It is quadratic in f, so one substitution of the first-order solution f0 solves for f to second
+order:
 
     f = f0 + K_s r_s(f0),    f0 = K_s (J' T - tau_weight),    K_s = C_s L_s P.
 
-Everything but the last line depends on the command and on which cables are taut, and changes as seldom as they do.
+Everything but the last line depends on the command and on which cables are taut, and changes as
+seldom as they do.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from cablesense_training.physics.closed_form import SLACK_WEIGHT, Candidates, Cl
 from cablesense_training.physics.compact import Pose
 
 STEP_RAD = 1e-4
-"""Of the central differences that give the derivatives by the pose; their error is a part in 1e8."""
+"""Of the central differences that give derivatives by the pose; their error is a part in 1e8."""
 
 
 class _Expansion(NamedTuple):
@@ -136,7 +139,7 @@ class SecondOrderClosedForm(nn.Module):
         )
 
     def _give(self, about: _Expansion, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """r_s(f) as its constant (B, 2N, 1), quadratic (B, N, 2, 2N, 2) and linear (B, N, 2N, 2) parts."""
+        """r_s(f): constant (B, 2N, 1), quadratic (B, N, 2, 2N, 2), linear (B, N, 2N, 2) parts."""
         n, m = self.exact.kinematics.segment_count, self.exact.kinematics.cable_count
         joints = 2 * n
         stiffness = weight / self.exact.compliance_m_n
