@@ -18,7 +18,12 @@ from cablesense_sim.arm_files import open_arm
 from cablesense_training.inference.estimator import OUTPUTS, Estimator
 from cablesense_training.inference.metadata import ModelFileError
 from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
-from cablesense_training.inference.session import MAX_FILE_BYTES, ModelSession
+from cablesense_training.inference.session import (
+    MAX_FILE_BYTES,
+    TAUT,
+    ModelSession,
+    open_session,
+)
 
 CDSM = open_arm("cdsm")
 FLOAT, DOUBLE = TensorProto.FLOAT, TensorProto.DOUBLE
@@ -83,17 +88,35 @@ def _refused(path, outputs=OUTPUTS, arm=None):
 
 def test_a_small_model_opens(tmp_path):
     session = ModelSession.open(_written(tmp_path, _small_model()), OUTPUTS, CDSM)
-    answers = session.run(np.ones((3, 12)), session.steady_inputs(np.zeros((3, 8))))
+    answers = session.run(np.ones((3, 12)), np.zeros((3, 8)))
     assert [answer.shape for answer in answers] == [(3, 5), (3, 2), (3,), (3,), (3,)]
+    assert not session.tells_taut
+
+
+def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
+    model = _small_model(nodes=[helper.make_node("Sign", ["tension_difference_n"], [TAUT])])
+    taut = _value(TAUT, DOUBLE, ["batch", 12])
+    model.graph.output.append(taut)
+    session = ModelSession.open(_written(tmp_path, model), OUTPUTS, CDSM)
+    assert session.tells_taut
+    assert len(session.run(np.ones((3, 12)), None)) == len(OUTPUTS)
+    model.graph.output.append(taut)
+    assert TAUT in _refused(_written(tmp_path, model))
+
+
+def test_a_model_that_tells_something_else_is_refused(tmp_path):
+    model = _small_model(nodes=[helper.make_node("Sign", ["tension_difference_n"], ["sign"])])
+    model.graph.output.append(_value("sign", DOUBLE, ["batch", 12]))
+    assert "sign" in _refused(_written(tmp_path, model))
 
 
 def test_one_thread_runs_it(tmp_path):
     tasks = Path("/proc/self/task")
     before = {task.name for task in tasks.iterdir()}
     session = ModelSession.open(_written(tmp_path, _small_model()), OUTPUTS)
-    session.run(np.ones((1, 12)), {})
+    session.run(np.ones((1, 12)), None)
     assert {task.name for task in tasks.iterdir()} <= before
-    assert session.moving.get_session_options().intra_op_num_threads == 1
+    assert open_session(session.model).get_session_options().intra_op_num_threads == 1
 
 
 def test_no_file_is_said_to_be_none(tmp_path):
@@ -272,7 +295,7 @@ def test_damaged_bytes_are_refused_or_still_answer(tmp_path_factory, damage):
 def test_a_damaged_model_file_is_refused_or_still_answers(model_files, tmp_path):
     whole = model_files().read_bytes()
     rng = np.random.default_rng(0)
-    for _ in range(30):
+    for _ in range(8):  # opening it takes a quarter of a second
         content = bytearray(whole)
         place = rng.integers(len(content))
         content[place : place + rng.integers(1, 4)] = rng.bytes(rng.integers(0, 4))

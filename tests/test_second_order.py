@@ -1,0 +1,120 @@
+"""To second order in its give, a stiff arm's statics say what the repeated closed form says."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.physics.closed_form import ClosedForm
+from cablesense_training.physics.second_order import SecondOrderClosedForm
+
+VARIANCE_N2 = 0.005
+BARELY_TAUT_N = 0.3
+"""Tensions below this pass for none, at that variance."""
+
+CDSM = Mechanism.from_arm(open_arm("cdsm"))
+ROWS = 600
+
+
+def _candidates(closed_form, tension_difference_n, command_rad):
+    with torch.no_grad():
+        found = closed_form(torch.as_tensor(tension_difference_n), torch.as_tensor(command_rad))
+    return type(found)(*(part.numpy() for part in found))
+
+
+def _tensions(command, segment, angle_deg, magnitude_n):
+    """Noise-free tensions under load and without."""
+    forces = normal_force_n(CDSM, command, segment, angle_deg, magnitude_n)
+    loaded = solve_equilibrium(CDSM, command, forces).tensions_n
+    return loaded, solve_equilibrium(CDSM, command).tensions_n
+
+
+@pytest.fixture(scope="module", params=[0.0, 10.0], ids=["straight", "random poses"])
+def pushes(request):
+    """Commands, segments, forces, tension differences and which cables are slack; none barely."""
+    rng = np.random.default_rng(1)
+    reach = np.deg2rad(request.param)
+    command = rng.uniform(-reach, reach, (ROWS, CDSM.joint_count))
+    segment = rng.integers(1, CDSM.segment_count + 1, ROWS)
+    angle_deg, magnitude = rng.uniform(0.0, 360.0, ROWS), rng.uniform(1.0, 200.0, ROWS)
+    loaded, unloaded = _tensions(command, segment, angle_deg, magnitude)
+    slack = loaded == 0.0
+    # as many taut cables as joint angles tell the pose
+    told = slack.sum(axis=1) <= CDSM.cable_count - CDSM.joint_count
+    told &= ~((loaded > 0.0) & (loaded < BARELY_TAUT_N)).any(axis=1)
+    assert told.sum() > 0.95 * ROWS
+    assert slack[told].any(axis=1).mean() > 0.5
+    theta = np.deg2rad(angle_deg)
+    force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=1)
+    return tuple(part[told] for part in (command, segment, force, loaded - unloaded, slack))
+
+
+def test_it_agrees_with_the_closed_form_at_the_true_pose_slack_or_not(pushes):
+    command, segment, force, difference, slack = pushes
+    found = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
+    exact = _candidates(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=2), difference, command)
+    np.testing.assert_array_equal(found.taut == 0.0, slack)
+    np.testing.assert_array_equal(found.explained.argmax(axis=1) + 1, segment)
+    own = np.arange(len(segment)), segment - 1
+    for other in (exact.force_n[own], force):
+        error = np.hypot(*(found.force_n[own] - other).T)
+        assert np.median(error) < 0.002
+        assert error.max() < 0.01
+    for axis in (0, 1):
+        np.testing.assert_allclose(
+            found.covariance_n2[*own, axis, axis], exact.covariance_n2[*own, axis, axis], rtol=0.01
+        )
+
+
+def test_the_first_order_would_not_do(pushes):
+    command, segment, force, difference, _ = pushes
+    plain = _candidates(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=0), difference, command)
+    error = plain.force_n[np.arange(len(segment)), segment - 1] - force
+    assert np.median(np.hypot(*error.T)) > 0.02
+
+
+def test_information_is_the_inverse_of_the_covariance(pushes):
+    command, _, _, difference, _ = pushes
+    found = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
+    product = found.information @ found.covariance_n2
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-9)
+    assert (np.linalg.eigvalsh(found.covariance_n2) > 0.0).all()
+
+
+@pytest.mark.parametrize("magnitude_n", [10.0, 150.0], ids=["all taut", "some slack"])
+def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
+    rng = np.random.default_rng(2)
+    command = rng.uniform(-0.17, 0.17, (1, CDSM.joint_count))
+    loaded, unloaded = _tensions(command, 4, [40.0], [magnitude_n])
+    assert not ((loaded > 0.0) & (loaded < 1.0)).any()
+    assert (loaded == 0.0).any() == (magnitude_n > 100.0)
+    noise = rng.normal(0.0, VARIANCE_N2**0.5, (3000, CDSM.cable_count))
+    read = np.where(loaded > 0.0, loaded + noise, 0.0) - unloaded
+    found = _candidates(
+        SecondOrderClosedForm(CDSM, VARIANCE_N2), read, np.repeat(command, 3000, axis=0)
+    )
+    own = found.force_n[:, 3]
+    stated = found.covariance_n2[:, 3].mean(axis=0)
+    whitened = np.linalg.solve(np.linalg.cholesky(stated), (own - own.mean(axis=0)).T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.12)
+
+
+def test_without_contact_the_misfit_is_chi_squared():
+    rng = np.random.default_rng(3)
+    command = rng.uniform(-0.17, 0.17, (4000, CDSM.joint_count))
+    noise = rng.normal(0.0, VARIANCE_N2**0.5, (4000, CDSM.cable_count))
+    misfit = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), noise, command).misfit_none
+    assert stats.kstest(misfit, stats.chi2(CDSM.joint_count).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])
+def test_absurd_readings_get_finite_candidates(size_n):
+    command = np.stack([np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)])
+    found = _candidates(
+        SecondOrderClosedForm(CDSM, VARIANCE_N2), np.full((3, 12), size_n), command
+    )
+    assert all(np.isfinite(part).all() for part in found)
