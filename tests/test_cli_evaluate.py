@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cablesense_ros.cli.app import app
 from cablesense_training.evaluation.settings import TABLE2_MODEL
-from cablesense_training.inference.model_files import bundled_models, find_model
+from cablesense_training.inference.model_files import find_model
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "evaluate"]
 
@@ -21,9 +21,8 @@ def _run(*arguments):
 
 
 @pytest.fixture
-def table2_model(model_files):
-    bundled = TABLE2_MODEL in bundled_models()
-    return find_model(TABLE2_MODEL) if bundled else model_files(arm_name="cdsm_table2")
+def table2_model():
+    return find_model(TABLE2_MODEL)
 
 
 def test_table2_as_json_has_six_rows_of_true_and_estimated(table2_model):
@@ -47,8 +46,8 @@ def test_table2_as_a_table_names_the_loads(table2_model):
     assert "physical arm" in text
 
 
-def test_one_model_is_evaluated_on_its_own_arm(model_files):
-    path = model_files()
+def test_one_model_is_evaluated_on_its_own_arm():
+    path = find_model("cdsm")
     content = json.loads(_run("--model", path, "--samples", 200, "--seed", 1, "--json"))
     assert set(content) == {"single", "bound"}
     assert content["single"]["contact_accuracy"] > 0.97
@@ -87,7 +86,7 @@ def test_numbers_out_of_range_are_refused(arguments):
     assert arguments[0] in result.output
 
 
-def test_a_model_of_several_contacts_is_refused(model_files):
-    result = CliRunner().invoke(app, ["evaluate", "--model", str(model_files("multi-contact"))])
+def test_a_model_of_several_contacts_is_refused():
+    result = CliRunner().invoke(app, ["evaluate", "--model", "cdsm_multi"])
     assert result.exit_code != 0
     assert "multi-contact" in str(result.exception)

@@ -16,6 +16,7 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.settings import SETTINGS, Setting
 from cablesense_training.inference.metadata import ModelFileError
+from cablesense_training.inference.model_files import find_model
 
 FIGURES = {
     "contact_accuracy", "direction_mae_deg", "magnitude_mae_n", "magnitude_rmse_n", "macro_f1",
@@ -23,22 +24,7 @@ FIGURES = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def untrained(model_files, monkeypatch):
-    """Every model of the comparison stands in for by an untrained one of its kind."""
-
-    def find_model(name):
-        arm = "cdsm_lab" if "lab" in name else "cdsm"
-        if "multi" in name:
-            return model_files("multi-contact")
-        if "tensions" in name or "two_stage" in name:
-            return model_files("two-stage", arm)
-        return model_files("closed-form-corrected", arm)
-
-    monkeypatch.setattr(comparison, "find_model", find_model)
-
-
-def test_every_setting_every_model_and_the_bound_on_the_same_samples(untrained):
+def test_every_setting_every_model_and_the_bound_on_the_same_samples():
     told = []
     result = compare(7, 150, on_setting=told.append)
     assert told == [setting.name for setting in SETTINGS] + ["multi"]
@@ -64,7 +50,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples(untrained):
     assert 0.0 <= content["coverage95"] <= 1.0
 
 
-def test_the_same_seed_gives_the_same_figures(untrained):
+def test_the_same_seed_gives_the_same_figures():
     setting = SETTINGS[0]
     one, again, other = (
         setting_figures(setting, Dataset.from_protocol(setting.arm, setting.protocol(100), seed))
@@ -107,8 +93,9 @@ def test_settings_are_bundled_arms_of_known_protocols():
     assert open_arm(settings.MULTI_ARM).segment_count == 4
 
 
-def test_a_model_for_another_arm_is_refused(model_files, monkeypatch):
-    monkeypatch.setattr(comparison, "find_model", lambda name: model_files("two-stage"))
+def test_a_model_for_another_arm_is_refused(monkeypatch):
+    path = find_model("peers/cdsm_two_stage")
+    monkeypatch.setattr(comparison, "find_model", lambda name: path)
     setting = Setting("mixed", "cdsm_lab", "straight", "cdsm", {})
     dataset = Dataset.from_protocol(setting.arm, setting.protocol(100), seed=0)
     with pytest.raises(ModelFileError, match="made for arm cdsm-"):

@@ -13,6 +13,7 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import EstimateError, Estimator
 from cablesense_training.inference.metadata import ModelFileError
+from cablesense_training.inference.model_files import find_model
 
 CDSM = open_arm("cdsm")
 FIELDS = (
@@ -23,13 +24,13 @@ commands = st.lists(st.floats(-0.3, 0.3), min_size=8, max_size=8)
 
 
 @pytest.fixture(scope="module")
-def estimator(model_files):
-    return Estimator.load(model_files(), CDSM)
+def estimator():
+    return Estimator.load(find_model("cdsm"), CDSM)
 
 
 @pytest.fixture(scope="module")
-def tensions_only(model_files):
-    return Estimator.load(model_files("scale-aware"), CDSM)
+def tensions_only():
+    return Estimator.load(find_model("cdsm_tensions_only"), CDSM)
 
 
 def _pushed(command, segment, angle_deg, magnitude_n):
@@ -69,9 +70,9 @@ def test_it_says_what_it_is(estimator, tensions_only):
     assert not tensions_only.pose_aware
 
 
-def test_a_model_of_several_contacts_is_no_estimator_of_one(model_files):
+def test_a_model_of_several_contacts_is_no_estimator_of_one():
     with pytest.raises(ModelFileError, match="multi-contact"):
-        Estimator.load(model_files("multi-contact"))
+        Estimator.load(find_model("cdsm_multi"))
 
 
 def test_the_angle_lies_below_a_full_turn(estimator):

@@ -4,16 +4,25 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import EstimateError
 from cablesense_training.inference.metadata import ModelFileError
+from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.multi_estimator import MultiEstimator
 
 CDSM = open_arm("cdsm")
 
 
 @pytest.fixture(scope="module")
-def estimator(model_files):
-    return MultiEstimator.load(model_files("multi-contact"), CDSM)
+def estimator():
+    return MultiEstimator.load(find_model("peers/cdsm_multi_two_stage"), CDSM)
+
+
+@pytest.fixture(scope="module")
+def pose_aware():
+    return MultiEstimator.load(find_model("cdsm_multi"), CDSM)
 
 
 def test_every_segment_of_every_sample_gets_an_answer(estimator):
@@ -35,11 +44,45 @@ def test_rows_do_not_influence_each_other(estimator):
         np.testing.assert_allclose(one.magnitude_n[0], whole.magnitude_n[row], rtol=1e-9)
 
 
-def test_a_model_of_one_contact_or_another_arm_is_refused(model_files):
+def test_a_model_of_one_contact_or_another_arm_is_refused():
     with pytest.raises(ModelFileError, match="single-contact"):
-        MultiEstimator.load(model_files("scale-aware"))
+        MultiEstimator.load(find_model("cdsm"))
     with pytest.raises(ModelFileError, match="cdsm_lab"):
-        MultiEstimator.load(model_files("multi-contact"), open_arm("cdsm_lab"))
+        MultiEstimator.load(find_model("cdsm_multi"), open_arm("cdsm_lab"))
+
+
+def test_two_pushes_at_once_are_told_apart(pose_aware):
+    mechanism = Mechanism.from_arm(CDSM)
+    for seed in range(5):
+        command = np.random.default_rng(seed).uniform(-0.17, 0.17, 8)
+        forces = normal_force_n(mechanism, command, 2, 70.0, 25.0)
+        forces = forces + normal_force_n(mechanism, command, 4, 200.0, 12.0)
+        loaded = solve_equilibrium(mechanism, command, forces).tensions_n
+        difference = loaded - solve_equilibrium(mechanism, command).tensions_n
+        said = pose_aware.estimate_batch(difference, command)
+        assert (said.probabilities[0] > 0.5).tolist() == [False, True, False, True]
+        assert said.magnitude_n[0, [1, 3]] == pytest.approx([25.0, 12.0], abs=0.1)
+
+
+def test_one_command_serves_a_whole_batch(pose_aware):
+    values = np.random.default_rng(3).normal(0.0, 10.0, (4, 12))
+    once = pose_aware.estimate_batch(values, np.full(8, 0.1))
+    each = pose_aware.estimate_batch(values, np.full((4, 8), 0.1))
+    np.testing.assert_array_equal(once.magnitude_n, each.magnitude_n)
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (None, "8 commanded joint angles"),
+        (np.zeros(7), "needs 8"),
+        (np.zeros((2, 8)), "2 commands for 3 samples"),
+        (np.full(8, np.nan), "must be finite"),
+    ],
+)
+def test_commands_that_cannot_be_taken_are_refused(pose_aware, command, told):
+    with pytest.raises(EstimateError, match=told):
+        pose_aware.estimate_batch(np.zeros((3, 12)), command)
 
 
 @pytest.mark.parametrize(

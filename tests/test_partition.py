@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
+from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.partition import split_graph
 from cablesense_training.inference.session import COMMAND, TAUT, TENSION
 
@@ -146,14 +147,14 @@ def samples():
     return {CHANGING: rng.normal(0.0, 30.0, (50, 12)), STEADY: rng.uniform(-0.3, 0.3, (50, 8))}
 
 
-def test_parts_of_a_model_file_agree_with_the_whole(model_files, samples):
-    model = onnx.load(model_files())
+def test_parts_of_a_model_file_agree_with_the_whole(samples):
+    model = onnx.load(find_model("cdsm"))
     without = _require_agreement(model, samples)
     parts = _require_agreement(model, samples, held=TAUT)
     assert without.held is None
     assert len(parts.moving.graph.node) < len(without.moving.graph.node) / 2
 
 
-def test_a_model_of_tensions_alone_is_one_part(model_files, samples):
-    parts = _require_agreement(onnx.load(model_files("two-stage")), samples)
+def test_a_model_of_tensions_alone_is_one_part(samples):
+    parts = _require_agreement(onnx.load(find_model("cdsm_tensions_only")), samples)
     assert parts.steady is None

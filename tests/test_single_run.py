@@ -10,6 +10,7 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import OUTPUTS
+from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.session import ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
@@ -18,8 +19,10 @@ POSES, PUSHES = 3, 12
 
 
 @pytest.fixture(scope="module")
-def session(model_files):
-    return ModelSession.open(model_files(), OUTPUTS, CDSM)
+def session():
+    session = ModelSession.open(find_model("cdsm"), OUTPUTS, CDSM)
+    assert session.tells_taut
+    return session
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +91,8 @@ def test_the_very_first_answer_is_right(session, readings, expected):
             np.testing.assert_allclose(said, whole[push], rtol=1e-9, atol=1e-9)
 
 
-def test_a_model_of_tensions_alone_runs_without_a_command(model_files, readings):
-    session = ModelSession.open(model_files("two-stage"), OUTPUTS, CDSM)
+def test_a_model_of_tensions_alone_runs_without_a_command(readings):
+    session = ModelSession.open(find_model("cdsm_tensions_only"), OUTPUTS, CDSM)
     single = SingleRun(session)
     _, differences = readings
     whole = session.run(differences[0], None)

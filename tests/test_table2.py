@@ -11,17 +11,15 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_training.evaluation.settings import TABLE2_MODEL
 from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2, read_table2
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.model_files import bundled_models, find_model
+from cablesense_training.inference.model_files import find_model
 
 HEADER = "source,load_kg,load_segment," + ",".join(f"cable_{i}_n" for i in range(1, 10))
 ROW = "physical,1,2,1,2,3,4,5,6,7,8,9"
 
 
 @pytest.fixture(scope="module")
-def estimator(model_files):
-    bundled = TABLE2_MODEL in bundled_models()
-    path = find_model(TABLE2_MODEL) if bundled else model_files(arm_name="cdsm_table2")
-    return Estimator.load(path, open_arm("cdsm_table2"))
+def estimator():
+    return Estimator.load(find_model(TABLE2_MODEL), open_arm("cdsm_table2"))
 
 
 def test_the_table_has_two_loads_on_three_segments_from_two_sources():
@@ -108,6 +106,6 @@ def test_a_missing_table_is_refused(tmp_path):
         read_table2(tmp_path / "none.csv")
 
 
-def test_a_model_of_another_arm_is_refused(model_files):
+def test_a_model_of_another_arm_is_refused():
     with pytest.raises(CableSenseError, match="cdsm_table2"):
-        evaluate_table2(Estimator.load(model_files()))
+        evaluate_table2(Estimator.load(find_model("cdsm")))
