@@ -20,7 +20,9 @@ _PAPER = Recipe(100_000, FitSettings())
 
 RECIPES: dict[str, Recipe] = {
     "closed-form": Recipe(20_000, FitSettings()),
-    "closed-form-corrected": Recipe(50_000, FitSettings(epochs=20, batch_size=1024)),
+    "closed-form-corrected": Recipe(
+        40_000, FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4)
+    ),
     "decoupled": _PAPER,
     "shared-backbone": _PAPER,
     "two-stage": _PAPER,

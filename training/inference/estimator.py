@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +27,7 @@ class EstimateError(ModelFileError):
     """Inputs that the model cannot take: wrong shape, not finite, or a command that is missing."""
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """One contact, or none.
 
     Attributes:
@@ -114,22 +114,17 @@ class Estimator:
         single.tension_difference_n[:] = tension_difference_n
         single.run()
         probability, direction, magnitude, std, angle_std = single.outputs
-        segment = int(probability.argmax())
+        beliefs = probability.tolist()
         estimate = Estimate(
             probabilities=probability.copy(),
-            segment=segment,
+            segment=beliefs.index(max(beliefs)),
             angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
             magnitude_n=magnitude.item(),
             magnitude_std_n=std.item(),
             angle_std_deg=angle_std.item(),
         )
-        if not math.isfinite(
-            probability.item(segment)
-            + estimate.angle_deg
-            + estimate.magnitude_n
-            + estimate.magnitude_std_n
-            + estimate.angle_std_deg
-        ):
+        if not math.isfinite(sum(beliefs) + sum(estimate[2:])):
+            self._tensions(tension_difference_n, 1)
             raise EstimateError(NO_ANSWER)
         return estimate
 
@@ -157,12 +152,11 @@ class Estimator:
         )
 
     def _fits(self, values: ArrayLike) -> bool:
-        """Whether the values can be taken as they are; the sum of finite numbers is finite."""
+        """Whether the values can be taken as they are; what is not finite shows in the answer."""
         return (
             isinstance(values, np.ndarray)
             and values.dtype == np.float64
             and values.shape == self._single.tension_difference_n.shape
-            and math.isfinite(values.sum())
         )
 
     def _follow(self, joint_command_rad: ArrayLike | None) -> None:

@@ -21,6 +21,7 @@ loss.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +82,25 @@ class Candidates(NamedTuple):
         return (force @ self.information * force).sum((2, 3))
 
 
+class Weighed(NamedTuple):
+    """Candidates with the belief in each.
+
+    Attributes:
+        force_n, covariance_n2, taut: as in `Candidates`.
+        evidence: (B, 1, N) log evidence of a contact on each segment against none.
+    """
+
+    force_n: Tensor
+    covariance_n2: Tensor
+    taut: Tensor
+    evidence: Tensor
+
+
+Weighing = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""From information and covariance (B, N, 2, 2) to matrices W (B, N, 2, 2) and constants (B, N):
+the evidence of a force f is f' W f plus the constant."""
+
+
 class Balance(NamedTuple):
     """Statics of B samples at their true poses; joints ordered pitches, then yaws.
 
@@ -126,6 +146,16 @@ class ClosedForm(nn.Module):
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
         """See `Candidates`."""
         return self._least_squares(self.balance(tension_difference_n, joint_command_rad))
+
+    def weigh(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
+    ) -> Weighed:
+        """Candidates, and the evidence for them."""
+        found = self(tension_difference_n, joint_command_rad)
+        trusted, constant = weighing(found.information, found.covariance_n2)
+        force = found.force_n[:, :, None]
+        evidence = (force @ trusted * force).sum((2, 3)) + constant
+        return Weighed(found.force_n, found.covariance_n2, found.taut, evidence[:, None])
 
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """What the joints feel of the environment at the true pose."""

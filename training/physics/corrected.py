@@ -22,14 +22,11 @@ from cablesense_training.networks.layers import one_hot_of_argmax
 from cablesense_training.networks.output import SingleContactOutput
 from cablesense_training.networks.single_contact import SingleContactNetwork
 from cablesense_training.networks.spread import StatedSpread
-from cablesense_training.physics.closed_form import Candidates, ClosedForm, pose_corrections_for
+from cablesense_training.physics.closed_form import ClosedForm, Weighed, pose_corrections_for
 from cablesense_training.physics.second_order import SecondOrderClosedForm
 
 LARGEST_CORRECTION = 1.0
-"""In standard deviations of the closed form; that of a tanh, so it costs no operator."""
-
-_FORCE_SCALE_N = 100.0
-_WEAKEST_N = 1e-6
+"""In standard deviations of the closed form."""
 
 
 class CorrectedClosedForm(SingleContactNetwork):
@@ -45,7 +42,6 @@ class CorrectedClosedForm(SingleContactNetwork):
 
     pose_aware: ClassVar[bool] = True
     frame: Tensor
-    to_features: Tensor
 
     def __init__(
         self,
@@ -61,17 +57,12 @@ class CorrectedClosedForm(SingleContactNetwork):
         self.log_prior = -2.0 * math.log(force_range_n)
         self.log_trust = nn.Parameter(torch.zeros(()))
         self.segment_bias = nn.Parameter(torch.zeros(segments))
-        self.hidden = nn.Linear(3 + segments, width, bias=False)
-        self.hidden_taut = nn.Linear(cables, width)
-        self.heads = nn.Linear(width, 4)
+        self.hidden = nn.Linear(cables, width)
+        self.hidden_segment = nn.Parameter(0.1 * torch.randn(segments, width))
+        self.heads = nn.Linear(width, 4, bias=False)
         nn.init.zeros_(self.heads.weight)
-        nn.init.zeros_(self.heads.bias)
-        self.register_buffer(
-            "frame", torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]])
-        )
-        scale = torch.eye(3 + segments)
-        scale[2, 2] = 1.0 / _FORCE_SCALE_N
-        self.register_buffer("to_features", scale)
+        turns = torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]])
+        self.register_buffer("frame", turns)
         self.double()
 
     @classmethod
@@ -99,47 +90,49 @@ class CorrectedClosedForm(SingleContactNetwork):
     ) -> tuple[SingleContactOutput, Tensor]:
         """The answers, and (B, M) one for each taut cable and zero for each slack one."""
         assert joint_command_rad is not None
-        n = self.segment_count
-        found = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
-        evidence = self._evidence(found)
-        chosen = one_hot_of_argmax(evidence)[:, None]
-        force = chosen @ found.force_n
-        root = (chosen @ _square_root(found.covariance_n2).reshape(-1, n, 4)).reshape(-1, 2, 2)
-
-        strength = _length(force)
-        axes = (force / strength @ self.frame).reshape(-1, 2, 2)
-        stds = _length(axes @ root).transpose(1, 2)
-        seen = torch.cat([axes[:, :1], strength, chosen], dim=-1)
-        hidden = torch.tanh(
-            seen @ (self.to_features @ self.hidden.weight.T)
-            + self.hidden_taut(found.taut)[:, None]
+        found = self.closed_form.weigh(
+            tension_difference_n.double(), joint_command_rad.double(), self._weighing
         )
-        shift, widen = torch.tanh(self.heads(hidden)).chunk(2, dim=-1)
+        chosen = one_hot_of_argmax(found.evidence)
+        force = chosen @ found.force_n
+        root, shift, widen = (chosen @ self._known(found)).split([4, 2, 2], dim=-1)
+
+        axes = (force / _length(force) @ self.frame).reshape(-1, 2, 2)
+        stds = _length(axes @ root.reshape(-1, 2, 2)).transpose(1, 2)
         force = force + shift * stds @ axes
         magnitude = _length(force)
-        std = stds * torch.exp(widen) * self.spread.factor
+        std_n, turned_n = (stds * widen).chunk(2, dim=-1)
         output = SingleContactOutput(
-            contact_logits=functional.pad(evidence, (1, 0)),
-            direction=(force / magnitude)[:, 0],
-            magnitude_n=magnitude[:, 0, 0],
-            magnitude_std_n=std[:, 0, 0],
-            angle_std_deg=torch.rad2deg(std / magnitude)[:, 0, 1],
+            contact_logits=functional.pad(found.evidence, (1, 0)).flatten(1),
+            direction=(force / magnitude).flatten(1),
+            magnitude_n=magnitude.flatten(),
+            magnitude_std_n=std_n.flatten(),
+            angle_std_deg=(turned_n / magnitude).flatten(),
         )
         return output, found.taut
 
-    def _evidence(self, found: Candidates) -> Tensor:
-        """Log evidence (B, N) against no contact.
+    def _known(self, found: Weighed) -> Tensor:
+        """(B, N, 8) per segment: root of the covariance, correction, and widening of the spread.
+
+        The network sees which cables are taut, so all this changes only when they do.
+        """
+        hidden = torch.tanh(self.hidden(found.taut)[:, None] + self.hidden_segment)
+        shift, widen = torch.tanh(self.heads(hidden)).chunk(2, dim=-1)
+        root = _square_root(found.covariance_n2).flatten(2)
+        scale = self.spread.factor * self.spread.factor.new_tensor([1.0, 180.0 / math.pi])
+        return torch.cat([root, LARGEST_CORRECTION * shift, torch.exp(widen) * scale], dim=-1)
+
+    def _weighing(self, information: Tensor, covariance_n2: Tensor) -> tuple[Tensor, Tensor]:
+        """Log evidence against no contact, as f' W f plus a constant.
 
         Half the misfit explained, less the Occam factor of two free components: with a prior
         density of 1 / (pi F_max²), the evidence integral over f is 2 sqrt(det C) / F_max² at the
         best fit (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
         chapter 28).
         """
-        trusted = found.information * (0.5 * torch.exp(self.log_trust))
-        occam = 0.5 * torch.log(_determinant(found.covariance_n2)) + math.log(2.0) + self.log_prior
-        force = found.force_n[:, :, None]
-        explained = (force @ trusted * force).sum((2, 3))
-        return explained + (occam + self.segment_bias)
+        occam = 0.5 * torch.log(_determinant(covariance_n2)) + math.log(2.0) + self.log_prior
+        trust = 0.5 * torch.exp(self.log_trust)
+        return information * trust, occam + self.segment_bias
 
 
 class PlainClosedForm(CorrectedClosedForm):
@@ -156,8 +149,8 @@ class PlainClosedForm(CorrectedClosedForm):
 
 
 def _length(rows: Tensor) -> Tensor:
-    """Lengths (..., 1) of the last axis, kept off zero."""
-    return torch.linalg.vector_norm(rows, dim=-1, keepdim=True) + _WEAKEST_N
+    """Lengths (..., 1) of the last axis."""
+    return torch.linalg.vector_norm(rows, dim=-1, keepdim=True)
 
 
 def _determinant(matrix: Tensor) -> Tensor:

@@ -25,11 +25,21 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.physics.closed_form import SLACK_WEIGHT, Candidates, ClosedForm, inverse
+from cablesense_training.physics.closed_form import (
+    SLACK_WEIGHT,
+    ClosedForm,
+    Weighed,
+    Weighing,
+    inverse,
+)
 from cablesense_training.physics.compact import Pose
 
 STEP_RAD = 1e-4
 """Of the central differences that give derivatives by the pose; their error is a part in 1e8."""
+
+
+_NUDGE_N = 1e-6
+"""Keeps a force off zero, so that it always has a direction."""
 
 
 class _Expansion(NamedTuple):
@@ -49,7 +59,7 @@ class _Expansion(NamedTuple):
 
 
 class SecondOrderClosedForm(nn.Module):
-    """`Candidates` from tension differences (B, M) and commanded joint angles (B, 2N), float64.
+    """Weighed candidates from tension differences (B, M) and joint commands (B, 2N), in float64.
 
     Args:
         mechanism: the arm; stiff, see `pose_corrections_for`.
@@ -57,35 +67,48 @@ class SecondOrderClosedForm(nn.Module):
     """
 
     offsets: Tensor
+    own: Tensor
+    left_factor: Tensor
+    right_factor: Tensor
 
     def __init__(self, mechanism: Mechanism, reading_variance_n2: float) -> None:
         super().__init__()
         self.exact = ClosedForm(mechanism, reading_variance_n2, pose_corrections=1)
-        joints = mechanism.joint_count
+        joints, segments = mechanism.joint_count, mechanism.segment_count
         forward = STEP_RAD * torch.eye(joints, dtype=torch.float64)
         self.register_buffer("offsets", torch.cat([forward, -forward])[:, :, None])
+        self.register_buffer("own", torch.eye(segments, dtype=torch.float64)[:, None, :, None])
+        first = 2 * torch.arange(segments)[:, None]
+        self.register_buffer("left_factor", (first + torch.tensor([0, 0, 1])).ravel())
+        self.register_buffer("right_factor", (first + torch.tensor([0, 1, 1])).ravel())
 
     @property
     def reading_variance_n2(self) -> float:
         """Variance of one tension difference, N²."""
         return self.exact.reading_variance_n2
 
-    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
-        """See `Candidates`."""
+    def weigh(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
+    ) -> Weighed:
+        """Candidates, and the evidence for them.
+
+        Both are polynomials of f0, linear in its components and their products within a segment:
+        one product with a matrix that is held while command and taut cables stay the same. The
+        evidence takes f0 for f, which is a part in a thousand.
+        """
         n = self.exact.kinematics.segment_count
         angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
         commanded = self.exact.kinematics(angles)
         normal_cross = self.exact.kinematics.normal_cross(commanded)
         unloaded_tension, _ = self.exact.unloaded(angles, commanded, normal_cross)
         about = self._expand(angles, commanded, normal_cross)
+        slack_at = self.exact.slack_below_n - unloaded_tension[..., 0]
 
-        difference = tension_difference_n[:, :, None]
-        taut = (difference > self.exact.slack_below_n - unloaded_tension).to(difference.dtype)
-        taut = taut[..., 0]
+        taut = (tension_difference_n > slack_at).to(tension_difference_n.dtype)
         weight = taut[:, :, None] * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
-        precision = inverse(
-            about.jacobian_t @ (about.jacobian_t.transpose(1, 2) * weight)
-        ) * (1.0 / self.reading_variance_n2)
+        precision = inverse(about.jacobian_t @ (about.jacobian_t.transpose(1, 2) * weight)) * (
+            1.0 / self.reading_variance_n2
+        )
         weighted = about.lever @ precision
         information = _own(weighted @ about.lever.transpose(1, 2), n)
         covariance = inverse(information)
@@ -93,26 +116,40 @@ class SecondOrderClosedForm(nn.Module):
         constant, bilinear, linear = self._give(about, weight)
         still, _, _ = self._give(about, torch.ones_like(weight))
         pulled = about.jacobian_t * taut[:, None]
-        balance = pulled @ unloaded_tension - about.jacobian_t @ unloaded_tension
+        balance = (pulled - about.jacobian_t) @ unloaded_tension + constant - still
         flat_gain = gain.reshape(-1, 2 * n, 2 * n)
-        first = flat_gain @ pulled
-        offset = flat_gain @ (balance + constant - still)
-        bent = (gain[:, :, None] @ bilinear).reshape(-1, n, 4, 2)
-        straight = (gain @ linear).transpose(2, 3) + torch.eye(2, dtype=gain.dtype)
+        first = (flat_gain @ pulled).transpose(1, 2)
+        offset = (flat_gain @ balance).transpose(1, 2)
+        trusted, prior = weighing(information, covariance)
+        polynomial, remainder = self._polynomial(gain, bilinear, linear, trusted, prior)
 
-        guess = first @ difference + offset
-        turned = (bent @ guess.reshape(-1, n, 2, 1)).reshape(-1, n, 2, 2) + straight
-        force = guess.reshape(-1, n, 1, 2) @ turned
-        misfit = (
-            pulled @ difference + balance + constant - still
+        guess = tension_difference_n[:, None] @ first + offset
+        products = guess.index_select(2, self.left_factor) * guess.index_select(
+            2, self.right_factor
         )
-        return Candidates(
-            force_n=force[:, :, 0],
-            covariance_n2=covariance,
-            information=information,
-            misfit_none=(misfit * (precision @ misfit)).sum((1, 2)),
-            taut=taut,
-        )
+        answer = torch.cat([guess, products], dim=2) @ polynomial + remainder
+        force, evidence = answer.split([2 * n, n], dim=2)
+        return Weighed(force.reshape(-1, n, 2), covariance, taut, evidence)
+
+    def _polynomial(
+        self, gain: Tensor, bilinear: Tensor, linear: Tensor, trusted: Tensor, prior: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Coefficients (B, 5N, 3N) of (f0, products of f0) for (f, evidence), and constants."""
+        n = self.exact.kinematics.segment_count
+        straight = (gain @ linear).transpose(2, 3) + torch.eye(2, dtype=gain.dtype)
+        bent = _of_products(gain[:, :, None] @ bilinear)
+        to_force = torch.cat([self._apart(straight), self._apart(bent)], dim=1)
+        evidence = self._apart(_of_products(trusted[:, :, :, None]))
+        to_evidence = torch.cat([0.0 * self._apart(straight)[:, :, :n], evidence], dim=1)
+        nudge = 0.0 * prior.repeat(1, 2) + _NUDGE_N
+        remainder = torch.cat([nudge, prior], dim=1)[:, None]
+        return torch.cat([to_force, to_evidence], dim=2), remainder
+
+    def _apart(self, blocks: Tensor) -> Tensor:
+        """Block diagonal matrices (B, N·r, N·c) of blocks (B, N, r, c)."""
+        n, rows, columns = self.exact.kinematics.segment_count, *blocks.shape[2:]
+        spread = blocks[:, :, :, None] * self.own
+        return spread.reshape(-1, n * rows, n * columns)
 
     def _expand(self, angles: Tensor, commanded: Pose, normal_cross: Tensor) -> _Expansion:
         """Kinematics at the command, and central differences of them by every joint angle."""
@@ -170,6 +207,12 @@ class SecondOrderClosedForm(nn.Module):
             bilinear - own_levers.transpose(-1, -2),
             linear.reshape(-1, n, 2, joints).transpose(2, 3),
         )
+
+
+def _of_products(blocks: Tensor) -> Tensor:
+    """Coefficients (B, N, 3, c) of the products yy, yz, zz from bilinear ones (B, N, 2, c, 2)."""
+    mixed = blocks[:, :, 0, :, 1] + blocks[:, :, 1, :, 0]
+    return torch.stack([blocks[:, :, 0, :, 0], mixed, blocks[:, :, 1, :, 1]], dim=2)
 
 
 def _own(matrix: Tensor, segments: int) -> Tensor:
