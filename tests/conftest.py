@@ -1,8 +1,12 @@
-"""No test draws on a screen, sends a ROS message off this machine or hears another test run."""
+"""No test draws on a screen, sends a ROS message off this machine or hears another test run.
+
+Nor does a test spread small matrices over threads.
+"""
 
 import os
 
 os.environ["MPLBACKEND"] = "Agg"
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other on a busy core
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))  # above 101, ports may clash
 
