@@ -36,6 +36,9 @@ SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
 
+NUDGE_N = 1e-6
+"""Added to weighed forces to keep them off zero, so that they always have a direction."""
+
 MOST_POSE_CORRECTIONS = 4
 
 POSE_TOLERANCE_RAD = 1e-5
@@ -155,7 +158,7 @@ class ClosedForm(nn.Module):
         trusted, constant = weighing(found.information, found.covariance_n2)
         force = found.force_n[:, :, None]
         evidence = (force @ trusted * force).sum((2, 3)) + constant
-        return Weighed(found.force_n, found.covariance_n2, found.taut, evidence[:, None])
+        return Weighed(found.force_n + NUDGE_N, found.covariance_n2, found.taut, evidence[:, None])
 
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """What the joints feel of the environment at the true pose."""

@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.physics.closed_form import (
+    NUDGE_N,
     SLACK_WEIGHT,
     ClosedForm,
     Weighed,
@@ -36,10 +37,6 @@ from cablesense_training.physics.compact import Pose
 
 STEP_RAD = 1e-4
 """Of the central differences that give derivatives by the pose; their error is a part in 1e8."""
-
-
-_NUDGE_N = 1e-6
-"""Keeps a force off zero, so that it always has a direction."""
 
 
 class _Expansion(NamedTuple):
@@ -141,7 +138,7 @@ class SecondOrderClosedForm(nn.Module):
         to_force = torch.cat([self._apart(straight), self._apart(bent)], dim=1)
         evidence = self._apart(_of_products(trusted[:, :, :, None]))
         to_evidence = torch.cat([0.0 * self._apart(straight)[:, :, :n], evidence], dim=1)
-        nudge = 0.0 * prior.repeat(1, 2) + _NUDGE_N
+        nudge = 0.0 * prior.repeat(1, 2) + NUDGE_N
         remainder = torch.cat([nudge, prior], dim=1)[:, None]
         return torch.cat([to_force, to_evidence], dim=2), remainder
 
