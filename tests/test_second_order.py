@@ -20,9 +20,15 @@ CDSM = Mechanism.from_arm(open_arm("cdsm"))
 ROWS = 600
 
 
-def _candidates(closed_form, tension_difference_n, command_rad):
+def _weighed(closed_form, tension_difference_n, command_rad):
+    """Candidates whose evidence (B, N) is the misfit that each explains."""
     with torch.no_grad():
-        found = closed_form(torch.as_tensor(tension_difference_n), torch.as_tensor(command_rad))
+        found = closed_form.weigh(
+            torch.as_tensor(tension_difference_n),
+            torch.as_tensor(command_rad),
+            lambda information, covariance_n2: (information, 0.0 * covariance_n2[..., 0, 0]),
+        )
+    found = found._replace(evidence=found.evidence[:, 0])
     return type(found)(*(part.numpy() for part in found))
 
 
@@ -55,15 +61,16 @@ def pushes(request):
 
 def test_it_agrees_with_the_closed_form_at_the_true_pose_slack_or_not(pushes):
     command, segment, force, difference, slack = pushes
-    found = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
-    exact = _candidates(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=2), difference, command)
+    found = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
+    exact = _weighed(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=2), difference, command)
     np.testing.assert_array_equal(found.taut == 0.0, slack)
-    np.testing.assert_array_equal(found.explained.argmax(axis=1) + 1, segment)
+    np.testing.assert_array_equal(found.evidence.argmax(axis=1) + 1, segment)
     own = np.arange(len(segment)), segment - 1
     for other in (exact.force_n[own], force):
         error = np.hypot(*(found.force_n[own] - other).T)
         assert np.median(error) < 0.002
         assert error.max() < 0.01
+    np.testing.assert_allclose(found.evidence[own], exact.evidence[own], rtol=0.05)
     for axis in (0, 1):
         np.testing.assert_allclose(
             found.covariance_n2[*own, axis, axis], exact.covariance_n2[*own, axis, axis], rtol=0.01
@@ -72,17 +79,42 @@ def test_it_agrees_with_the_closed_form_at_the_true_pose_slack_or_not(pushes):
 
 def test_the_first_order_would_not_do(pushes):
     command, segment, force, difference, _ = pushes
-    plain = _candidates(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=0), difference, command)
+    plain = _weighed(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=0), difference, command)
     error = plain.force_n[np.arange(len(segment)), segment - 1] - force
     assert np.median(np.hypot(*error.T)) > 0.02
 
 
 def test_information_is_the_inverse_of_the_covariance(pushes):
     command, _, _, difference, _ = pushes
-    found = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
-    product = found.information @ found.covariance_n2
+    seen = []
+
+    def weighing(information, covariance_n2):
+        seen.append((information.numpy(), covariance_n2.numpy()))
+        return information, covariance_n2[..., 0, 0]
+
+    closed_form = SecondOrderClosedForm(CDSM, VARIANCE_N2)
+    with torch.no_grad():
+        found = closed_form.weigh(
+            torch.as_tensor(difference), torch.as_tensor(command), weighing
+        )
+    [(information, covariance)] = seen
+    np.testing.assert_array_equal(found.covariance_n2, covariance)
+    product = information @ covariance
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-9)
-    assert (np.linalg.eigvalsh(found.covariance_n2) > 0.0).all()
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+
+
+def test_the_constant_of_the_weighing_is_added(pushes):
+    command, _, _, difference, _ = pushes
+    closed_form = SecondOrderClosedForm(CDSM, VARIANCE_N2)
+    constant = torch.arange(4.0, dtype=torch.float64).repeat(len(command), 1)
+    with torch.no_grad():
+        found = closed_form.weigh(
+            torch.as_tensor(difference),
+            torch.as_tensor(command),
+            lambda information, _: (0.0 * information, constant),
+        )
+    torch.testing.assert_close(found.evidence[:, 0], constant)
 
 
 @pytest.mark.parametrize("magnitude_n", [10.0, 150.0], ids=["all taut", "some slack"])
@@ -94,7 +126,7 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
     assert (loaded == 0.0).any() == (magnitude_n > 100.0)
     noise = rng.normal(0.0, VARIANCE_N2**0.5, (3000, CDSM.cable_count))
     read = np.where(loaded > 0.0, loaded + noise, 0.0) - unloaded
-    found = _candidates(
+    found = _weighed(
         SecondOrderClosedForm(CDSM, VARIANCE_N2), read, np.repeat(command, 3000, axis=0)
     )
     own = found.force_n[:, 3]
@@ -103,18 +135,19 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
     np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.12)
 
 
-def test_without_contact_the_misfit_is_chi_squared():
+def test_without_contact_what_a_segment_explains_is_chi_squared():
     rng = np.random.default_rng(3)
     command = rng.uniform(-0.17, 0.17, (4000, CDSM.joint_count))
     noise = rng.normal(0.0, VARIANCE_N2**0.5, (4000, CDSM.cable_count))
-    misfit = _candidates(SecondOrderClosedForm(CDSM, VARIANCE_N2), noise, command).misfit_none
-    assert stats.kstest(misfit, stats.chi2(CDSM.joint_count).cdf).pvalue > 1e-3
+    explained = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), noise, command).evidence
+    for segment in range(CDSM.segment_count):
+        assert stats.kstest(explained[:, segment], stats.chi2(2).cdf).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])
-def test_absurd_readings_get_finite_candidates(size_n):
+def test_absurd_readings_get_finite_weighed(size_n):
     command = np.stack([np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)])
-    found = _candidates(
+    found = _weighed(
         SecondOrderClosedForm(CDSM, VARIANCE_N2), np.full((3, 12), size_n), command
     )
     assert all(np.isfinite(part).all() for part in found)
