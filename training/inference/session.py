@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Models are a fraction of a megabyte; a file beyond this is not one."""
 
+_ROWS_AT_ONCE = 2048
+"""A pose-aware graph holds some tens of kilobytes per sample while it runs."""
+
 TENSION = "tension_difference_n"
 COMMAND = "joint_command_rad"
 TAUT = "taut"
@@ -89,11 +92,15 @@ class ModelSession:
         inputs = {TENSION: tension_differences_n}
         if self.metadata.pose_aware and joint_commands_rad is not None:
             inputs[COMMAND] = joint_commands_rad
-        try:
-            answers: list[Array] = self._whole.run(list(self.outputs), inputs)
-        except Exception as error:  # ONNX Runtime's classes have no common base
-            raise self.cannot_run(error) from error
-        return answers
+        parts = []
+        for start in range(0, len(tension_differences_n), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            part = {name: value[rows] for name, value in inputs.items()}
+            try:
+                parts.append(self._whole.run(list(self.outputs), part))
+            except Exception as error:  # ONNX Runtime's classes have no common base
+                raise self.cannot_run(error) from error
+        return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
 
     def cannot_run(self, error: Exception) -> ModelFileError:
         """The error for a model on which ONNX Runtime gave up."""
