@@ -111,6 +111,16 @@ def test_a_model_that_tells_something_else_is_refused(tmp_path):
     assert "sign" in _refused(_written(tmp_path, model))
 
 
+@pytest.mark.parametrize(("kind", "width"), [(FLOAT, 12), (DOUBLE, 7)])
+def test_taut_cables_told_in_another_type_or_number_are_refused(tmp_path, kind, width):
+    model = _small_model()
+    model.graph.initializer.append(_weights("pull", 12, width))
+    model.graph.node.append(helper.make_node("MatMul", ["tension_difference_n", "pull"], ["told"]))
+    model.graph.node.append(helper.make_node("Cast", ["told"], [TAUT], to=kind))
+    model.graph.output.append(_value(TAUT, kind, ["batch", width]))
+    assert TAUT in _refused(_written(tmp_path, model))
+
+
 def test_one_thread_runs_it(tmp_path):
     tasks = Path("/proc/self/task")
     before = {task.name for task in tasks.iterdir()}

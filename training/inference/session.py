@@ -89,6 +89,14 @@ class ModelSession:
         Raises:
             ModelFileError: ONNX Runtime cannot run the model.
         """
+        return self._ask(self.outputs, tension_differences_n, joint_commands_rad)
+
+    def _ask(
+        self,
+        outputs: Sequence[str],
+        tension_differences_n: Array,
+        joint_commands_rad: Array | None,
+    ) -> list[Array]:
         inputs = {TENSION: tension_differences_n}
         if self.metadata.pose_aware and joint_commands_rad is not None:
             inputs[COMMAND] = joint_commands_rad
@@ -97,7 +105,7 @@ class ModelSession:
             rows = slice(start, start + _ROWS_AT_ONCE)
             part = {name: value[rows] for name, value in inputs.items()}
             try:
-                parts.append(self._whole.run(list(self.outputs), part))
+                parts.append(self._whole.run(list(outputs), part))
             except Exception as error:  # ONNX Runtime's classes have no common base
                 raise self.cannot_run(error) from error
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
@@ -111,7 +119,10 @@ class ModelSession:
     def _require_answers(self, widths: Mapping[str, tuple[int, ...]]) -> None:
         """A file that opens may still not run; two idle arms at once show it."""
         arm = self.metadata.arm
-        answers = self.run(np.zeros((2, arm.cable_count)), np.zeros((2, arm.joint_count)))
+        if self.tells_taut:
+            widths = {**widths, TAUT: (arm.cable_count,)}
+        idle = np.zeros((2, arm.cable_count)), np.zeros((2, arm.joint_count))
+        answers = self._ask(list(widths), *idle)
         for (name, width), answer in zip(widths.items(), answers, strict=True):
             if answer.dtype != np.float64 or answer.shape != (2, *width):
                 raise ModelFileError(
