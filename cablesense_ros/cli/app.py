@@ -60,6 +60,13 @@ def main() -> None:
     except CableSenseError as error:
         print(f"cablesense: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(getattr(error, "exit_code", EXIT_WRONG_INPUT))
+    except ModuleNotFoundError as error:
+        print(
+            f"cablesense: this needs the Python package {error.name}, which is not installed; in "
+            "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train]'",
+            file=sys.stderr,
+        )
+        sys.exit(EXIT_WRONG_INPUT)
     except KeyboardInterrupt:
         print("cablesense: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)

@@ -6,12 +6,17 @@ The public surface::
     dataset = Dataset.from_protocol(load_arm(path), protocol, seed=0)
     write_dataset("data.parquet", dataset)
     dataset = read_dataset("data.parquet", arm)
+
+What reads or writes files is imported when it is first asked for: datasets in memory do without
+the libraries for Parquet.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.errors import DatasetError
 from cablesense_training.data.generation import generate
-from cablesense_training.data.production import dataset_command, produce_dataset
 from cablesense_training.data.protocols import (
     PROTOCOLS,
     MultiContact,
@@ -19,8 +24,19 @@ from cablesense_training.data.protocols import (
     SingleContact,
     protocol_from_options,
 )
-from cablesense_training.data.reading import read_dataset
-from cablesense_training.data.writing import write_dataset, write_parts
+
+if TYPE_CHECKING:
+    from cablesense_training.data.production import dataset_command, produce_dataset
+    from cablesense_training.data.reading import read_dataset
+    from cablesense_training.data.writing import write_dataset, write_parts
+
+_WITH_FILES = {
+    "dataset_command": "production",
+    "produce_dataset": "production",
+    "read_dataset": "reading",
+    "write_dataset": "writing",
+    "write_parts": "writing",
+}
 
 __all__ = [
     "PROTOCOLS",
@@ -37,3 +53,9 @@ __all__ = [
     "write_dataset",
     "write_parts",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WITH_FILES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_WITH_FILES[name]}"), name)
