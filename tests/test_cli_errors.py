@@ -139,3 +139,40 @@ def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
 def child_pids(pid):
     with open(f"/proc/{pid}/task/{pid}/children") as children:  # noqa: PTH123
         return [int(child) for child in children.read().split()]
+
+
+WITHOUT = """
+import sys
+missing = sys.argv.pop(1).split(',')
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in missing:
+            raise ModuleNotFoundError(f'No module named {name!r}', name=name)
+sys.meta_path.insert(0, Absent())
+from cablesense_ros.cli.app import main
+main()
+"""
+"""The command in a process where the libraries named first are not installed."""
+
+
+def run_without(libraries, *arguments):
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT, libraries, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def test_a_library_that_is_not_installed_is_named_with_the_remedy():
+    result = run_without("torch", "train")
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "package torch" in result.stderr
+    assert "make setup" in result.stderr
+
+
+def test_evaluation_needs_no_library_for_files():
+    result = run_without("torch,pyarrow", "evaluate", "--table2")
+    assert result.returncode == 0, result.stderr
+    assert "21.20 N" in result.stdout

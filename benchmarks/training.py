@@ -1,0 +1,63 @@
+"""How long training the shipped model takes, from the arm file to the tested model file.
+
+    python benchmarks/training.py [--arm cdsm] [--threads 2] [--write]
+
+Runs `cablesense train` with its defaults into a temporary folder, as a user would.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results" / "training.json"
+BAR_S = 600.0
+
+
+def main() -> int:
+    """Trains, prints the figures, and exits 1 where the bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--arm", default="cdsm")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
+    options = parser.parse_args()
+    command = ["train", "--arm", options.arm, "--threads", str(options.threads), "--json"]
+    program = Path(sys.executable).with_name("cablesense")
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        done = subprocess.run(
+            [program, *command, "--out", "model.onnx"],
+            cwd=folder,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        seconds = time.perf_counter() - start
+    figures = json.loads(done.stdout)
+    result = {
+        "command": "python " + " ".join(["benchmarks/training.py", *sys.argv[1:]]),
+        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
+        "python": platform.python_version(),
+        "trained_by": " ".join(["cablesense", *command]),
+        "seconds_in_all": round(seconds, 1),
+        "seconds_of_training": round(figures["training_seconds"], 1),
+        "epochs": figures["epochs"],
+        "contact_accuracy": figures["single"]["contact_accuracy"],
+        "magnitude_mae_n": figures["single"]["errors"]["magnitude_mae_n"],
+        "bar_seconds": BAR_S,
+    }
+    print(json.dumps(result, indent=1))
+    if options.write:
+        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+    return 0 if seconds <= BAR_S else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
