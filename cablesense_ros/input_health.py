@@ -86,5 +86,5 @@ class InputHealth:
         if publisher_count > 1:
             return Level.WARN, f"{publisher_count} publishers; one arm has one"
         if missing:
-            return Level.WARN, f"{missing} samples dropped"
+            return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
         return Level.OK, "receiving"
