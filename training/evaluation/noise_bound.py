@@ -76,3 +76,33 @@ def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> Nois
         magnitude_rmse_n=float(np.sqrt((magnitude_error**2).mean())),
         direction_mae_deg=float(np.abs(angle_difference_deg(drawn_deg, angle_deg)).mean()),
     )
+
+
+def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
+    """Bound (N,) on the mean absolute force error per segment, over contacts from `weakest_n`.
+
+    All contacts of a sample are unknown at once, and which segments are touched is known. A
+    magnitude's error is taken as Gaussian along its force, as it is for forces far above noise.
+    """
+    mechanism = Mechanism.from_arm(dataset.arm)
+    command, forces, contacts = dataset.command_rad, dataset.forces_n, dataset.contacts
+    rest = solve_equilibrium(mechanism, command, forces)
+    gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
+    normals = kinematics.segment_rotations(mechanism, command)[..., 1:]
+    gain = np.moveaxis(gain, 1, 2) @ normals
+    gain = np.moveaxis(gain, 1, 2) * contacts[:, None, :, None]
+    flat = gain.reshape(*gain.shape[:2], -1)
+    variance = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
+    information = np.swapaxes(flat, 1, 2) @ flat / variance
+    untouched = np.repeat(~contacts, 2, axis=1)
+    information[:, np.arange(flat.shape[2]), np.arange(flat.shape[2])] += untouched
+    covariance = np.linalg.pinv(information, hermitian=True)
+    theta = np.deg2rad(dataset.angles_deg)
+    along = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+    counted = contacts & (dataset.magnitudes_n >= weakest_n)
+    errors = []
+    for n in range(contacts.shape[1]):
+        own = covariance[:, 2 * n : 2 * n + 2, 2 * n : 2 * n + 2]
+        std = np.sqrt(np.einsum("bi,bij,bj->b", along[:, n], own, along[:, n]))
+        errors.append(np.sqrt(2.0 / np.pi) * std[counted[:, n]].mean())
+    return np.array(errors)

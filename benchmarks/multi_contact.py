@@ -1,0 +1,86 @@
+"""Several contacts at once: the shipped model beside the two-stage network, trees and the bound.
+
+    python benchmarks/multi_contact.py [--samples 50000] [--write]
+
+Straight arm, none to four forces of 0 to 60 N, sensor noise and step on; recognition counts
+contacts from 5 N and all untouched segments. Gradient boosting is trained here on 50,000 samples.
+Table II's physical rows are put to gradient boosting as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.protocols import SingleContact
+from cablesense_training.evaluation.comparison import multi_figures
+from cablesense_training.evaluation.metrics import multi_contact_metrics
+from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
+from cablesense_training.evaluation.settings import MULTI_ARM, WEAKEST_MULTI_N, multi_protocol
+from cablesense_training.evaluation.table2 import read_table2
+from cablesense_training.peers.boosting import BoostingPeer
+from cablesense_training.peers.multi_boosting import MultiBoostingPeer
+
+RESULTS = Path(__file__).parent / "results" / "multi_contact.json"
+TEST_SEED = 20_260_001
+TRAINING_SAMPLES = 50_000
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--samples", type=int, default=50_000, help="test samples")
+    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
+    options = parser.parse_args()
+    arm = open_arm(MULTI_ARM)
+    test = Dataset.from_protocol(arm, multi_protocol(options.samples), TEST_SEED)
+    figures = {name: asdict(metrics) for name, metrics in multi_figures(test).items()}
+    training = Dataset.from_protocol(arm, multi_protocol(TRAINING_SAMPLES), seed=0)
+    answer = MultiBoostingPeer(training).answer(test)
+    trees = multi_contact_metrics(test.contacts, test.magnitudes_n, *answer, WEAKEST_MULTI_N)
+    figures["gradient_boosting"] = asdict(trees)
+    bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
+    figures["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
+    result = {
+        "command": "python " + " ".join(["benchmarks/multi_contact.py", *sys.argv[1:]]),
+        "seed": TEST_SEED,
+        "samples": options.samples,
+        "several_contacts": figures,
+        "table2_gradient_boosting": _table2(),
+    }
+    print(json.dumps(result, indent=1))
+    if options.write:
+        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _table2() -> list[dict[str, Any]]:
+    """The physical rows as boosted trees of the three-segment arm see them."""
+    arm, rows = open_arm("cdsm_table2"), [r for r in read_table2() if r.source == "physical"]
+    peer = BoostingPeer(
+        Dataset.from_protocol(arm, SingleContact(samples=TRAINING_SAMPLES, pose="straight"), 0)
+    )
+    blank = Dataset.from_protocol(arm, SingleContact(samples=len(rows), pose="straight"), 1)
+    measured = np.stack([row.tension_difference_n for row in rows])
+    answer = peer.answer(replace(blank, tension_difference_n=measured))
+    return [
+        {
+            "true_segment": row.segment,
+            "true_n": row.weight_n,
+            "segment": int(answer.segment[i]),
+            "angle_deg": float(answer.angle_deg[i]),
+            "magnitude_n": float(answer.magnitude_n[i]),
+        }
+        for i, row in enumerate(rows)
+    ]
+
+
+if __name__ == "__main__":
+    main()

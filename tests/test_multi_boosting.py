@@ -1,0 +1,30 @@
+"""Boosted trees for several contacts: better than chance, and refuse what teaches nothing."""
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data import Dataset, MultiContact
+from cablesense_training.errors import TrainingError
+from cablesense_training.peers.boosting import BoostingSettings
+from cablesense_training.peers.multi_boosting import MultiBoostingPeer
+
+ARM = open_arm("cdsm")
+QUICK = BoostingSettings(rounds=15, leaves=15)
+
+
+def test_it_learns_which_segments_are_touched_and_how_hard():
+    peer = MultiBoostingPeer(Dataset.from_protocol(ARM, MultiContact(samples=3000), seed=1), QUICK)
+    test = Dataset.from_protocol(ARM, MultiContact(samples=500), seed=2)
+    touched, force = peer.answer(test)
+    firm = test.magnitudes_n > 10.0
+    assert touched.shape == force.shape == (500, 4)
+    assert (touched == test.contacts)[firm].mean() > 0.8
+    error = np.abs(force - test.magnitudes_n)[firm]
+    assert error.mean() < np.abs(test.magnitudes_n[firm] - test.magnitudes_n[firm].mean()).mean()
+
+
+def test_a_segment_that_is_never_touched_is_refused():
+    dataset = Dataset.from_protocol(ARM, MultiContact(samples=200), seed=1)
+    with pytest.raises(TrainingError, match="segment 4 is touched in 0 of"):
+        MultiBoostingPeer(dataset.select(~dataset.contacts[:, 3]), QUICK)
