@@ -4,12 +4,19 @@ Every error that CableSense raises on purpose derives from `CableSenseError`, so
 turn it into one line and a node into one log message::
 
     CableSenseError
-    ├── ArmFileError        an arm file that cannot be true       (cablesense_sim.arm)
-    ├── EquilibriumError    no static pose was found              (cablesense_sim.equilibrium)
-    ├── LoadError           a load that the arm cannot bear       (cablesense_sim.loads)
-    ├── ContractError       a message that breaks the contract    (cablesense_msgs_py)
-    ├── DatasetError        a dataset that does not fit           (cablesense_training.data)
-    └── ModelFileError      a model file that does not fit        (cablesense_training.inference)
+    ├── ArmFileError        an arm file that cannot be true        cablesense_sim.arm
+    ├── EquilibriumError    no static pose was found               cablesense_sim.equilibrium
+    ├── LoadError           a load that the arm cannot bear        cablesense_sim.loads
+    ├── ContractError       a message that breaks the contract     cablesense_msgs_py
+    ├── DatasetError        a dataset that does not fit            cablesense_training.data
+    ├── TrainingError       what cannot be trained with            cablesense_training
+    ├── ModelFileError      a model file that does not fit         cablesense_training.inference
+    ├── EstimateError       inputs that a model cannot take        cablesense_training.inference
+    ├── ParameterError      a node parameter out of place          cablesense_ros
+    ├── SampleError         a sample that is of no use             cablesense_ros
+    ├── TareError           a tare that cannot be taken            cablesense_ros
+    ├── PageError           a page that cannot be served           cablesense_ros.page
+    └── DemoError, ChildError, ScriptError   the demo's own        cablesense_ros.demo
 """
 
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
+from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
@@ -23,7 +24,7 @@ OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n",
 NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
 
 
-class EstimateError(ModelFileError):
+class EstimateError(CableSenseError):
     """Inputs that the model cannot take: wrong shape, not finite, or a command that is missing."""
 
 
