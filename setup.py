@@ -35,6 +35,12 @@ EXTRAS = {
         "trimesh",  # the meshes of the arm on the page
         "viser",  # the 3D page in the browser
     ],
+    "gap": [
+        "jinja2",  # the report's page
+        "matplotlib",  # the report's pictures
+        "pandas",  # recordings and tables of residuals
+        "rosbags",  # reads and writes rosbag2 without a ROS installation
+    ],
     "train": [
         "distributed",  # datasets made on a Dask cluster of more than one machine
         "onnxscript",  # torch exports through it

@@ -15,6 +15,7 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_ros.cli.dataset import dataset
 from cablesense_ros.cli.demo import demo
 from cablesense_ros.cli.evaluate import evaluate
+from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info
 from cablesense_ros.cli.train import train
 
@@ -33,6 +34,7 @@ app = typer.Typer(
 )
 for verb in (demo, dataset, train, evaluate, info):
     app.command()(verb)
+app.add_typer(gap)
 
 
 def _show_version(wanted: bool) -> None:

@@ -1,0 +1,13 @@
+"""`cablesense gap …`: a recording of the real arm against the simulated one."""
+
+from __future__ import annotations
+
+import typer
+
+gap = typer.Typer(
+    name="gap",
+    help="Diagnoses the gap between a recorded arm and the simulated one: where it lies, "
+    "which effect causes it, how far it shrinks once that effect is simulated.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+)
