@@ -1,0 +1,181 @@
+"""Recordings as CSV: one row a sample, columns named with their units (docs/recordings.md)."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.recordings import columns
+from cablesense_gap.recordings.recording import Array, Recording
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_sim.arm import Arm
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAX_FILE_BYTES = 200_000_000
+"""Days at 5 Hz; what is larger is no recording of one protocol."""
+
+_PER_ARM = re.compile(r"q\d+_cmd_rad|tension_\d+_n")
+_SHOWN = 6
+
+
+def read_csv(path: str | Path, arm: Arm) -> Recording:
+    """Read a recording of an arm; columns that the format does not know are left out.
+
+    Only the form is checked here, the content by `checks.check_recording`: an empty cell becomes
+    NaN.
+
+    Raises:
+        RecordingError: not a file, too large, not CSV, a column missing, twice or of another arm,
+            a cell that is no number.
+    """
+    path = Path(path)
+    wanted = columns.all_columns(arm.joint_count, arm.cable_count)
+    _check_header(path, wanted, arm)
+    table = _read_table(path, wanted)
+    values = {name: _numbers(path, table, name) for name in wanted}
+    joints = columns.command_columns(arm.joint_count)
+    cables = columns.tension_columns(arm.cable_count)
+    return Recording(
+        name=path.stem,
+        time_s=values[columns.TIME],
+        trial=_whole(path, columns.TRIAL, values[columns.TRIAL]),
+        command_rad=np.stack([values[name] for name in joints], axis=1),
+        load_segment=_whole(path, columns.LOAD_SEGMENT, values[columns.LOAD_SEGMENT]),
+        load_n=np.stack([values[name] for name in columns.LOAD], axis=1),
+        tensions_n=np.stack([values[name] for name in cables], axis=1),
+    )
+
+
+def write_csv(path: str | Path, recording: Recording) -> None:
+    """Write a recording; the file appears whole or not at all.
+
+    Raises:
+        RecordingError: the place cannot be written to.
+    """
+    import pandas as pd
+
+    joints = columns.command_columns(recording.command_rad.shape[1])
+    cables = columns.tension_columns(recording.tensions_n.shape[1])
+    table = {
+        columns.TIME: _text(recording.time_s, columns.TIME_DECIMALS),
+        columns.TRIAL: recording.trial,
+        **_texts(joints, recording.command_rad, columns.COMMAND_DECIMALS),
+        columns.LOAD_SEGMENT: recording.load_segment,
+        **_texts(columns.LOAD, recording.load_n, columns.LOAD_DECIMALS),
+        **_texts(cables, recording.tensions_n, columns.TENSION_DECIMALS),
+    }
+    path = Path(path)
+    beside = path.parent / f".{path.name}.{os.getpid()}.part"
+    try:
+        pd.DataFrame(table).to_csv(beside, index=False, lineterminator="\n")
+        beside.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
+    header = _header(path)
+    twice = sorted({name for name in header if name in wanted and header.count(name) > 1})
+    if twice:
+        raise RecordingError(f"{path}: columns {_listed(twice)} stand twice; each must be once")
+    beyond = [name for name in header if _PER_ARM.fullmatch(name) and name not in wanted]
+    missing = [name for name in wanted if name not in header]
+    if not beyond and not missing:
+        return
+    found = [f"misses {_listed(missing)}"] if missing else []
+    if beyond:
+        found.append(f"has {_listed(beyond)}, which that arm has not")
+    raise RecordingError(
+        f"{path}: {' and '.join(found)}; a recording of arm {arm.name} has time_s, trial, "
+        f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, load_z_n, "
+        f"tension_1_n … tension_{arm.cable_count}_n"
+    )
+
+
+def _header(path: Path) -> list[str]:
+    try:
+        if not path.is_file():
+            raise RecordingError(f"{path}: no such file")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise RecordingError(
+                f"{path}: {path.stat().st_size / 1e6:.0f} MB; a recording has at most "
+                f"{MAX_FILE_BYTES / 1e6:.0f} MB: leave out what no trial needs"
+            )
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            header = next(csv.reader([file.readline(100_000)]), [])
+    except (OSError, ValueError, csv.Error) as error:
+        raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
+    return [name.strip() for name in header]
+
+
+def _read_table(path: Path, wanted: list[str]) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                path,
+                encoding="utf-8-sig",
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+            )
+    except (OSError, ValueError, pd.errors.ParserWarning) as error:
+        line = " ".join(str(error).split())
+        raise RecordingError(
+            f"{path}: not a table with one cell per column ({line}); every row must have as many "
+            "cells as the header"
+        ) from error
+    table.columns = table.columns.str.strip()
+    return table[wanted]
+
+
+def _numbers(path: Path, table: pd.DataFrame, name: str) -> Array:
+    import pandas as pd
+
+    column = table[name]
+    numbers = pd.to_numeric(column, errors="coerce")
+    bad = np.flatnonzero(numbers.isna() & column.notna())
+    if column.dtype == bool or bad.size:
+        at = int(bad[0]) if bad.size else 0
+        raise RecordingError(
+            f"{path}: row {at + 1}, column {name}: {str(column.iloc[at])[:40]!r} is no number"
+        )
+    return np.asarray(numbers, dtype=float)
+
+
+def _whole(path: Path, name: str, values: Array) -> NDArray[np.int64]:
+    bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values))))
+    bad = bad if bad.size else np.flatnonzero(np.abs(values) > 1e9)
+    if bad.size:
+        raise RecordingError(
+            f"{path}: row {bad[0] + 1}, column {name}: {values[bad[0]]:g} is no whole number"
+        )
+    return values.astype(np.int64)
+
+
+def _texts(names: Any, values: Array, decimals: int) -> dict[str, list[str]]:
+    return {name: _text(values[:, i], decimals) for i, name in enumerate(names)}
+
+
+def _text(values: Array, decimals: int) -> list[str]:
+    rounded = np.round(values, decimals) + 0.0  # no -0.0000
+    return [f"{value:.{decimals}f}" for value in rounded.tolist()]
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:_SHOWN])
+    more = len(names) - _SHOWN
+    return f"{shown} and {more} more" if more > 0 else shown

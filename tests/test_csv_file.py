@@ -1,0 +1,139 @@
+"""Recordings as CSV: what is written is read back, and what is no recording is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings import csv_file
+from cablesense_gap.recordings.csv_file import read_csv, write_csv
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_sim.arm_files import open_arm
+
+LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+
+
+def recording(arm=LAB, rows=5, seed=0):
+    rng = np.random.default_rng(seed)
+    segment = np.arange(rows) % (arm.segment_count + 1)
+    return Recording(
+        name="made",
+        time_s=0.2 * np.arange(rows),
+        trial=np.arange(rows) // 2,
+        command_rad=rng.uniform(-0.2, 0.2, (rows, arm.joint_count)),
+        load_segment=segment,
+        load_n=rng.uniform(-60, 60, (rows, 3)) * (segment > 0)[:, None],
+        tensions_n=rng.uniform(0, 200, (rows, arm.cable_count)),
+    )
+
+
+def lines_of(path):
+    return path.read_text(encoding="utf-8").splitlines()
+
+
+def written(tmp_path, change=lambda lines: lines):
+    path = tmp_path / "made.csv"
+    write_csv(path, recording())
+    path.write_text("\n".join(change(lines_of(path))) + "\n", encoding="utf-8")
+    return path
+
+
+def in_cell(row, column, value):
+    def change(lines):
+        at = lines[0].split(",").index(column)
+        cells = lines[row].split(",")
+        cells[at] = value
+        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
+
+    return change
+
+
+@pytest.mark.parametrize("arm", [LAB, NINE], ids=lambda arm: arm.name)
+@given(rows=st.integers(1, 40), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_what_is_written_is_read_back(arm, rows, seed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("csv") / "made.csv"
+    sent = recording(arm, rows, seed)
+    write_csv(path, sent)
+    got = read_csv(path, arm)
+    assert got.name == "made"
+    np.testing.assert_array_equal(got.trial, sent.trial)
+    np.testing.assert_array_equal(got.load_segment, sent.load_segment)
+    np.testing.assert_allclose(got.time_s, sent.time_s, atol=0.51e-6)
+    np.testing.assert_allclose(got.command_rad, sent.command_rad, atol=0.51e-6)
+    np.testing.assert_allclose(got.load_n, sent.load_n, atol=0.51e-4)
+    np.testing.assert_allclose(got.tensions_n, sent.tensions_n, atol=0.51e-4)
+    assert [p.name for p in path.parent.iterdir()] == ["made.csv"]
+
+
+def test_tensions_have_four_decimals_and_no_minus_zero(tmp_path):
+    sent = recording()
+    write_csv(tmp_path / "a.csv", replace(sent, tensions_n=np.full_like(sent.tensions_n, -1e-7)))
+    assert lines_of(tmp_path / "a.csv")[1].endswith(",0.0000,0.0000")
+    assert "-0.0000," not in (tmp_path / "a.csv").read_text(encoding="utf-8")
+
+
+def test_columns_are_found_by_name_and_unknown_ones_left_out(tmp_path):
+    def reversed_with_note(lines):
+        turned = [",".join(line.split(",")[::-1]) for line in lines]
+        return [turned[0] + ",note", *(line + ",hung by hand" for line in turned[1:])]
+
+    got = read_csv(written(tmp_path, reversed_with_note), LAB)
+    np.testing.assert_allclose(got.tensions_n, recording().tensions_n, atol=1e-4)
+
+
+def test_an_empty_cell_is_left_to_the_checks(tmp_path):
+    got = read_csv(written(tmp_path, in_cell(3, "tension_7_n", "")), LAB)
+    assert np.argwhere(np.isnan(got.tensions_n)).tolist() == [[2, 6]]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lines: [line.rpartition(",")[0] for line in lines], "misses tension_12_n"),
+        (lambda lines: [lines[0] + ",time_s", *(f"{x},1" for x in lines[1:])], "time_s stand"),
+        (lambda lines: [lines[0] + ",tension_13_n", *(f"{x},1" for x in lines[1:])], "has tens"),
+        (lambda lines: [*lines[:3], lines[3] + ",7", *lines[4:]], "as many cells as the header"),
+        (lambda lines: [lines[0], *(f"{x},7" for x in lines[1:])], "as many cells as the header"),
+        (in_cell(2, "tension_3_n", "5O.1"), "row 2, column tension_3_n: '5O.1' is no number"),
+        (in_cell(4, "trial", "1.5"), "row 4, column trial: 1.5 is no whole number"),
+        (in_cell(1, "load_segment", ""), "row 1, column load_segment: nan is no whole number"),
+        (lambda lines: [], "misses time_s, trial"),
+    ],
+)
+def test_a_broken_file_is_one_line_that_says_where(change, said, tmp_path):
+    with pytest.raises(RecordingError, match=said) as caught:
+        read_csv(written(tmp_path, change), LAB)
+    assert "\n" not in str(caught.value)
+    assert "made.csv" in str(caught.value)
+
+
+def test_a_recording_of_another_arm_is_refused(tmp_path):
+    write_csv(tmp_path / "nine.csv", recording(NINE))
+    with pytest.raises(RecordingError, match=r"misses q7_cmd_rad, q8_cmd_rad, tension_10_n"):
+        read_csv(tmp_path / "nine.csv", LAB)
+    write_csv(tmp_path / "twelve.csv", recording(LAB))
+    with pytest.raises(RecordingError, match=r"has q7_cmd_rad, q8_cmd_rad, tension_10_n"):
+        read_csv(tmp_path / "twelve.csv", NINE)
+
+
+def test_no_file_a_folder_bytes_and_too_large_a_file_are_refused(tmp_path, monkeypatch):
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(RecordingError, match="no such file"):
+            read_csv(path, LAB)
+    (tmp_path / "bytes.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(RecordingError, match="cannot be read as CSV text"):
+        read_csv(tmp_path / "bytes.csv", LAB)
+    monkeypatch.setattr(csv_file, "MAX_FILE_BYTES", 1000)
+    with pytest.raises(RecordingError, match="at most"):
+        read_csv(written(tmp_path), LAB)
+
+
+def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_csv(tmp_path / "none" / "a.csv", recording())
