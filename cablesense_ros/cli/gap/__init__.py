@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from cablesense_ros.cli.gap.protocol import protocol
+
 gap = typer.Typer(
     name="gap",
     help="Diagnoses the gap between a recorded arm and the simulated one: where it lies, "
@@ -11,3 +13,4 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
+gap.command()(protocol)

@@ -1,0 +1,231 @@
+"""The protocol: which poses, loads and holds to record so that effects can be told apart.
+
+What each part is for:
+
+- load cycles on every segment from several sides, straight and bent: scale and crosstalk of the
+  sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
+  loading and unloading;
+- pose sweeps: weight and level of the base against the springs of the joints, friction of joints
+  and guides; each joint alone, and all at once so that every joint's answer is in several trials;
+- small reversals: the lost motion of actuators, which larger motion hides;
+- a long hold, then a long release: creep, which a load starts and its end turns back, against
+  drift, which does neither;
+- steps: what the sensors' filters take to follow;
+- one rest pose at the start, in the middle and at the end: zeros and pretension, and their drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.recordings.bearable_load import bearable_load_n
+from cablesense_gap.recordings.block import Block, BlockKind, ProtocolRows, rows_of
+from cablesense_sim.arm import Arm
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+__all__ = ["Block", "BlockKind", "ProtocolRows", "protocol_rows", "standard_protocol"]
+
+Array = NDArray[np.float64]
+
+DIRECTIONS: dict[str, tuple[float, float, float]] = {
+    "down": (0.0, 0.0, -1.0),
+    "to the left": (0.0, 1.0, 0.0),
+    "up and to the right": (0.0, -(0.5**0.5), 0.5**0.5),
+    "down and to the left": (0.0, 0.5**0.5, -(0.5**0.5)),
+    "down and to the right": (0.0, -(0.5**0.5), -(0.5**0.5)),
+}
+"""Unit vectors of the base frame, as someone sees them who looks along the arm from its base."""
+
+STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
+LEVELS = (0.25, 0.5, 0.75, 1.0)
+LEVEL_S = 1.0
+SPEED_RAD_S = float(np.deg2rad(5.0))
+LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
+SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
+HOLD_S, RELEASE_S = 40.0, 20.0
+REST_S = 5.0
+
+
+def standard_protocol(arm: Arm) -> tuple[Block, ...]:
+    """The blocks to record on an arm, in their order; about seven minutes for four segments.
+
+    Loads are as strong as leaves every cable of the nominal arm taut (`bearable_load_n`), poses as
+    bent as its guide plates and cables allow.
+
+    Raises:
+        EquilibriumError: the nominal arm finds no rest.
+    """
+    straight = np.zeros(arm.joint_count)
+    reach_rad = _reach_rad(arm)
+    bent = reach_rad * _pattern(arm.joint_count)
+    tip = arm.segment_count
+    segments = range(1, tip + 1)
+    return (
+        _rest(straight, "straight, at the start"),
+        *(_cycle(arm, straight, n, side, "straight") for n in segments for side in STRAIGHT_SIDES),
+        _steps(arm, straight, tip, "to the left", "straight"),
+        _rest(straight, "straight, in the middle"),
+        *_single_sweeps(arm, reach_rad),
+        _joint_sweep(arm.joint_count, reach_rad, 1.0),
+        _reversals(straight, "straight"),
+        _move(straight, bent, "to the first bent pose"),
+        *(_cycle(arm, bent, n, "down and to the left", "first bent pose") for n in segments),
+        _hold(arm, bent, tip, "down and to the right", "first bent pose"),
+        _steps(arm, bent, 1, "down", "first bent pose"),
+        _reversals(bent, "first bent pose"),
+        _move(bent, -bent, "to the second bent pose, the mirror of the first"),
+        *(_cycle(arm, -bent, n, "down and to the right", "second bent pose") for n in segments),
+        _move(-bent, straight, "back to straight"),
+        _joint_sweep(arm.joint_count, reach_rad, -1.0),
+        _rest(straight, "straight, at the end"),
+    )
+
+
+def protocol_rows(
+    arm: Arm, blocks: tuple[Block, ...], rate_hz: float | None = None
+) -> ProtocolRows:
+    """The blocks as rows at `rate_hz`, by default that of the arm's sensors."""
+    return rows_of(blocks, arm.sensors.rate_hz if rate_hz is None else rate_hz)
+
+
+def _rest(command: Array, where: str) -> Block:
+    return _unloaded(
+        BlockKind.REST, f"Leave the arm alone, {where}.", (0.0, REST_S), [command] * 2
+    )
+
+
+def _move(start: Array, end: Array, where: str) -> Block:
+    took_s = _way_s(start, end)
+    knots_s = (0.0, took_s, took_s + REST_S / 2)
+    listed = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(end))
+    does = f"Move {where} (joints at {listed} degrees), and wait."
+    return _unloaded(BlockKind.MOVE, does, knots_s, [start, end, end])
+
+
+def _cycle(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
+    """Up in levels, the strongest twice as long, and down by the same levels."""
+    peak_n = _peak_n(arm, command, segment, side)
+    shares = (0.0, *LEVELS, *LEVELS[::-1], 0.0)
+    listed = ", ".join(f"{share * peak_n:.3g}" for share in LEVELS)
+    does = f"{pose.capitalize()}: load segment {segment} {side}, {listed} N, and back."
+    return _stepped(BlockKind.LOAD_CYCLE, does, command, segment, side, peak_n, shares, LEVEL_S)
+
+
+def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
+    peak_n = _peak_n(arm, command, segment, side)
+    does = f"{pose.capitalize()}: put {peak_n:.3g} N {side} on segment {segment} at once, take it "
+    shares = (0.0, 1.0) * 3 + (0.0,)
+    return _stepped(
+        BlockKind.STEP_LOAD, does + "off at once, three times.", command, segment, side, peak_n,
+        shares, 2.0 * LEVEL_S,
+    )  # fmt: skip
+
+
+def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
+    peak_n = _peak_n(arm, command, segment, side)
+    does = (
+        f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {HOLD_S:g} s, "
+        f"take it off, and wait {RELEASE_S:g} s."
+    )
+    load = peak_n * np.asarray(DIRECTIONS[side])
+    knots_s = np.array([0.0, LEVEL_S, LEVEL_S, LEVEL_S + HOLD_S, LEVEL_S + HOLD_S])
+    return Block(
+        BlockKind.HOLD,
+        does,
+        np.append(knots_s, LEVEL_S + HOLD_S + RELEASE_S),
+        np.repeat(command[None], 6, axis=0),
+        segment,
+        np.outer([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], load),
+    )
+
+
+def _single_sweeps(arm: Arm, reach_rad: float) -> Iterator[Block]:
+    """Each joint angle alone, to one side, through to the other and back."""
+    for joint, name in enumerate(arm.joint_names):
+        alone = np.eye(arm.joint_count)[joint]
+        way = reach_rad * np.outer([0.0, 1.0, -1.0, 0.0], alone)
+        does = f"Sweep {name} to +{np.rad2deg(reach_rad):.2g}°, to the other side, and back."
+        yield _unloaded(BlockKind.SWEEP, does, _times_s(way), way)
+
+
+def _joint_sweep(joint_count: int, reach_rad: float, sign: float) -> Block:
+    """All joints between corners of their range, each corner turning about half of them."""
+    corners = np.array([_pattern(joint_count, turn) for turn in range(1, 7)])
+    way = sign * reach_rad * np.vstack([np.zeros(joint_count), corners, np.zeros(joint_count)])
+    does = "Sweep all joints at once through six poses and back, without a stop."
+    return _unloaded(BlockKind.SWEEP, does, _times_s(way), way)
+
+
+def _reversals(command: Array, pose: str) -> Block:
+    """Each joint by a degree to both sides, twice, one after the other."""
+    twice = np.array([1.0, -1.0, 1.0, -1.0, 0.0]) * SMALL_ANGLE_RAD
+    way = [command, *(command + angle * row for row in np.eye(len(command)) for angle in twice)]
+    does = f"{pose.capitalize()}: turn each joint by ±{np.rad2deg(SMALL_ANGLE_RAD):.0f}° twice."
+    return _unloaded(BlockKind.REVERSALS, does, _times_s(np.array(way)), way)
+
+
+def _stepped(
+    kind: BlockKind,
+    does: str,
+    command: Array,
+    segment: int,
+    side: str,
+    peak_n: float,
+    shares: Sequence[float],
+    each_s: float,
+) -> Block:
+    """A load that holds each share of its peak for a while, and steps to the next."""
+    edges_s = each_s * np.arange(len(shares) + 1)
+    knots_s = np.repeat(edges_s, 2)[1:-1]
+    loads = np.outer(np.repeat(shares, 2) * peak_n, DIRECTIONS[side])
+    return Block(kind, does, knots_s, np.repeat(command[None], len(knots_s), 0), segment, loads)
+
+
+def _unloaded(
+    kind: BlockKind, does: str, knots_s: Sequence[float] | Array, commands: Sequence[Array] | Array
+) -> Block:
+    knots, way = np.asarray(knots_s, dtype=float), np.asarray(commands, dtype=float)
+    return Block(kind, does, knots, way, 0, np.zeros((len(knots), 3)))
+
+
+def _times_s(way: Array) -> Array:
+    legs = [_way_s(a, b) for a, b in pairwise(way)]
+    return np.concatenate([[0.0], np.cumsum(legs)])
+
+
+def _way_s(start: Array, end: Array) -> float:
+    return max(0.2, float(np.abs(end - start).max()) / SPEED_RAD_S)
+
+
+def _peak_n(arm: Arm, command: Array, segment: int, side: str) -> float:
+    return bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
+
+
+def _pattern(joint_count: int, turn: int = 0) -> Array:
+    """(2N,) of numbers within ±1 that no two joints share over the turns."""
+    golden = 0.5 * (5.0**0.5 - 1.0)
+    i = np.arange(1, joint_count + 1)
+    phase = (i * golden + turn * (0.5 + 0.07 * i)) % 1.0
+    return np.where(phase < 0.5, 1.0, -1.0) * (0.6 + 0.8 * np.abs(phase % 0.5 - 0.25) / 0.5)
+
+
+def _reach_rad(arm: Arm) -> float:
+    """Largest angle of the protocol: a third of what the guide plates leave, cables taut."""
+    mechanism = Mechanism.from_arm(arm)
+    reach = min(LARGEST_ANGLE_RAD, float(mechanism.bend_limit_rad.min()) / 3.0)
+    least = 0.1 * mechanism.pretension_n
+    corners = np.array([_pattern(arm.joint_count, turn) for turn in range(7)])
+    for _ in range(4):
+        commands = reach * np.vstack([corners, -corners])
+        try:
+            if (solve_equilibrium(mechanism, commands).tensions_n > least).all():
+                break
+        except EquilibriumError:
+            pass
+        reach /= 2.0
+    return reach

@@ -1,0 +1,185 @@
+"""The protocol to record: within what the arm bears, and rich enough to tell effects apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings.bearable_load import STRONGEST_N, bearable_load_n
+from cablesense_gap.recordings.block import Block, BlockKind, rows_of
+from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+ARMS = {name: open_arm(name) for name in ("cdsm_lab", "cdsm", "cdsm_table2")}
+LAB = ARMS["cdsm_lab"]
+BLOCKS = standard_protocol(LAB)
+
+
+def forces_of(rows, segment_count):
+    loaded = rows.load_segment[:, None] == np.arange(1, segment_count + 1)
+    return loaded[..., None] * rows.load_n[:, None]
+
+
+def tensions_of(rows, mechanism, **changes):
+    mechanism = replace(mechanism, **changes)
+    forces = forces_of(rows, mechanism.segment_count)
+    return solve_equilibrium(mechanism, rows.command_rad, forces).tensions_n
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_no_cable_goes_slack_and_no_load_is_beyond_a_person(arm):
+    rows = protocol_rows(arm, standard_protocol(arm), 2.0)
+    tensions = tensions_of(rows, Mechanism.from_arm(arm))
+    assert tensions.min() >= 0.1 * arm.cables.pretension_n
+    assert np.linalg.norm(rows.load_n, axis=1).max() <= STRONGEST_N + 1e-9
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_every_segment_is_loaded_and_every_joint_turns_back_in_several_trials(arm):
+    rows = protocol_rows(arm, standard_protocol(arm))
+    for segment in range(1, arm.segment_count + 1):
+        assert len(set(rows.trial[rows.load_segment == segment])) >= 5
+    for joint in range(arm.joint_count):
+        turning = set()
+        for trial in set(rows.trial):
+            speed = np.diff(rows.command_rad[rows.trial == trial, joint])
+            moving = np.sign(speed[np.abs(speed) > 1e-9])
+            if (np.diff(moving) != 0).any():
+                turning.add(trial)
+        assert len(turning) >= 4
+
+
+def test_rest_comes_at_the_start_in_the_middle_and_at_the_end():
+    at = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.REST]
+    assert (at[0], at[-1]) == (0, len(BLOCKS) - 1)
+    assert len(at) >= 3
+    rows = protocol_rows(LAB, BLOCKS)
+    for i in at:
+        chosen = rows.trial == i
+        assert not rows.command_rad[chosen].any()
+        assert not rows.load_segment[chosen].any()
+
+
+def test_blocks_follow_on_without_a_jump_of_the_command():
+    for before, after in pairwise(BLOCKS):
+        np.testing.assert_allclose(before.commands_rad[-1], after.commands_rad[0], atol=1e-12)
+        assert not before.loads_n[-1].any()
+    speed = np.abs(np.diff(protocol_rows(LAB, BLOCKS, 100.0).command_rad, axis=0)) * 100.0
+    assert np.rad2deg(speed.max()) < 20.0  # the speed of the simulated arm
+
+
+def test_rows_are_even_and_loads_stand_beside_their_segment():
+    rows = protocol_rows(LAB, BLOCKS)
+    np.testing.assert_allclose(np.diff(rows.time_s), 1.0 / LAB.sensors.rate_hz)
+    assert (np.diff(rows.trial) >= 0).all()
+    assert set(np.diff(rows.trial)) == {0, 1}
+    np.testing.assert_array_equal(rows.load_segment > 0, rows.load_n.any(axis=1))
+    assert 1000 < len(rows.time_s) < 3000
+
+
+@given(rate_hz=st.floats(0.5, 200.0), duration_s=st.floats(0.5, 20.0))
+@settings(max_examples=50, deadline=None)
+def test_a_ramp_is_a_straight_line_at_any_rate(rate_hz, duration_s):
+    block = Block(
+        BlockKind.LOAD_CYCLE,
+        "",
+        np.array([0.0, duration_s]),
+        np.zeros((2, 4)),
+        2,
+        np.array([[0.0, 0.0, 0.0], [0.0, -duration_s, 2.0 * duration_s]]),
+    )
+    rows = rows_of((block, block), rate_hz)
+    count = len(rows.time_s) // 2
+    assert count == max(1, round(duration_s * rate_hz))
+    local = rows.time_s[:count]
+    np.testing.assert_allclose(rows.load_n[:count], np.outer(local, [0, -1, 2]), atol=1e-9)
+    np.testing.assert_array_equal(rows.load_n[:count], rows.load_n[count:])
+    assert rows.load_segment[0] == 0
+    assert set(rows.load_segment[1:count]) <= {2}
+
+
+def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():
+    down = np.array([0.0, 0.0, -1.0])
+    mechanism = Mechanism.from_arm(LAB)
+    found = bearable_load_n(LAB, np.zeros(8), 4, down)
+    forces = np.zeros((2, 4, 3))
+    forces[:, 3] = np.outer([found, found + 2.0], down)
+    least = solve_equilibrium(mechanism, np.zeros(8), forces).tensions_n.min(axis=1)
+    assert least[0] >= 5.0 > least[1]
+
+
+def test_where_slack_cannot_be_avoided_the_load_still_shows():
+    loose = LAB.model_copy(update={"cables": LAB.cables.model_copy(update={"pretension_n": 8.0})})
+    straight, down = np.zeros(8), np.array([0.0, 0.0, -1.0])
+    mechanism = Mechanism.from_arm(loose)
+    assert solve_equilibrium(mechanism, straight).tensions_n.min() < 0.8
+    found = bearable_load_n(loose, straight, 3, down)
+    assert found >= 2.0
+    forces = np.zeros((4, 3))
+    forces[2] = found * down
+    moved = solve_equilibrium(mechanism, straight, forces).tensions_n
+    assert np.abs(moved - solve_equilibrium(mechanism, straight).tensions_n).max() > 1.0
+
+
+def test_the_sensors_range_bounds_the_load():
+    sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 110.0)})
+    short = LAB.model_copy(update={"sensors": sensors})
+    rows = protocol_rows(short, standard_protocol(short), 2.0)
+    assert tensions_of(rows, Mechanism.from_arm(short)).max() <= 0.9 * 110.0 + 1e-9
+
+
+def sensitivities(rows):
+    """Per effect a column: what a small effect does to all readings, scaled to unit length."""
+    m = Mechanism.from_arm(LAB)
+    nominal = tensions_of(rows, m)
+
+    def by(**changes):
+        return tensions_of(rows, m, **changes) - nominal
+
+    def one(count, i):
+        return np.eye(count)[i]
+
+    found = {f"payload_{i}": by(mass_kg=m.mass_kg + 0.02 * one(4, i)) for i in range(4)}
+    found |= {f"contact_{i}": by(contact_m=m.contact_m + 0.002 * one(4, i)) for i in range(4)}
+    found |= {
+        f"tilt_{axis}": by(gravity_m_s2=m.gravity_m_s2 + 0.05 * one(3, axis)) for axis in (0, 1)
+    }
+    for i in range(4):
+        own = m.cable_segment == i + 1
+        found[f"stiffness_{i}"] = by(stiffness_n_m=m.stiffness_n_m * (1.0 + 0.02 * own))
+        grown = 1.0 + 0.01 * own
+        found[f"radius_{i}"] = by(hole_y_m=m.hole_y_m * grown, hole_z_m=m.hole_z_m * grown)
+        found[f"pretension_{i}"] = by(pretension_n=m.pretension_n + 0.5 * own)
+    for i in range(12):
+        found[f"gain_{i}"] = 0.01 * nominal * one(12, i)
+        found[f"offset_{i}"] = np.ones_like(nominal) * one(12, i)
+    return found
+
+
+def separation(found, name):
+    """Share of an effect's response that no mixture of the other effects reproduces."""
+    unit = {key: (v / np.linalg.norm(v)).ravel() for key, v in found.items() if v.any()}
+    family = name.rpartition("_")[0]
+    others = np.stack([v for key, v in unit.items() if not key.startswith(family)], axis=1)
+    own = unit[name]
+    left = own - others @ np.linalg.lstsq(others, own, rcond=1e-10)[0]
+    return np.linalg.norm(left)
+
+
+def test_static_effects_can_be_told_apart_by_it_and_not_by_rest_alone():
+    rows = protocol_rows(LAB, BLOCKS, 1.0)
+    found = sensitivities(rows)
+    apart = {name: separation(found, name) for name in found}
+    # 1 % of an effect of 20 noise floors is 30 standard deviations over 26,000 readings
+    assert min(apart.values()) > 0.01, apart
+    resting = type(rows)(*(np.asarray(values)[rows.trial == 0] for values in rows))
+    still = sensitivities(resting)
+    assert separation(still, "gain_3") < 1e-6
+    assert separation(still, "payload_3") < 1e-6
