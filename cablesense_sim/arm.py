@@ -21,7 +21,6 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
@@ -133,6 +132,14 @@ class Sensors(_Part):
         return self
 
 
+class ListedEffect(_Part):
+    """What the arm does beyond the ideal: an effect's name, its place, and its parameters."""
+
+    effect: str
+    at: str = "arm"
+    parameters: dict[str, Number] = {}
+
+
 class Arm(_Part):
     """A cable-driven serial arm, as its file describes it: SI units, or degrees in `_deg`."""
 
@@ -146,16 +153,7 @@ class Arm(_Part):
     cables: Cables
     actuators: Actuators
     sensors: Sensors
-    effects: list[dict[str, object]] = []
-
-    @field_validator("effects", mode="before")
-    @classmethod
-    def _no_effect_is_known(cls, effects: Any) -> Any:
-        if effects != []:
-            raise ValueError(
-                "names what this version cannot simulate; leave the key out, or give []"
-            )
-        return effects
+    effects: list[ListedEffect] = []
 
     @model_validator(mode="after")
     def _geometry_is_possible(self) -> Arm:
@@ -191,7 +189,23 @@ class Arm(_Part):
                 f"{stiffness:g}, which is that of cable and actuator in series"
             )
         self._check_cables_span_every_joint()
+        self._check_effects()
         return self
+
+    def _check_effects(self) -> None:
+        from cablesense_sim.effects.entry import checked_entry  # effects know mechanisms, these arms
+
+        for listed in self.effects:
+            try:
+                checked_entry(
+                    listed.effect,
+                    listed.at,
+                    listed.parameters,
+                    self.segments.count,
+                    self.segments.count * self.cables.per_segment,
+                )
+            except CableSenseError as error:
+                raise ValueError(f"effects: {error}") from error
 
     def _check_cables_span_every_joint(self) -> None:
         """Cables only pull: around a segment no half-turn may be free of holes."""

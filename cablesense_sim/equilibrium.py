@@ -69,9 +69,19 @@ class Equilibrium:
 
 
 def solve_equilibrium(
-    mechanism: Mechanism, command_rad: ArrayLike, forces_n: ArrayLike | None = None
+    mechanism: Mechanism,
+    command_rad: ArrayLike,
+    forces_n: ArrayLike | None = None,
+    *,
+    held_m: ArrayLike | None = None,
+    start_rad: ArrayLike | None = None,
 ) -> Equilibrium:
     """Resting pose and tensions for commands (..., 2N) and forces (..., N, 3) in base axes.
+
+    `held_m` (..., M) are the cable lengths that the actuators hold, relative to the straight arm;
+    by default those that this very mechanism has at the commanded angles. An arm that differs
+    from the one that its controller believes in holds the lengths of the latter. `start_rad`
+    (..., 2N) is where the search begins, by default at the command.
 
     Raises:
         EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case
@@ -82,10 +92,19 @@ def solve_equilibrium(
     command = command.reshape(-1, mechanism.joint_count)
     forces = forces.reshape(-1, mechanism.segment_count, 3)
     enough = max(0.01 * RESIDUAL_LIMIT_N_M, rounding_n_m(mechanism))
+    if held_m is None:
+        rest = kinematics.spans(mechanism, command).length_m.sum(-1)
+    else:
+        held = np.broadcast_to(np.asarray(held_m, float), (*leading, mechanism.cable_count))
+        straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count)).length_m.sum(-1)
+        rest = straight + held.reshape(-1, mechanism.cable_count)
+    rest = rest - mechanism.pretension_n / mechanism.stiffness_n_m
+    start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
+    cases = (rest, forces, start)
     parts = [
-        search_rest(mechanism, enough, command[i : i + _CHUNK], forces[i : i + _CHUNK])
-        for i in range(0, len(command), _CHUNK)
-    ] or [search_rest(mechanism, enough, command, forces)]
+        search_rest(mechanism, enough, *(case[i : i + _CHUNK] for case in cases))
+        for i in range(0, max(len(command), 1), _CHUNK)
+    ]
     angles, tensions, residual, iterations = (np.concatenate(p) for p in zip(*parts, strict=True))
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
@@ -94,6 +113,13 @@ def solve_equilibrium(
         residual_n_m=residual.reshape(leading),
         iterations=iterations.reshape(leading),
     )
+
+
+def held_lengths_m(mechanism: Mechanism, command_rad: ArrayLike) -> Array:
+    """Cable lengths (..., M) at commanded angles (..., 2N), relative to the straight arm."""
+    command = np.asarray(command_rad, dtype=float)
+    straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count)).length_m.sum(-1)
+    return np.asarray(kinematics.spans(mechanism, command).length_m.sum(-1) - straight)
 
 
 def stiffness_matrix_n_m(

@@ -1,11 +1,11 @@
 """Closed-form kinematics of the chain and its cables, for NumPy and torch (array API standard).
 
 Inside a segment a cable runs parallel to the axis, so only the spans between the two guide plates
-around each joint change. A span depends on the two angles of its own joint alone: with hole (y, z)
-and plates at distance o, pitch a and yaw b,
+around each joint change. A span depends on the two angles of its own joint alone: with holes
+(y, z) before and (v, w) after the joint, plates at distance o, pitch a and yaw b,
 
-    d(a, b)^2 = 2 (o^2 + y^2 + z^2) + 2 g(a, b),    g = x1 P + z Q - y y1,
-    x1 = o cos b - y sin b,   y1 = o sin b + y cos b,
+    d(a, b)^2 = 2 o^2 + y^2 + z^2 + v^2 + w^2 + 2 g(a, b),    g = x1 P + w Q - y y1,
+    x1 = o cos b - v sin b,   y1 = o sin b + v cos b,
     P = o cos a + z sin a,    Q = o sin a - z cos a,
 
 from which the derivatives below follow (dP/da = -Q, dQ/da = P, dx1/db = -y1, dy1/db = x1).
@@ -54,24 +54,23 @@ def spans(mechanism: Mechanism, joint_angles_rad: Any) -> Spans:
     q = joint_angles_rad
     pitch, yaw = q[..., None, 0::2], q[..., None, 1::2]
     as_like = _converter(xp, q)
-    y = as_like(mechanism.hole_y_m)[:, None]
-    z = as_like(mechanism.hole_z_m)[:, None]
+    (y, z), (v, w) = ((as_like(a), as_like(b)) for a, b in mechanism.plate_holes_m)
     passes = as_like(mechanism.passes_joint)
     o = mechanism.plate_offset_m
     cos_a, sin_a, cos_b, sin_b = xp.cos(pitch), xp.sin(pitch), xp.cos(yaw), xp.sin(yaw)
-    x1, y1 = o * cos_b - y * sin_b, o * sin_b + y * cos_b
+    x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
     p, q_ = o * cos_a + z * sin_a, o * sin_a - z * cos_a
-    x1p, zq, yy1 = x1 * p, z * q_, y * y1
-    squared = 2.0 * (o * o + y * y + z * z) + 2.0 * (x1p + zq - yy1)
+    x1p, wq, yy1 = x1 * p, w * q_, y * y1
+    squared = 2.0 * o * o + (y * y + z * z + v * v + w * w) + 2.0 * (x1p + wq - yy1)
     length = xp.sqrt(xp.clip(squared, _TOUCHING_M**2, None))
     scale = passes / length
-    by_a = (z * p - x1 * q_) * scale
+    by_a = (w * p - x1 * q_) * scale
     by_b = (-y1 * p - y * x1) * scale
     return Spans(
         length_m=length * passes,
         by_pitch=by_a,
         by_yaw=by_b,
-        by_pitch_pitch=(-x1p - zq) * scale - by_a * by_a * scale,
+        by_pitch_pitch=(-x1p - wq) * scale - by_a * by_a * scale,
         by_pitch_yaw=(y1 * q_) * scale - by_a * by_b * scale,
         by_yaw_yaw=(yy1 - x1p) * scale - by_b * by_b * scale,
     )
@@ -160,12 +159,12 @@ def load_arms(mechanism: Mechanism, forces_n: Any) -> Any:
     """
     xp = array_namespace(forces_n)
     as_like = _converter(xp, forces_n)
-    mass, length = as_like(mechanism.mass_kg)[:, None], as_like(mechanism.segment_length_m)
-    weight = mass * as_like(mechanism.gravity_m_s2)
+    mass, length = as_like(mechanism.mass_kg)[..., None], as_like(mechanism.segment_length_m)
+    weight = mass * as_like(mechanism.gravity_m_s2)[..., None, :]
     reach, centre = as_like(mechanism.contact_m), as_like(mechanism.centre_of_mass_m)
     total = weight + forces_n
     beyond = xp.flip(xp.cumulative_sum(xp.flip(total, axis=-2), axis=-2), axis=-2) - total
-    return centre[:, None] * weight + reach[:, None] * forces_n + length[:, None] * beyond
+    return centre[..., None] * weight + reach[..., None] * forces_n + length[..., None] * beyond
 
 
 def load_torques_n_m(mechanism: Mechanism, joint_angles_rad: Any, forces_n: Any) -> Any:

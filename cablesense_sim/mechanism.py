@@ -31,6 +31,9 @@ class Mechanism:
         pretension_n: (M,) with the arm straight and weightless.
         run_m: straight run from actuator to base plate.
         joint_damping_n_m_s: of each joint axis, for dynamics.
+        joint_stiffness_n_m_rad: (N,) of a spring in each joint axis that is at rest straight.
+        segment_hole_y_m, segment_hole_z_m: (M, N) holes in the plates that segment n carries, or
+            None where every plate has them in the same place.
     """
 
     gravity_m_s2: Array
@@ -48,6 +51,9 @@ class Mechanism:
     pretension_n: Array
     run_m: float
     joint_damping_n_m_s: float
+    joint_stiffness_n_m_rad: Array
+    segment_hole_y_m: Array | None = None
+    segment_hole_z_m: Array | None = None
 
     @property
     def segment_count(self) -> int:
@@ -73,9 +79,23 @@ class Mechanism:
     @property
     def bend_limit_rad(self) -> Array:
         """(N,) bend at which the guide plates around each joint touch at the outermost hole."""
-        radius = np.hypot(self.hole_y_m, self.hole_z_m)
-        outermost = np.where(self.passes_joint, radius[:, None], 0.0).max(axis=0)
+        before, after = self.plate_holes_m
+        radius = np.maximum(np.hypot(*before), np.hypot(*after))
+        outermost = np.where(self.passes_joint, radius, 0.0).max(axis=-2)
         return 2.0 * np.arctan2(self.plate_offset_m, outermost)
+
+    @property
+    def plate_holes_m(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Holes (y, z) in the plates before and after each joint, each (M, 1) or (M, N)."""
+        y, z = self.hole_y_m[..., None], self.hole_z_m[..., None]
+        if self.segment_hole_y_m is None or self.segment_hole_z_m is None:
+            return (y, z), (y, z)
+        after = self.segment_hole_y_m, self.segment_hole_z_m
+        before = (
+            np.concatenate([y, after[0][..., :-1]], axis=-1),
+            np.concatenate([z, after[1][..., :-1]], axis=-1),
+        )
+        return before, after
 
     @property
     def joint_position_straight_m(self) -> Array:
@@ -130,4 +150,5 @@ class Mechanism:
             pretension_n=np.full(segment.shape, arm.cables.pretension_n),
             run_m=arm.cables.run_m,
             joint_damping_n_m_s=arm.segments.joint_damping_n_m_s,
+            joint_stiffness_n_m_rad=np.zeros(count),
         )

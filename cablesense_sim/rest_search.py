@@ -59,14 +59,16 @@ class _Point(NamedTuple):
         stretch = np.maximum(span.length_m.sum(-1) - rest, 0.0)
         tension = mechanism.stiffness_n_m * stretch
         cables = (tension[..., None, :] @ kinematics.interleave(span))[..., 0, :]
+        spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1) * angles
         return cls(
             angles_rad=angles,
             span=span,
             pose=pose,
             tension_n=tension,
             potential_j=0.5 * (tension * stretch).sum(-1)
+            + 0.5 * (spring * angles).sum(-1)
             - (arms * pose.rotation[..., 0]).sum((-2, -1)),
-            gradient_n_m=cables - kinematics.axis_torques_n_m(pose, arms),
+            gradient_n_m=cables + spring - kinematics.axis_torques_n_m(pose, arms),
         )
 
 
@@ -87,22 +89,21 @@ def _replace_rows(batch: Any, rows: NDArray[Any], others: Any) -> None:
 
 
 def search_rest(
-    mechanism: Mechanism, enough_n_m: float, command: Array, forces: Array
+    mechanism: Mechanism, enough_n_m: float, rest: Array, forces: Array, start: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """Angles (B, 2N), tensions (B, M), residuals (B,) and steps (B,) for a batch.
 
-    A case leaves when its residual is at most `enough_n_m` and its pose stable; the residual of
-    one that finds no stable pose is infinite.
+    `rest` (B, M) are the spans' lengths at which the cables are just slack, `start` (B, 2N) the
+    angles to begin at. A case leaves when its residual is at most `enough_n_m` and its pose
+    stable; the residual of one that finds no stable pose is infinite.
     """
-    pretensioned = mechanism.pretension_n / mechanism.stiffness_n_m
-    rest = kinematics.spans(mechanism, command).length_m.sum(-1) - pretensioned
     arms = kinematics.load_arms(mechanism, forces)
-    angles, tensions = np.empty_like(command), np.empty_like(rest)
-    residual = np.empty(len(command))
-    stable = np.zeros(len(command), dtype=bool)
-    iterations = np.zeros(len(command), dtype=np.int64)
-    live = np.arange(len(command))
-    point = _Point.at(mechanism, command, rest, arms)
+    angles, tensions = np.empty_like(start), np.empty_like(rest)
+    residual = np.empty(len(start))
+    stable = np.zeros(len(start), dtype=bool)
+    iterations = np.zeros(len(start), dtype=np.int64)
+    live = np.arange(len(start))
+    point = _Point.at(mechanism, start, rest, arms)
     for iteration in range(MAX_ITERATIONS + 1):
         angles[live], tensions[live] = point.angles_rad, point.tension_n
         residual[live] = np.abs(point.gradient_n_m).max(axis=-1)
@@ -113,7 +114,7 @@ def search_rest(
         if iteration == MAX_ITERATIONS or not going.any():
             break
         live, point, hessian = live[going], _rows(point, going), hessian[going]
-        step = _descent_step(hessian, point.gradient_n_m, stable[live])
+        step = descent_step(hessian, point.gradient_n_m, stable[live])
         point, moved = _line_search(mechanism, point, step, rest[live], arms[live])
         live, point = live[moved], _rows(point, moved)
     residual[~stable] = np.inf  # balanced on a saddle of the potential is not at rest
@@ -139,12 +140,17 @@ def hessian_n_m(
     ):
         joints = np.arange(mechanism.segment_count)
         block = (tension[..., None, :] @ second)[..., 0, :]
+        if row == column:
+            block = block + mechanism.joint_stiffness_n_m_rad
         hessian[..., 2 * joints + row, 2 * joints + column] += block
-    return hessian - _load_hessian(pose, arms)
+    return hessian - load_hessian(pose, arms)
 
 
-def _load_hessian(pose: kinematics.Chain, arms: Array) -> Array:
-    """Second derivative of `sum_n A_n · x_n`: w_k x (w_l x x_n) for axis k before axis l."""
+def load_hessian(pose: kinematics.Chain, arms: Array) -> Array:
+    """Second derivative (..., 2N, 2N) of `sum_n A_n · x_n` by the joint angles, N·m.
+
+    For axis k before axis l it is w_k x (w_l x x_n).
+    """
     x = pose.rotation[..., 0]
     outer = x[..., :, None] * arms[..., None, :]
     along = (x * arms).sum(-1)
@@ -169,7 +175,7 @@ def _is_positive_definite(matrices: Array) -> NDArray[np.bool_]:
     return positive
 
 
-def _descent_step(hessian: Array, gradient: Array, stable: NDArray[np.bool_]) -> Array:
+def descent_step(hessian: Array, gradient: Array, stable: NDArray[np.bool_]) -> Array:
     """Newton's step where the potential curves up all ways, else along the absolute curvatures.
 
     Where it curves down the arm would not stay, balanced or not: there the step has a least

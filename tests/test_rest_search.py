@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cablesense_sim import kinematics
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
@@ -10,12 +11,19 @@ from cablesense_sim.rest_search import rounding_n_m, search_rest
 SOFT = Mechanism.from_arm(open_arm("cdsm_lab"))
 
 
+def rest_m(mechanism: Mechanism, command: np.ndarray) -> np.ndarray:
+    stretch = mechanism.pretension_n / mechanism.stiffness_n_m
+    return kinematics.spans(mechanism, command).length_m.sum(-1) - stretch
+
+
 def test_few_steps_suffice_however_many_cables_go_slack() -> None:
     rng = np.random.default_rng(11)
     command = np.deg2rad(rng.uniform(-8, 8, (1000, 8)))
     segment, angle = rng.integers(1, 5, 1000), rng.uniform(0, 360, 1000)
     forces = normal_force_n(SOFT, command, segment, angle, rng.uniform(50, 150, 1000))
-    angles, tensions, residual, steps = search_rest(SOFT, 1e-9, command, forces)
+    angles, tensions, residual, steps = search_rest(
+        SOFT, 1e-9, rest_m(SOFT, command), forces, command
+    )
     assert np.isfinite(angles).all()
     assert ((tensions == 0).sum(axis=1) >= 3).any()
     assert residual.max() <= 1e-9
@@ -29,7 +37,10 @@ def test_what_finds_no_stable_pose_keeps_a_residual() -> None:
     weak = Mechanism(
         **{**vars(SOFT), "stiffness_n_m": np.full(12, 1e2), "pretension_n": pretension}
     )
-    *_, residual, _ = search_rest(weak, 1e-9, np.full((1, 8), 0.05), np.zeros((1, 4, 3)))
+    command = np.full((1, 8), 0.05)
+    *_, residual, _ = search_rest(
+        weak, 1e-9, rest_m(weak, command), np.zeros((1, 4, 3)), command
+    )
     assert residual[0] > 1e-7
 
 

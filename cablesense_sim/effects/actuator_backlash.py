@@ -1,0 +1,47 @@
+"""Lost motion on reversal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_sim.effects.actuation import Actuation
+from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables, chosen
+
+
+class ActuatorBacklash(Effect):
+    """Play between screw and nut: what is held follows the command half the play behind."""
+
+    name = "actuator_backlash"
+    acts_on = "actuator"
+    about = "lost motion on reversal in some actuators"
+    source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002"
+    parameters = (
+        Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
+        Parameter(
+            "start",
+            "1",
+            -1.0,
+            1.0,
+            1.0,
+            "where in the play it begins, from the short to the long side",
+            role="shape",
+        ),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return cables(cable_count)
+
+    def actuation(self, place: str, values: Values) -> Actuation:
+        return _Play(place, values["play_m"], values["start"])
+
+
+class _Play(Actuation):
+    def __init__(self, place: str, play_m: Array, start: Array) -> None:
+        self._place, self._half_m, self._start = place, 0.5 * play_m[:, None], start[:, None]
+        self._held_m: Array | None = None
+
+    def step(self, time_s: float, held_m: Array) -> Array:
+        if self._held_m is None:
+            self._held_m = held_m + self._start * self._half_m
+        self._held_m = np.clip(self._held_m, held_m - self._half_m, held_m + self._half_m)
+        return np.where(chosen(self._place, held_m.shape[-1]), self._held_m, held_m)

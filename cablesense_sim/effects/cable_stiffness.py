@@ -1,0 +1,40 @@
+"""Cables softer or harder than nominal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, segments
+
+if TYPE_CHECKING:
+    from cablesense_sim.mechanism import Mechanism
+
+
+class CableStiffness(Effect):
+    """Another stiffness from command to anchor, of all cables or of those of one segment."""
+
+    name = "cable_stiffness"
+    acts_on = "arm"
+    about = "softer or harder cables than nominal, all or one segment's"
+    source = "Feyrer, Wire Ropes, 2nd ed. 2015, section 2.2: rope elasticity modulus"
+    parameters = (
+        Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher"),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return (WHOLE_ARM, *segments(segment_count))
+
+    def amend(
+        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
+    ) -> Mechanism:
+        here = np.ones(mechanism.cable_count, dtype=bool)
+        if place != WHOLE_ARM:
+            here = mechanism.cable_segment == int(place.rsplit("_", 1)[1])
+        scale = np.where(here, 1.0 + values["change"], 1.0)
+        in_series = mechanism.stiffness_n_m * scale
+        cable = 1.0 / (1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m)
+        return replace(mechanism, stiffness_n_m=in_series, cable_stiffness_n_m=cable)

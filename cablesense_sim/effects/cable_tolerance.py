@@ -1,0 +1,55 @@
+"""What a careful workshop leaves open of a cable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cablesense_sim.effects.effect import Effect, Parameter, Values, cables, chosen
+from cablesense_sim.effects.routing_geometry import moved_holes_m
+from cablesense_sim.effects.sensor_offset import Shifted
+
+if TYPE_CHECKING:
+    from cablesense_sim.mechanism import Mechanism
+
+
+class CableTolerance(Effect):
+    """Scatter of pretensions, hole angles and zeros; no finding, but fitted beside every effect."""
+
+    name = "cable_tolerance"
+    acts_on = "arm"
+    about = "what a careful workshop leaves open of a cable and its sensor"
+    source = "ISO 2768-1, general tolerances, class m"
+    parameters = (
+        Parameter("pretension_n", "N", -1.5, 1.5, 0.15, "of the pretension, in excess"),
+        Parameter("angle_rad", "rad", -0.009, 0.009, 8.727e-4, "of its holes, turned"),
+        Parameter("zero_n", "N", -0.5, 0.5, 0.05, "of the sensor's zero"),
+    )
+    tolerance = True
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return cables(cable_count)
+
+    def amend(
+        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
+    ) -> Mechanism:
+        here = chosen(place, mechanism.cable_count)
+        y, z = moved_holes_m(
+            (mechanism.hole_y_m, mechanism.hole_z_m), 0.0 * here, here * values["angle_rad"]
+        )
+        plates = (mechanism.segment_hole_y_m, mechanism.segment_hole_z_m)
+        if plates[0] is not None and plates[1] is not None:
+            turned = (here * values["angle_rad"])[:, None]
+            plates = moved_holes_m((plates[0], plates[1]), 0.0 * turned, turned)
+        return replace(
+            mechanism,
+            pretension_n=mechanism.pretension_n + here * values["pretension_n"],
+            hole_y_m=y,
+            hole_z_m=z,
+            segment_hole_y_m=plates[0],
+            segment_hole_z_m=plates[1],
+        )
+
+    def sensing(self, place: str, values: Values) -> Shifted:
+        return Shifted(place, values["zero_n"])

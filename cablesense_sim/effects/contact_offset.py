@@ -1,0 +1,33 @@
+"""Loads that act elsewhere along the segment than believed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, chosen, segments
+
+if TYPE_CHECKING:
+    from cablesense_sim.mechanism import Mechanism
+
+
+class ContactOffset(Effect):
+    """Contact points further along one segment's axis, or along every segment's."""
+
+    name = "contact_offset"
+    acts_on = "arm"
+    about = "loads that act elsewhere along the segment than believed"
+    source = "Bicchi, Salisbury and Brock, Contact sensing from force measurements, IJRR 1993"
+    parameters = (
+        Parameter("offset_m", "m", -0.1, 0.1, 0.01, "of the contact point, away from the base"),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return (WHOLE_ARM, *segments(segment_count))
+
+    def amend(
+        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
+    ) -> Mechanism:
+        moved = chosen(place, mechanism.segment_count) * values["offset_m"]
+        return replace(mechanism, contact_m=mechanism.contact_m + moved)

@@ -1,0 +1,114 @@
+"""What every effect says of itself, and the ways in which it can act on an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from cablesense_sim.effects.actuation import Actuation
+    from cablesense_sim.effects.sensing import Sensing
+    from cablesense_sim.effects.transmission import Transmission
+    from cablesense_sim.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Values = Mapping[str, Array]
+"""Parameter values by name, each (P,): one for every arm that is simulated side by side."""
+
+WHOLE_ARM = "arm"
+"""The place of an effect that is everywhere."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that an effect has.
+
+    Attributes:
+        name: with its unit at the end, as in `torque_n_m`.
+        unit: for people.
+        low, high: the plausible range; an arm file outside it is refused.
+        typical: what one expects to meet; for a tolerance, one standard deviation.
+        default: what holds where nothing is said.
+        role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
+            says how the effect behaves where it is present.
+        starts: values of a shape from which a fit should begin.
+        about: what it means, in a few words.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    typical: float
+    about: str
+    default: float = 0.0
+    role: Literal["size", "shape"] = "size"
+    starts: tuple[float, ...] = ()
+
+
+class Effect:
+    """Base of all effects; the defaults do nothing.
+
+    Attributes:
+        name: as arm files and verdicts call it.
+        acts_on: where in the chain from arm to reading it acts.
+        about: one sentence.
+        source: where the model comes from.
+        parameters: sizes first.
+        tolerance: whether this is what a careful workshop leaves anyway, and no finding.
+    """
+
+    name: ClassVar[str]
+    acts_on: ClassVar[Literal["arm", "transmission", "actuator", "sensor"]]
+    about: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    tolerance: ClassVar[bool] = False
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        """Where it can sit: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
+        return (WHOLE_ARM,)
+
+    def amend(
+        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
+    ) -> Mechanism:
+        """The mechanism as the effect leaves it."""
+        return mechanism
+
+    def actuation(self, place: str, values: Values) -> Actuation | None:
+        """What it does between the commanded and the held cable length."""
+        return None
+
+    def transmission(self, place: str, values: Values) -> Transmission | None:
+        """What it does along the cables and in the joints, where that depends on the past."""
+        return None
+
+    def sensing(self, place: str, values: Values) -> Sensing | None:
+        """What it does between the tension at the actuator and the reading."""
+        return None
+
+
+def segments(segment_count: int) -> tuple[str, ...]:
+    """`segment_1` and so on."""
+    return tuple(f"segment_{n + 1}" for n in range(segment_count))
+
+
+def joints(segment_count: int) -> tuple[str, ...]:
+    """`joint_1` and so on: universal joints, both axes."""
+    return tuple(f"joint_{n + 1}" for n in range(segment_count))
+
+
+def cables(cable_count: int) -> tuple[str, ...]:
+    """`cable_1` and so on."""
+    return tuple(f"cable_{i + 1}" for i in range(cable_count))
+
+
+def chosen(place: str, count: int) -> NDArray[np.bool_]:
+    """(count,) which of the segments, joints or cables a place means; `arm` means all."""
+    if place == WHOLE_ARM:
+        return np.ones(count, dtype=bool)
+    return np.arange(1, count + 1) == int(place.rsplit("_", 1)[1])

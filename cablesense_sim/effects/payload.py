@@ -1,0 +1,47 @@
+"""Mass that nobody modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cablesense_sim.effects.effect import Effect, Parameter, chosen, segments
+
+if TYPE_CHECKING:
+    from cablesense_sim.mechanism import Mechanism
+
+
+class Payload(Effect):
+    """A point mass on a segment's axis; its place is counted from the middle of the segment.
+
+    The two numbers are the mass and its first moment about the middle, in which tensions are
+    nearly linear: a tool, a camera, a hose.
+    """
+
+    name = "payload"
+    acts_on = "arm"
+    about = "mass that nobody modelled"
+    source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13"
+    parameters = (
+        Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
+        Parameter(
+            "moment_kg_m", "kg·m", -1.0, 1.0, 0.01, "mass times its distance beyond the middle"
+        ),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return segments(segment_count)
+
+    def amend(
+        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
+    ) -> Mechanism:
+        here = chosen(place, mechanism.segment_count)
+        mass = mechanism.mass_kg + here * values["mass_kg"]
+        moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * (
+            values["mass_kg"] * 0.5 * mechanism.segment_length_m + values["moment_kg_m"]
+        )
+        heavy = np.maximum(mass, 1e-9)
+        return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)

@@ -1,0 +1,36 @@
+"""A share of one channel's signal in another."""
+
+from __future__ import annotations
+
+from cablesense_sim.effects.effect import Array, Effect, Parameter, Values
+from cablesense_sim.effects.sensing import Sensing
+
+
+class SensorCrosstalk(Effect):
+    """Readings of one channel that carry a share of another's tension."""
+
+    name = "sensor_crosstalk"
+    acts_on = "sensor"
+    about = "a share of one channel's signal in others"
+    source = "Doebelin, Measurement Systems, 5th ed. 2003, chapter 2: interfering inputs"
+    parameters = (
+        Parameter("share", "1", -0.3, 0.3, 0.03, "share of the other channel's tension"),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        every = range(1, cable_count + 1)
+        return tuple(f"cable_{a}_into_cable_{b}" for a in every for b in every if a != b)
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        source, target = (int(part.rsplit("_", 1)[1]) for part in place.split("_into_"))
+        return _Leak(source - 1, target - 1, values["share"])
+
+
+class _Leak(Sensing):
+    def __init__(self, source: int, target: int, share: Array) -> None:
+        self._source, self._target, self._share = source, target, share
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        readings = tensions_n.copy()
+        readings[:, self._target] += self._share * tensions_n[:, self._source]
+        return readings

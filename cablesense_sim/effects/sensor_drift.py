@@ -1,0 +1,53 @@
+"""A zero that wanders with time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables, chosen
+from cablesense_sim.effects.sensing import Sensing
+
+INTERVAL_S = 30.0
+"""Between these moments the zero moves at an even pace."""
+
+_INTERVALS = 10
+
+
+class SensorDrift(Effect):
+    """A sensor whose zero moves, by another amount in each half minute; then it stands still.
+
+    Equal independent rises make a random walk, which is what zeros do (IEEE Std 1293-2018).
+    """
+
+    name = "sensor_drift"
+    acts_on = "sensor"
+    about = "a zero that wanders with time on some sensors"
+    source = "IEEE Std 1293-2018, annex on bias instability and random walk"
+    parameters = tuple(
+        Parameter(
+            f"rise_{k + 1}_n",
+            "N",
+            -20.0,
+            20.0,
+            0.7,
+            f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
+        )
+        for k in range(_INTERVALS)
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        return cables(cable_count)
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        rises = np.stack([values[p.name] for p in self.parameters], axis=-1)
+        return _Wandering(place, rises)
+
+
+class _Wandering(Sensing):
+    def __init__(self, place: str, rises_n: Array) -> None:
+        self._place, self._rises_n = place, rises_n
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        done = np.clip(time_s / INTERVAL_S - np.arange(_INTERVALS), 0.0, 1.0)
+        drift = (self._rises_n @ done)[:, None]
+        return tensions_n + drift * chosen(self._place, tensions_n.shape[-1])

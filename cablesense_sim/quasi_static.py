@@ -1,0 +1,276 @@
+"""An arm that goes from rest to rest: the static solver with the memory that effects bring.
+
+Between two samples the arm comes to rest again, and where it does depends on where it was: a cable
+that sticks on its guide keeps what it carried, a cable that creeps is longer than before. Several
+arms of the same kind, with other numbers, go side by side, which is what a fit needs.
+
+Each rest is found by Newton's method on the balance of joint torques, which with friction is no
+longer the slope of a potential. With loss e_j = exp(-loss) in span j,
+
+    T_j = e_j T_0,    T_0 = k max(0, s) / sum_j w_j e_j,
+
+where s is the stretch of the whole cable and w_j the share of its length before span j and after
+the one ahead of it: the stretch of an elastic cable is the mean of its tension.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim import kinematics
+from cablesense_sim.effects.entry import EffectEntry, side_by_side
+from cablesense_sim.effects.transmission import Rest, Transmission
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.rest_search import descent_step, load_hessian
+
+Array = NDArray[np.float64]
+
+_ENOUGH_N_M = 1e-7
+_TOLERATED_N_M = 1e-4
+_MOST_STEPS = 80
+_SHORTEST = 1e-3
+_LONGEST_TURN_RAD = 0.05
+_STACKED = (
+    "gravity_m_s2",
+    "mass_kg",
+    "centre_of_mass_m",
+    "contact_m",
+    "hole_y_m",
+    "hole_z_m",
+    "stiffness_n_m",
+    "pretension_n",
+    "joint_stiffness_n_m_rad",
+)
+
+
+def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
+    """Mechanisms of one kind as one whose arrays have a leading axis P."""
+    fields = {name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED}
+    if any(m.segment_hole_y_m is not None for m in mechanisms):
+        shape = (mechanisms[0].cable_count, mechanisms[0].segment_count)
+        for name in ("y", "z"):
+            fields[f"segment_hole_{name}_m"] = np.stack(
+                [np.broadcast_to(_plates(m, name), shape) for m in mechanisms]
+            )
+    return replace(mechanisms[0], **fields)
+
+
+def _plates(mechanism: Mechanism, axis: str) -> Array:
+    plates = getattr(mechanism, f"segment_hole_{axis}_m")
+    if plates is None:
+        plates = getattr(mechanism, f"hole_{axis}_m")[:, None]
+    return np.asarray(plates)
+
+
+class _Pose(NamedTuple):
+    angles_rad: Array
+    span: kinematics.Spans
+    bends_rad: Array
+    tensions_n: Array
+    torque_n_m: Array
+    slope_n_m: Array
+
+
+class QuasiStaticArm:
+    """P arms from rest to rest; holds their state."""
+
+    def __init__(
+        self, mechanisms: Sequence[Mechanism], variants: Sequence[Sequence[EffectEntry]]
+    ) -> None:
+        """Arms of the amended `mechanisms`, with what of each variant depends on the past."""
+        self._each = list(mechanisms)
+        self._mechanism = stack(mechanisms)
+        self._memories = memories(variants)
+        straight = np.zeros((len(self._each), self._mechanism.joint_count))
+        spans = kinematics.spans(self._mechanism, straight).length_m.sum(-1)
+        self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
+        self._weights = _length_shares(self._mechanism)
+        self._angles_rad: Array | None = None
+
+    def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
+        """Tensions (P, M) at the actuators at the next rest.
+
+        `held_m` (P, M) are the cable lengths that the actuators hold, relative to the straight
+        arm; `forces_n` (N, 3) act in base axes.
+
+        Raises:
+            EquilibriumError: an arm finds no rest.
+        """
+        if self._angles_rad is None:
+            self._begin(time_s, held_m, forces_n)
+        rest_m = self._straight_m + held_m
+        for memory in self._memories:
+            longer = memory.lengthening_m(time_s)
+            if longer is not None:
+                rest_m = rest_m + longer
+        arms = kinematics.load_arms(
+            self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape))
+        )
+        pose = self._search(rest_m, arms)
+        self._angles_rad = pose.angles_rad
+        rest = Rest(
+            time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n
+        )
+        for memory in self._memories:
+            memory.settle(rest)
+        return pose.tensions_n
+
+    def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
+        """Every memory begins where an arm without a past would rest."""
+        ideal = [
+            solve_equilibrium(
+                mechanism, np.zeros(mechanism.joint_count), forces_n, held_m=held_m[p]
+            )
+            for p, mechanism in enumerate(self._each)
+        ]
+        self._angles_rad = np.stack([e.joint_angles_rad for e in ideal])
+        span = kinematics.spans(self._mechanism, self._angles_rad)
+        bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
+        tensions = np.stack([e.tensions_n for e in ideal])
+        rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
+        for memory in self._memories:
+            memory.begin(self._mechanism, rest)
+
+    def _search(self, rest_m: Array, arms: Array) -> _Pose:
+        assert self._angles_rad is not None
+        start = self._angles_rad
+        pose = self._pose(start, rest_m, arms)
+        step, fraction = np.zeros_like(start), np.ones(len(start))
+        driven = np.zeros(len(start))
+        for _ in range(_MOST_STEPS):
+            unbalanced = np.abs(pose.torque_n_m).max(-1)
+            if unbalanced.max() <= _ENOUGH_N_M:
+                return pose
+            # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever:
+            # a step is cut while the torques at its end drive the arm back as hard as it was driven
+            back = (pose.torque_n_m * step).sum(-1)
+            cut = (back > 0.3 * driven) & (fraction > _SHORTEST)
+            newton = _step_rad(pose)
+            shorter = np.clip(driven / np.maximum(driven + back, 1e-300), 0.05, 0.8)
+            start = np.where(cut[:, None], start, pose.angles_rad)
+            step = np.where(cut[:, None], step, newton)
+            driven = np.where(cut, driven, -(pose.torque_n_m * newton).sum(-1))
+            fraction = np.where(cut, shorter * fraction, 1.0)
+            pose = self._pose(start + fraction[:, None] * step, rest_m, arms)
+        unbalanced = np.abs(pose.torque_n_m).max(-1)
+        if unbalanced.max() <= _TOLERATED_N_M:
+            return pose
+        raise EquilibriumError(
+            f"{int((unbalanced > _TOLERATED_N_M).sum())} of {len(unbalanced)} arms found no rest "
+            f"after a small step; {unbalanced.max():.2g} N·m stay unbalanced; lower the loads or "
+            "the size of the effects"
+        )
+
+    def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:
+        mechanism = self._mechanism
+        span, pose = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
+        bends = _bends_rad(mechanism, angles, span.length_m)
+        kept, kept_by_span = self._kept(span.length_m, bends)
+        mean = (self._weights * kept).sum(-1)
+        stretch = np.maximum(span.length_m.sum(-1) - rest_m, 0.0)
+        stiffness = mechanism.stiffness_n_m * (stretch > 0.0) / mean
+        tension = stiffness * stretch
+        along = kept * tension[..., None]
+        torque = np.empty_like(angles)
+        torque[..., 0::2] = (along * span.by_pitch).sum(-2)
+        torque[..., 1::2] = (along * span.by_yaw).sum(-2)
+        torque -= kinematics.axis_torques_n_m(pose, arms)
+        mean_by_span = (self._weights[..., None] * kept_by_span).sum(-2)
+        by_span = (kept * stiffness[..., None])[..., None] + tension[..., None, None] * (
+            kept_by_span - (kept / mean[..., None])[..., None] * mean_by_span[..., None, :]
+        )
+        slope = self._slope(span, along, by_span) - load_hessian(pose, arms)
+        spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
+        torque += spring * angles
+        diagonal = np.arange(angles.shape[-1])
+        slope[..., diagonal, diagonal] += spring
+        for memory in self._memories:
+            resisted = memory.joint_torque_n_m(angles)
+            if resisted is not None:
+                torque += resisted[0]
+                slope[..., diagonal, diagonal] += resisted[1]
+        return _Pose(angles, span, bends, tension, torque, slope)
+
+    def _kept(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
+        """Share of the actuator's tension in each span, and its slope by each span's length."""
+        losses = [
+            loss
+            for memory in self._memories
+            if (loss := memory.tension_log_loss(spans_m, bends_rad)) is not None
+        ]
+        if not losses:
+            return np.ones_like(spans_m), np.zeros((*spans_m.shape, spans_m.shape[-1]))
+        kept = np.exp(-sum(loss for loss, _ in losses))
+        by_drawn = sum(slope for _, slope in losses)
+        count = spans_m.shape[-1]
+        drawn_by_span = np.tril(np.ones((count, count)), -1).T + 0.5 * np.eye(count)
+        return kept, kept[..., None] * (by_drawn @ drawn_by_span)
+
+    def _slope(self, span: kinematics.Spans, along: Array, by_span: Array) -> Array:
+        """Derivative (P, 2N, 2N) of the cables' torques by the joint angles."""
+        count = along.shape[-1]
+        slope = np.empty((len(along), 2 * count, 2 * count))
+        joints = np.arange(count)
+        for row, left in enumerate((span.by_pitch, span.by_yaw)):
+            for column, right in enumerate((span.by_pitch, span.by_yaw)):
+                block = (left[..., :, None] * by_span * right[..., None, :]).sum(-3)
+                slope[..., row::2, column::2] = block
+        for row, column, second in (
+            (0, 0, span.by_pitch_pitch),
+            (0, 1, span.by_pitch_yaw),
+            (1, 0, span.by_pitch_yaw),
+            (1, 1, span.by_yaw_yaw),
+        ):
+            slope[..., 2 * joints + row, 2 * joints + column] += (along * second).sum(-2)
+        return slope
+
+
+def _step_rad(pose: _Pose) -> Array:
+    """Newton's step; where that leads uphill, with too many cables slack, a step that descends."""
+    step = -np.linalg.solve(pose.slope_n_m, pose.torque_n_m[..., None])[..., 0]
+    uphill = (pose.torque_n_m * step).sum(-1) > 0.0
+    if uphill.any():
+        slope = pose.slope_n_m[uphill]
+        symmetric = 0.5 * (slope + np.swapaxes(slope, -1, -2))
+        none = np.zeros(len(symmetric), dtype=bool)
+        step[uphill] = descent_step(symmetric, pose.torque_n_m[uphill], stable=none)
+    longest = np.abs(step).max(-1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
+
+
+def memories(variants: Sequence[Sequence[EffectEntry]]) -> list[Transmission]:
+    """What of the variants depends on the past, each for all arms side by side."""
+    found = []
+    for entries in zip(*variants, strict=True):
+        memory = entries[0].effect.transmission(entries[0].place, side_by_side(entries))
+        if memory is not None:
+            found.append(memory)
+    return found
+
+
+def _length_shares(mechanism: Mechanism) -> Array:
+    """(M, N) share of a cable's length that lies before each span and after the one ahead."""
+    ahead = np.concatenate([[mechanism.run_m], mechanism.segment_length_m[:-1]])
+    lengths = mechanism.passes_joint * ahead
+    lengths[:, 0] = np.maximum(lengths[:, 0], 1e-9)
+    return np.asarray(lengths / lengths.sum(-1, keepdims=True))
+
+
+def _bends_rad(mechanism: Mechanism, angles_rad: Array, spans_m: Array) -> Array:
+    """(P, M, N, 2) by how much each cable turns at the guides before and after each joint."""
+    pitch, yaw = angles_rad[..., None, 0::2], angles_rad[..., None, 1::2]
+    (y, z), (v, w) = mechanism.plate_holes_m
+    o = mechanism.plate_offset_m
+    cos_b, sin_b = np.cos(yaw), np.sin(yaw)
+    before = o + (o * cos_b - v * sin_b) * np.cos(pitch) + w * np.sin(pitch)
+    after = o + (o * np.cos(pitch) + z * np.sin(pitch)) * cos_b - y * sin_b
+    length = np.where(spans_m > 0.0, spans_m, np.inf)
+    passes = spans_m > 0.0
+    cosine = np.stack([before / length, after / length], axis=-1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)) * passes[..., None])

@@ -1,0 +1,123 @@
+"""What the sensors of an arm would have read under given commands and loads, without noise.
+
+An arm without memory rests where its potential is least, sample by sample and in any order; equal
+samples are solved once. With effects that remember, the samples are gone through in time order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim.arm import Arm
+from cablesense_sim.effects.entry import EffectEntry, entries_of, side_by_side
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.quasi_static import QuasiStaticArm, memories
+
+Array = NDArray[np.float64]
+
+
+class Replay:
+    """One course of commands and loads that any number of arms are put through.
+
+    Attributes:
+        time_s: (R,) of the samples, ascending.
+        command_rad: (R, 2N) commanded joint angles.
+        forces_n: (R, N, 3) loads in base axes.
+    """
+
+    def __init__(
+        self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array
+    ) -> None:
+        """The actuators hold the cable lengths that the `nominal` arm has at the commands."""
+        self.time_s, self.command_rad, self.forces_n = time_s, command_rad, forces_n
+        self._nominal = Mechanism.from_arm(nominal)
+        self._held_m = held_lengths_m(self._nominal, command_rad)
+        flat = np.concatenate([command_rad, forces_n.reshape(len(forces_n), -1)], axis=1)
+        _, self._first, self._same = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+        self._start_rad: Array | None = None
+
+    def readings_n(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
+        """Readings (P, R, M) of P arms, which have the same effects with other numbers.
+
+        Raises:
+            EquilibriumError: an arm finds no rest.
+        """
+        mechanisms = [amended(self._nominal, entries) for entries in variants]
+        held = self._actuated_m(variants)
+        if memories(variants):
+            arm = QuasiStaticArm(mechanisms, variants)
+            tensions = np.stack(
+                [
+                    arm.step(time, held[:, row], self.forces_n[row])
+                    for row, time in enumerate(self.time_s)
+                ],
+                axis=1,
+            )
+        else:
+            tensions = np.stack(
+                [self._at_rest_n(m, held[p]) for p, m in enumerate(mechanisms)]
+            )
+        return self._sensed_n(variants, tensions)
+
+    def _actuated_m(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
+        actuations = [
+            actuation
+            for entries in zip(*variants, strict=True)
+            if (actuation := entries[0].effect.actuation(entries[0].place, side_by_side(entries)))
+        ]
+        held = np.repeat(self._held_m[None], len(variants), axis=0)
+        if actuations:
+            for row, time in enumerate(self.time_s):
+                for actuation in actuations:
+                    held[:, row] = actuation.step(time, held[:, row])
+        return held
+
+    def _at_rest_n(self, mechanism: Mechanism, held_m: Array) -> Array:
+        """Tensions (R, M); rows with equal command and loads are solved once."""
+        first, same = self._first, self._same
+        if not np.array_equal(held_m, held_m[first][same]):
+            first = same = np.arange(len(held_m))
+        start = self.command_rad[first] if self._start_rad is None else self._start_rad[first]
+        rest = solve_equilibrium(
+            mechanism,
+            self.command_rad[first],
+            self.forces_n[first],
+            held_m=held_m[first],
+            start_rad=start,
+        )
+        if self._start_rad is None:
+            self._start_rad = rest.joint_angles_rad[same]
+        return rest.tensions_n[same]
+
+    def _sensed_n(self, variants: Sequence[Sequence[EffectEntry]], tensions: Array) -> Array:
+        readings = tensions
+        for entries in zip(*variants, strict=True):
+            sensing = entries[0].effect.sensing(entries[0].place, side_by_side(entries))
+            if sensing is not None:
+                readings = np.stack(
+                    [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)], axis=1
+                )
+        return readings
+
+
+def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
+    """The mechanism with what its effects change of the arm itself."""
+    for entry in entries:
+        mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
+    return mechanism
+
+
+def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> Array:
+    """Readings (R, M) of an arm with the effects that its file lists.
+
+    Its actuators hold the lengths of the arm without them, as its controller knows no better.
+
+    Raises:
+        EquilibriumError: the arm finds no rest.
+    """
+    replay = Replay(arm, time_s, command_rad, forces_n)
+    return replay.readings_n([entries_of(arm)])[0]
