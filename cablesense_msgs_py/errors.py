@@ -13,6 +13,7 @@ turn it into one line and a node into one log message::
     ├── ModelFileError      a model file that does not fit         cablesense_training.inference
     ├── EstimateError       inputs that a model cannot take        cablesense_training.inference
     ├── RecordingError      a recording that cannot be used        cablesense_gap.recordings
+    ├── VerdictError        a verdict that cannot be               cablesense_gap.verdict
     ├── ParameterError      a node parameter out of place          cablesense_ros
     ├── SampleError         a sample that is of no use             cablesense_ros
     ├── TareError           a tare that cannot be taken            cablesense_ros

@@ -1,0 +1,242 @@
+"""The verdict of a diagnosis, and its file `verdict.json` (docs/verdict.md)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Final
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm_problem import describe_problem
+
+NONE: Final = "none"
+UNKNOWN: Final = "unknown"
+MAX_FILE_BYTES = 10_000_000
+"""A verdict is some pages of text; anything larger is not one."""
+
+
+class VerdictError(CableSenseError):
+    """A verdict that cannot be: names the file, the key, its value and what would be valid."""
+
+
+def _in_order(names: tuple[str, ...]) -> tuple[str, ...]:
+    if list(names) != sorted(set(names)):
+        raise ValueError(
+            f"= {', '.join(names)}: must be in alphabetical order, each once: "
+            f"{', '.join(sorted(set(names)))}"
+        )
+    for alone in (NONE, UNKNOWN):
+        if alone in names and len(names) > 1:
+            raise ValueError(f"= {', '.join(names)}: {alone} must stand alone")
+    return names
+
+
+def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] > interval[1]:
+        raise ValueError(f"= {list(interval)}: must be [lower, upper]")
+    return interval
+
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+Effects = Annotated[tuple[Name, ...], Field(min_length=1), AfterValidator(_in_order)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Newtons = Annotated[float, Field(ge=0.0)]
+Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
+ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$")]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=()
+    )
+
+
+class Where(_Part):
+    """The places of the gap: parts of the arm by their names, and what it was doing.
+
+    Attributes:
+        cables: `cable_1` …
+        segments: `segment_1` …
+        joints: `joint_1` …
+        regimes: what the arm was doing where the gap is clearly larger than elsewhere.
+    """
+
+    cables: tuple[Annotated[str, Field(pattern=r"^cable_[1-9]\d*$")], ...] = ()
+    segments: tuple[Annotated[str, Field(pattern=r"^segment_[1-9]\d*$")], ...] = ()
+    joints: tuple[Annotated[str, Field(pattern=r"^joint_[1-9]\d*$")], ...] = ()
+    regimes: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> frozenset[str]:
+        """Cables, segments and joints together."""
+        return frozenset((*self.cables, *self.segments, *self.joints))
+
+
+class Estimate(_Part):
+    """A fitted parameter, its unit, and the interval that holds it with 95 %."""
+
+    value: float
+    unit: str
+    ci95: Interval
+
+
+class Gap(_Part):
+    """How far the gap shrinks on trials that the fit has not seen; sizes are RMS over readings.
+
+    Attributes:
+        before_n: gap of the nominal arm.
+        after_n: gap of the amended arm.
+        floor_n: what the sensors' noise and step leave of any model.
+        removed_fraction: share of the removable gap removed; 0 where nothing was to be removed.
+        ci95: interval of `removed_fraction`, by bootstrap over trials.
+        by_cable_n: gap of the nominal arm, one for each cable.
+    """
+
+    before_n: Newtons
+    after_n: Newtons
+    floor_n: Newtons
+    removed_fraction: Annotated[float, Field(le=1.0)]
+    ci95: Interval
+    by_cable_n: tuple[Newtons, ...]
+
+
+class Candidate(_Part):
+    """An explanation that was weighed.
+
+    Attributes:
+        effects: `["none"]`, `["unknown"]`, or names in alphabetical order.
+        held_out_rmse_n: RMS of what it leaves on trials that its fit has not seen.
+        probability: that it is the truth.
+        held_out_ci95_n: interval of `held_out_rmse_n`, by bootstrap over trials.
+    """
+
+    effects: Effects
+    held_out_rmse_n: Newtons
+    probability: Probability
+    held_out_ci95_n: Interval | None = None
+
+
+class Estimator(_Part):
+    """Errors of the force estimator trained on the nominal and on the amended arm, by name."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+
+
+class Verdict(_Part):
+    """What causes the gap, where, how sure that is, and how far the gap shrinks.
+
+    Attributes:
+        effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
+        probability: that exactly these effects are the cause.
+        ambiguity_group: explanations that this recording cannot tell apart; several effects of
+            one explanation are joined by `+`.
+        next_experiment: what to record next, in plain words.
+        where: the places of the gap.
+        parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
+        gap: its size before and after.
+        candidates: all explanations weighed, in any order.
+        estimator: present if it was trained again.
+        why: the reasons, as plain sentences.
+        seconds: the diagnosis took.
+        recording: name of the recording.
+        arm: name of the nominal arm.
+    """
+
+    effects: Effects
+    probability: Probability
+    ambiguity_group: tuple[str, ...] = ()
+    next_experiment: str = ""
+    where: Where
+    parameters: dict[ParameterName, Estimate] = {}
+    gap: Gap
+    candidates: tuple[Candidate, ...] = ()
+    estimator: Estimator | None = None
+    why: tuple[str, ...] = ()
+    seconds: Newtons | None = None
+    recording: str = ""
+    arm: str = ""
+
+    @model_validator(mode="after")
+    def _probabilities_are_of_one_truth(self) -> Verdict:
+        total = sum(candidate.probability for candidate in self.candidates)
+        if total > 1.0 + 1e-3:  # rounded numbers may add up to a little more
+            raise ValueError(
+                f"candidates: probabilities add up to {total:.4g}; at most 1 is right"
+            )
+        named = [candidate.effects for candidate in self.candidates]
+        twice = next((effects for effects in named if named.count(effects) > 1), None)
+        if twice is not None:
+            raise ValueError(f"candidates: {joined(twice)} stands twice; each must be once")
+        return self
+
+    @property
+    def ranked(self) -> tuple[Candidate, ...]:
+        """Candidates, the most probable first; among equals the one that leaves less."""
+        return tuple(sorted(self.candidates, key=lambda c: (-c.probability, c.held_out_rmse_n)))
+
+
+def joined(effects: tuple[str, ...] | list[str]) -> str:
+    """Effects as one name, `payload+sensor_gain`."""
+    return "+".join(sorted(effects))
+
+
+def removed_fraction(before_n: float, after_n: float, floor_n: float) -> float:
+    """Share of the removable gap that is removed; 0 where the gap before is within the floor."""
+    removable_n = before_n - floor_n
+    return min(1.0, (before_n - after_n) / removable_n) if removable_n > 0.0 else 0.0
+
+
+def write_verdict(path: str | Path, verdict: Verdict) -> None:
+    """Write a verdict as JSON; the file appears whole or not at all.
+
+    Raises:
+        VerdictError: the place cannot be written to.
+    """
+    path = Path(path)
+    beside = path.parent / f".{path.name}.{os.getpid()}.part"
+    try:
+        beside.write_text(
+            verdict.model_dump_json(indent=2, exclude_none=True) + "\n", encoding="utf-8"
+        )
+        beside.replace(path)
+    except OSError as error:
+        raise VerdictError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def read_verdict(path: str | Path) -> Verdict:
+    """Read a verdict.
+
+    Raises:
+        VerdictError: the file cannot be read, is not JSON, has an unknown key or a value that
+            cannot be.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise VerdictError(f"{path}: no such file")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise VerdictError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not a verdict")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise VerdictError(f"{path}: cannot be read as text ({error})") from error
+    try:
+        return Verdict.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        raise VerdictError(f"{path}: {_line(error)}") from None
+
+
+def _line(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    if first["type"] == "json_invalid":
+        return f"not valid JSON ({first['ctx']['error']})"
+    if first["type"] == "string_pattern_mismatch":
+        key = ".".join(str(part) for part in first["loc"])
+        return (
+            f"{key} = {str(first['input'])[:80]!r}: must be written as {first['ctx']['pattern']}"
+        )
+    return describe_problem(error, Verdict)

@@ -1,0 +1,165 @@
+"""A verdict as a file: what is written is read again, and what cannot be is refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cablesense_gap.verdict import (
+    Candidate,
+    Estimate,
+    Estimator,
+    Gap,
+    Verdict,
+    VerdictError,
+    Where,
+    joined,
+    read_verdict,
+    removed_fraction,
+    write_verdict,
+)
+
+VERDICT = Verdict(
+    effects=("payload",),
+    probability=0.93,
+    ambiguity_group=("payload",),
+    next_experiment="Load segment 2 downwards.",
+    where=Where(segments=("segment_2",), regimes=("bent poses",)),
+    parameters={"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))},
+    gap=Gap(
+        before_n=3.0,
+        after_n=0.2,
+        floor_n=0.1,
+        removed_fraction=0.966,
+        ci95=(0.95, 0.97),
+        by_cable_n=(3.0,) * 12,
+    ),
+    candidates=(
+        Candidate(effects=("none",), held_out_rmse_n=3.0, probability=0.0),
+        Candidate(effects=("payload",), held_out_rmse_n=0.2, probability=0.93),
+        Candidate(
+            effects=("base_tilt", "payload"),
+            held_out_rmse_n=0.2,
+            probability=0.07,
+            held_out_ci95_n=(0.1, 0.3),
+        ),
+    ),
+    seconds=12.0,
+)
+KEYS = [
+    "effects",
+    "probability",
+    "ambiguity_group",
+    "next_experiment",
+    "where",
+    "parameters",
+    "gap",
+    "candidates",
+    "estimator",
+    "seconds",
+]
+
+
+def written(**changes: Any) -> str:
+    return json.dumps({**json.loads(VERDICT.model_dump_json(exclude_none=True)), **changes})
+
+
+def test_a_verdict_is_read_as_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "verdict.json"
+    trained = Estimator(before={"force_mae_n": 4.0}, after={"force_mae_n": 1.0})
+    for verdict in (VERDICT, VERDICT.model_copy(update={"estimator": trained})):
+        write_verdict(path, verdict)
+        assert read_verdict(path) == verdict
+    assert [name.name for name in tmp_path.iterdir()] == ["verdict.json"]
+    assert set(KEYS) <= set(json.loads(path.read_text()))
+
+
+def test_what_is_absent_is_left_out_of_the_file(tmp_path: Path) -> None:
+    write_verdict(tmp_path / "verdict.json", VERDICT)
+    text = (tmp_path / "verdict.json").read_text()
+    assert "null" not in text
+    assert '"estimator"' not in text
+
+
+def none_with(probability: float) -> dict[str, Any]:
+    return {"effects": ["none"], "held_out_rmse_n": 1.0, "probability": probability}
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"effects": []}, "effects"),
+        ({"effects": ["payload", "base_tilt"]}, "alphabetical order"),
+        ({"effects": ["payload", "payload"]}, "each once"),
+        ({"effects": ["none", "payload"]}, "none must stand alone"),
+        ({"effects": ["payload", "unknown"]}, "unknown must stand alone"),
+        ({"effects": "payload"}, "effects"),
+        ({"probability": 1.2}, "probability"),
+        ({"probability": "0.9"}, "probability"),
+        ({"where": {"cables": ["cable 3"]}}, r"where.cables.*'cable 3'.*cable_\["),
+        ({"where": {"segments": ["segment_0"]}}, "where.segments"),
+        ({"parameters": {"mass": {"value": 1.0, "unit": "kg", "ci95": [0, 2]}}}, "parameters"),
+        ({"parameters": {"a.b": {"value": 1.0, "unit": "kg", "ci95": [2, 0]}}}, "lower, upper"),
+        ({"parameters": {"a.b": {"value": 1.0, "unit": "kg", "ci95": [2]}}}, "ci95"),
+        ({"confidence": 0.9}, "confidence"),
+        ({"candidates": [none_with(0.6)] * 2}, "add up"),
+        ({"candidates": [none_with(0.2)] * 2}, "twice"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, changes: dict[str, Any], says: str
+) -> None:
+    path = tmp_path / "verdict.json"
+    path.write_text(written(**changes))
+    with pytest.raises(VerdictError, match=says) as refused:
+        read_verdict(path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "NaN", '{"effects": ["none"]}'])
+def test_what_is_no_verdict_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "verdict.json"
+    path.write_text(text)
+    with pytest.raises(VerdictError):
+        read_verdict(path)
+
+
+def test_not_a_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "verdict.json"
+    path.write_text(written(probability=float("nan")))
+    with pytest.raises(VerdictError):
+        read_verdict(path)
+
+
+def test_places_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
+    with pytest.raises(VerdictError, match="no such file"):
+        read_verdict(tmp_path / "verdict.json")
+    with pytest.raises(VerdictError, match="cannot be written"):
+        write_verdict(tmp_path / "nowhere" / "verdict.json", VERDICT)
+    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(VerdictError, match="as text"):
+        read_verdict(tmp_path / "bytes.json")
+
+
+def test_candidates_rank_by_probability_then_by_what_they_leave() -> None:
+    assert [joined(candidate.effects) for candidate in VERDICT.ranked] == [
+        "payload",
+        "base_tilt+payload",
+        "none",
+    ]
+
+
+def test_the_removed_share_counts_what_can_be_removed() -> None:
+    assert removed_fraction(10.0, 1.0, 1.0) == 1.0
+    assert removed_fraction(10.0, 10.0, 1.0) == 0.0
+    assert removed_fraction(11.0, 6.0, 1.0) == pytest.approx(0.5)
+    assert removed_fraction(10.0, 12.0, 1.0) < 0.0
+    assert removed_fraction(0.9, 0.8, 1.0) == 0.0
+    assert removed_fraction(10.0, 0.9, 1.0) == 1.0
+
+
+def test_places_are_those_of_all_kinds() -> None:
+    where = Where(cables=("cable_3",), joints=("joint_2",), regimes=("at rest",))
+    assert where.places == {"cable_3", "joint_2"}
