@@ -16,6 +16,9 @@ JOINT_STATES: Final = "joint_states"
 APPLIED_WRENCH: Final = "applied_wrench"
 """`geometry_msgs/WrenchStamped`: a known force on segment N (frame `segment_N`), base axes, N."""
 
+TRIAL: Final = "trial"
+"""`std_msgs/Int32`, optional: what is recorded from now on belongs to the trial of this number."""
+
 ROBOT_DESCRIPTION: Final = "robot_description"
 """`std_msgs/String`, transient local: the URDF generated from the arm file."""
 

@@ -1,0 +1,158 @@
+"""Recordings as rosbag2 MCAP with the contract's topics, read without a ROS installation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablesense_gap.recordings.bag_rows import BagRows
+from cablesense_gap.recordings.bag_writer import TYPES, BagWriter
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm import Arm
+
+MAX_FILE_BYTES = 2_000_000_000
+"""An hour at 1 kHz."""
+
+_REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
+_START_NS = 1_000_000_000
+"""Stamp of a written recording's time 0: a stamp of 0 would mean that there is none."""
+
+
+def read_mcap(path: str | Path, arm: Arm) -> Recording:
+    """Read a .mcap file, or a rosbag2 folder with its metadata.yaml.
+
+    One row per `cable_tensions`; command and load are the latest that came before it. Rows before
+    the first command are left out: nobody knows the pose. Without the topic `trial`, trials are
+    derived (`trials.derive_trials`).
+
+    Raises:
+        RecordingError: no bag, a topic missing, twice or of another type, a message that breaks
+            the contract, loads on two segments at once.
+    """
+    path = Path(path)
+    rows = BagRows(arm)
+    for topic, log_ns, message in _messages(path):
+        try:
+            rows.take(topic, log_ns, message)
+        except CableSenseError as error:
+            raise RecordingError(
+                f"{path}: {topic}, message {rows.taken(topic)}: {error}"
+            ) from error
+    if not rows.has_commands:
+        raise RecordingError(
+            f"{path}: no message on {topics.JOINT_COMMANDS}; publish the command once more after "
+            "the recorder has started, also for a straight arm"
+        )
+    if not rows.count:
+        raise RecordingError(
+            f"{path}: no message on {topics.CABLE_TENSIONS} after the first on "
+            f"{topics.JOINT_COMMANDS}; record on after the command"
+        )
+    return rows.recording(path.stem)
+
+
+def write_mcap(path: str | Path, recording: Recording, arm: Arm) -> None:
+    """Write a recording as the topics of a running arm, messages only where something changes.
+
+    Raises:
+        RecordingError: not named .mcap, or the place cannot be written to.
+    """
+    with BagWriter(path) as bag:
+        last = 0
+        for row in range(len(recording)):
+            now_ns = _START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
+            first = row == 0
+            if first or recording.trial[row] != recording.trial[row - 1]:
+                bag.trial(now_ns, int(recording.trial[row]))
+            command = recording.command_rad[row]
+            if first or (command != recording.command_rad[row - 1]).any():
+                bag.command(now_ns, now_ns, arm.joint_names, command.tolist())
+            segment, load = int(recording.load_segment[row]), recording.load_n[row]
+            if last and segment != last:
+                bag.load(now_ns, now_ns, f"segment_{last}", (0.0, 0.0, 0.0))
+            if segment and (segment != last or (load != recording.load_n[row - 1]).any()):
+                bag.load(now_ns, now_ns, f"segment_{segment}", load.tolist())
+            last = segment
+            bag.tensions(now_ns, now_ns, arm.cable_names, recording.tensions_n[row].tolist())
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like what `read_mcap` reads."""
+    return path.suffix.lower() == ".mcap" or (path / "metadata.yaml").is_file()
+
+
+def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time in ns and content of the messages to read, in the order they came."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file")
+    files = path.iterdir() if path.is_dir() else [path]
+    size = sum(file.stat().st_size for file in files)
+    if size > MAX_FILE_BYTES:
+        raise RecordingError(
+            f"{path}: {size / 1e9:.1f} GB; a recording has at most {MAX_FILE_BYTES / 1e9:g} GB: "
+            "record the contract's topics alone"
+        )
+    store = get_typestore(Stores.ROS2_JAZZY)
+    try:
+        with Reader(path) as reader:
+            chosen, contract = _connections(path, reader)
+            for connection, log_ns, data in reader.messages(connections=chosen):
+                message = _message(store, connection.msgtype, data)
+                yield contract[connection.topic], log_ns, message
+    except CableSenseError:
+        raise
+    except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …
+        line = " ".join(str(error).split())[:200] or type(error).__name__
+        raise RecordingError(
+            f"{path}: cannot be read as rosbag2 MCAP ({line}); `ros2 bag info` should know it"
+        ) from error
+
+
+def _connections(path: Path, reader: Any) -> tuple[list[Any], dict[str, str]]:
+    """The connections to read, and what each of their topics is in the contract.
+
+    `/arm/cable_tensions` is `cable_tensions`; each publisher of a topic has its own connection.
+    """
+    found: dict[str, list[Any]] = {topic: [] for topic in TYPES}
+    for connection in reader.connections:
+        topic = connection.topic.rpartition("/")[2]
+        if topic in found:
+            found[topic].append(connection)
+    for topic, connections in found.items():
+        named = sorted({connection.topic for connection in connections})
+        if len(named) > 1:
+            raise RecordingError(
+                f"{path}: {' and '.join(named)} are both {topic}; record one arm alone"
+            )
+        for connection in connections:
+            if connection.msgtype != TYPES[topic]:
+                raise RecordingError(
+                    f"{path}: {connection.topic} is of type {connection.msgtype}; it must be "
+                    f"{TYPES[topic]}"
+                )
+    missing = [topic for topic in _REQUIRED if not found[topic]]
+    if missing:
+        there = ", ".join(sorted({c.topic for c in reader.connections})[:8]) or "nothing"
+        raise RecordingError(
+            f"{path}: misses {' and '.join(missing)}, and has {there}; record with: cablesense "
+            "gap record"
+        )
+    chosen = [connection for connections in found.values() for connection in connections]
+    return chosen, {c.topic: c.topic.rpartition("/")[2] for c in chosen}
+
+
+def _message(store: Any, kind: str, data: bytes) -> Any:
+    """A message of its bytes; what publishers leave behind its end is not looked at."""
+    definition = store.get_msgdef(kind)
+    little = bytes(data[:2]) == b"\x00\x01"
+    read = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
+    return read(np.frombuffer(data, dtype=np.uint8)[4:].tobytes(), 0, definition.cls, store)[0]

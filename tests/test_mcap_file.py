@@ -1,0 +1,186 @@
+"""Recordings as rosbag2 MCAP: written, read back, and refused with a reason."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings import mcap_file
+from cablesense_gap.recordings.bag_writer import BagWriter
+from cablesense_gap.recordings.mcap_file import read_mcap, write_mcap
+from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_sim.arm_files import open_arm
+
+LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+S = 1_000_000_000
+
+
+def recording(arm=LAB, rows=30, seed=0):
+    rng = np.random.default_rng(seed)
+    segment = np.repeat(rng.integers(0, arm.segment_count + 1, rows), 3)[:rows]
+    held = np.repeat(rng.uniform(-0.2, 0.2, (rows, arm.joint_count)), 4, axis=0)[:rows]
+    return Recording(
+        name="made",
+        time_s=0.2 * np.arange(rows),
+        trial=np.arange(rows) // 7 + 3,
+        command_rad=held,
+        load_segment=segment,
+        load_n=rng.uniform(-60, 60, (rows, 3)) * (segment > 0)[:, None],
+        tensions_n=rng.uniform(0, 200, (rows, arm.cable_count)),
+    )
+
+
+def bag(path, *calls, rest_s=1.0):
+    """A bag of some calls of `BagWriter`, one a tenth of a second."""
+    with BagWriter(path) as writer:
+        for i, (method, *arguments) in enumerate(calls, start=1):
+            at = round((rest_s + 0.1 * i) * S)
+            stamps = (at,) if method == "trial" else (at, at)
+            getattr(writer, method)(*stamps, *arguments)
+    return path
+
+
+COMMAND = ("command", LAB.joint_names, [0.01 * i for i in range(8)])
+TENSIONS = ("tensions", LAB.cable_names, [50.0 + i for i in range(12)])
+
+
+@pytest.mark.parametrize("arm", [LAB, NINE], ids=lambda arm: arm.name)
+@given(rows=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_what_is_written_is_read_back(arm, rows, seed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "made.mcap"
+    sent = recording(arm, rows, seed)
+    write_mcap(path, sent, arm)
+    got = read_recording(path, arm)
+    assert got.name == "made"
+    np.testing.assert_allclose(got.time_s, sent.time_s, atol=1e-8)
+    for field in ("trial", "command_rad", "load_segment", "load_n", "tensions_n"):
+        np.testing.assert_array_equal(getattr(got, field), getattr(sent, field), field)
+    assert [p.name for p in path.parent.iterdir()] == ["made.mcap"]
+
+
+def test_names_may_come_in_any_order(tmp_path):
+    path = bag(
+        tmp_path / "a.mcap",
+        ("command", LAB.joint_names[::-1], [0.01 * i for i in range(8)][::-1]),
+        ("tensions", LAB.cable_names[::-1], [50.0 + i for i in range(12)][::-1]),
+    )
+    got = read_mcap(path, LAB)
+    np.testing.assert_array_equal(got.command_rad, [COMMAND[2]])
+    np.testing.assert_array_equal(got.tensions_n, [TENSIONS[2]])
+
+
+def test_command_and_load_hold_until_the_next_and_rows_before_a_command_are_left_out(tmp_path):
+    path = bag(
+        tmp_path / "a.mcap",
+        TENSIONS,
+        COMMAND,
+        TENSIONS,
+        ("load", "left_segment_2", (1.0, 2.0, 3.0)),
+        TENSIONS,
+        TENSIONS,
+        ("load", "left_segment_2", (0.0, 0.0, 0.0)),
+        TENSIONS,
+    )
+    got = read_mcap(path, LAB)
+    assert got.load_segment.tolist() == [0, 2, 2, 0]
+    assert got.load_n[1].tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(got.time_s, [0.0, 0.2, 0.3, 0.5])
+    assert got.trial.tolist() == [0, 1, 1, 1]
+
+
+def test_without_stamps_the_time_of_arrival_counts(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.command(S, 0, *COMMAND[1:])
+        for i in range(3):
+            writer.tensions(2 * S + i * S // 4, 0, *TENSIONS[1:])
+    np.testing.assert_allclose(read_mcap(tmp_path / "a.mcap", LAB).time_s, [0.0, 0.25, 0.5])
+
+
+def test_a_folder_with_metadata_is_read_too(tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    path = bag(tmp_path / "a.mcap", COMMAND, TENSIONS, TENSIONS)
+    folder = tmp_path / "folder"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as out:
+        for topic, log_ns, message in mcap_file._messages(path):
+            kind = mcap_file.TYPES[topic]
+            known = {c.topic: c for c in out.connections}
+            name = f"/lab/{topic}"
+            connection = known.get(name) or out.add_connection(name, kind, typestore=store)
+            # publishers leave bytes behind a message's end
+            out.write(connection, log_ns, bytes(store.serialize_cdr(message, kind)) + bytes(9))
+    a, b = read_recording(folder, LAB), read_recording(path, LAB)
+    np.testing.assert_array_equal(a.tensions_n, b.tensions_n)
+    assert a.name == "folder"
+
+
+@pytest.mark.parametrize(
+    ("calls", "said"),
+    [
+        ([TENSIONS], "misses joint_commands, and has /cable_tensions"),
+        ([COMMAND], "misses cable_tensions"),
+        ([TENSIONS, COMMAND], "no message on cable_tensions after the first"),
+        ([COMMAND, ("tensions", LAB.cable_names[:9], [1.0] * 9)], "message 1: .*'cable_10'"),
+        ([COMMAND, TENSIONS, ("tensions", LAB.cable_names, [1.0])], "tensions, message 2: effort"),
+        ([("command", LAB.joint_names, [10.0] * 8), TENSIONS], "joint_commands, message 1"),
+        ([COMMAND, TENSIONS, ("load", "segment_7", (1.0, 0.0, 0.0))], "segment_1 … segment_4"),
+        (
+            [
+                COMMAND,
+                ("load", "segment_1", (1.0, 0.0, 0.0)),
+                ("load", "segment_3", (1.0, 0.0, 0.0)),
+                TENSIONS,
+            ],
+            "segments 1 and 3 are loaded at once",
+        ),
+    ],
+)
+def test_a_bag_that_cannot_be_used_is_one_line_that_says_why(calls, said, tmp_path):
+    path = bag(tmp_path / "a.mcap", *calls)
+    with pytest.raises(RecordingError, match=said) as caught:
+        read_mcap(path, LAB)
+    assert "\n" not in str(caught.value)
+    assert "a.mcap" in str(caught.value)
+
+
+@given(cut=st.floats(0.0, 0.99), flip=st.integers(0, 2000))
+@settings(max_examples=40, deadline=None)
+def test_a_broken_file_is_refused_or_read(cut, flip, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("broken")
+    path = bag(folder / "a.mcap", COMMAND, TENSIONS, TENSIONS)
+    content = bytearray(path.read_bytes())
+    content[flip % len(content)] ^= 0xFF
+    path.write_bytes(content[: int((1.0 - cut) * len(content))] if flip % 2 else content)
+    with suppress(RecordingError):  # and no other error
+        read_mcap(path, LAB)
+
+
+def test_other_formats_and_places_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(RecordingError, match="no such file"):
+        read_recording(tmp_path / "none.mcap", LAB)
+    for path in (tmp_path / "a.bag", tmp_path):
+        with pytest.raises(RecordingError, match=r"give a \.csv file, a \.mcap file"):
+            read_recording(path, LAB)
+    with pytest.raises(RecordingError, match=r"must be named ….mcap"):
+        BagWriter(tmp_path / "a.db3")
+    with pytest.raises(RecordingError, match="there is no folder"):
+        BagWriter(tmp_path / "none" / "a.mcap")
+    path = bag(tmp_path / "a.mcap", COMMAND, TENSIONS)
+    monkeypatch.setattr(mcap_file, "MAX_FILE_BYTES", 10)
+    with pytest.raises(RecordingError, match="at most"):
+        read_mcap(path, LAB)
+
+
+def test_nothing_is_left_of_a_file_that_failed(tmp_path):
+    with pytest.raises(ValueError, match="could not convert"):
+        bag(tmp_path / "a.mcap", COMMAND, ("load", "segment_1", ("much", 0.0, 0.0)))
+    assert list(tmp_path.iterdir()) == []

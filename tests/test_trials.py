@@ -1,0 +1,82 @@
+"""Trials of a recording that names none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
+from cablesense_gap.recordings.trials import derive_trials
+from cablesense_sim.arm_files import open_arm
+
+
+def trials(loads=(), commands=None, time_s=None, rows=60):
+    """At 5 Hz; `loads` as (first row, last row, segment, force)."""
+    segment, force = np.zeros(rows, dtype=np.int64), np.zeros((rows, 3))
+    for first, last, number, push in loads:
+        segment[first:last], force[first:last] = number, push
+    command = np.zeros((rows, 8)) if commands is None else commands
+    time_s = 0.2 * np.arange(rows) if time_s is None else time_s
+    return derive_trials(time_s, command, segment, force)
+
+
+def begins(found):
+    return np.flatnonzero(np.diff(found) > 0).tolist()
+
+
+def test_rest_alone_is_one_trial():
+    assert set(trials()) == {0}
+    assert len(trials(rows=1)) == 1
+    assert len(trials(rows=0)) == 0
+
+
+def test_a_load_begins_a_trial_and_what_follows_it_belongs_to_it():
+    assert begins(trials([(20, 30, 2, (0, 0, -9))])) == [19]
+
+
+@pytest.mark.parametrize(
+    ("second", "parts"),
+    [
+        ((24, 30, 2, (0, 0, -5)), False),  # a step of the same load
+        ((30, 35, 2, (0, 1, -9)), False),  # off and on again, from nearly the same side
+        ((24, 30, 2, (0, 9, -9)), True),  # from another side
+        ((24, 30, 3, (0, 0, -9)), True),  # on another segment
+        ((45, 50, 2, (0, 0, -9)), True),  # after a rest
+    ],
+)
+def test_what_parts_two_loads(second, parts):
+    assert (second[0] - 1 in begins(trials([(20, 24, 2, (0, 0, -9)), second]))) == parts
+
+
+def test_a_sweep_begins_where_the_command_starts_to_move_and_does_not_fall_apart():
+    commands = np.zeros((60, 8))
+    commands[20:40, 3] = 0.01 * np.arange(1, 21)
+    commands[40:, 3] = 0.2
+    assert begins(trials(commands=commands)) == [19]
+
+
+def test_a_gap_parts():
+    time_s = 0.2 * np.arange(60)
+    time_s[33:] += 5.0
+    assert begins(trials(time_s=time_s)) == [32]
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(1, 30)), min_size=1, max_size=12))
+def test_trials_count_up_from_zero_by_one(runs):
+    segment = np.repeat([s for s, _ in runs], [n for _, n in runs])
+    force = (segment > 0)[:, None] * np.array([0.0, 0.0, -5.0])
+    rows = len(segment)
+    found = derive_trials(0.2 * np.arange(rows), np.zeros((rows, 8)), segment, force)
+    assert found[0] == 0
+    assert set(np.diff(found)) <= {0, 1}
+
+
+def test_those_of_the_protocol_are_found_again_but_for_rests_between():
+    arm = open_arm("cdsm_lab")
+    rows = protocol_rows(arm, standard_protocol(arm))
+    found = derive_trials(rows.time_s, rows.command_rad, rows.load_segment, rows.load_n)
+    # no derived trial mixes blocks but for those that a rest or another move follows
+    loaded = [set(rows.trial[(found == t) & (rows.load_segment > 0)]) for t in set(found)]
+    assert max(map(len, loaded)) == 1
