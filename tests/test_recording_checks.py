@@ -1,0 +1,207 @@
+"""Checks of a recording: a sound one passes, and each planted fault is found where it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings.checks import check_form, check_recording
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_gap.recordings.finding import Severity
+from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
+from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_gap.recordings.row_names import rows_named
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import read_tensions_n
+
+LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+MECHANISM = Mechanism.from_arm(LAB)
+ROWS = protocol_rows(LAB, standard_protocol(LAB), 2.0)
+
+
+def tensions_of(mechanism, recording):
+    return solve_equilibrium(mechanism, recording.command_rad, recording.forces_n).tensions_n
+
+
+BARE = Recording("made", *ROWS, tensions_n=np.zeros((len(ROWS.time_s), 12)))
+NOMINAL = tensions_of(MECHANISM, BARE)
+SOUND = replace(BARE, tensions_n=read_tensions_n(NOMINAL, LAB.sensors, np.random.default_rng(0)))
+
+
+def with_(row, field, value, source=SOUND):
+    changed = np.array(getattr(source, field), copy=True)
+    changed[row] = value
+    return replace(source, **{field: changed})
+
+
+def with_tensions(change, source=SOUND):
+    tensions = source.tensions_n.copy()
+    return replace(source, tensions_n=change(tensions))
+
+
+def only(report):
+    (finding,) = report.findings
+    return finding
+
+
+def test_a_sound_recording_has_nothing_to_find():
+    assert check_recording(SOUND, LAB, NOMINAL).findings == ()
+    assert check_recording(SOUND, LAB).usable
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"stiffness_n_m": 0.4 * MECHANISM.stiffness_n_m},
+        {"stiffness_n_m": 2.5 * MECHANISM.stiffness_n_m},
+        {"mass_kg": MECHANISM.mass_kg + np.array([0.0, 0.0, 0.0, 0.5])},
+        {"pretension_n": MECHANISM.pretension_n - 15.0},
+        {"gravity_m_s2": np.array([0.8, 0.8, -9.7])},
+        {"contact_m": MECHANISM.contact_m + 0.03},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_gross_effects_of_an_arm_are_no_fault_of_the_recording(changes):
+    read = tensions_of(replace(MECHANISM, **changes), BARE)
+    assert check_recording(replace(BARE, tensions_n=read), LAB, NOMINAL).findings == ()
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.4])
+def test_nor_are_gains_and_offsets(gain):
+    changed = with_tensions(lambda t: t * np.where(np.arange(12) < 6, gain, 1.0) - 4.0)
+    assert check_recording(changed, LAB, NOMINAL).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("broken", "kind", "said"),
+    [
+        (with_((9, 4), "tensions_n", np.nan), "numbers", "tension_5_n .* row 10;"),
+        (with_((0, 7), "command_rad", np.inf), "numbers", "q8_cmd_rad"),
+        (with_(30, "time_s", 1.0), "time", "does not go on in row 31"),
+        (with_(slice(40, 45), "load_segment", 0), "label", "row"),
+        (with_(12, "load_segment", 5), "segment", r"is 5 in row 13; it must be from 1 to 4"),
+        (with_(12, "load_segment", -1), "segment", "is -1"),
+        (replace(SOUND, command_rad=np.rad2deg(SOUND.command_rad)), "degrees", "rad"),
+        (with_((5, 2), "command_rad", 0.7), "bend", "row 6"),
+        (with_(15, "load_n", [0.0, 0.0, 9e3]), "load", "2000 N in row 16"),
+        (replace(SOUND, tensions_n=SOUND.tensions_n[:, :9]), "cables", "has 9 tensions"),
+        (replace(SOUND, command_rad=SOUND.command_rad[:, :6]), "joints", "has 6 commanded"),
+        (SOUND.rows(slice(0, 0)), "rows", "no rows"),
+        (SOUND.rows(slice(0, 8)), "amount", "in 1 trials"),
+    ],
+)
+def test_what_rules_a_recording_out_is_said_with_its_place(broken, kind, said):
+    report = check_recording(broken, LAB)
+    assert report.of_kind(kind), report.findings
+    assert not report.usable
+    assert report.findings[0].severity is Severity.REFUSE
+    with pytest.raises(RecordingError, match=said):
+        report.raise_if_unusable()
+
+
+@pytest.mark.parametrize(
+    ("odd", "kind", "said"),
+    [
+        (with_(3, "load_segment", 2), "label", "beside a load of 0 N in row 4"),
+        (with_(slice(100, None), "trial", 0), "trial", "trial 0 comes back"),
+        (with_((205, 0), "command_rad", 0.4), "jump", "rows 206 to 207"),
+        (SOUND.rows(np.r_[0:30, 300:380]), "amount", "only 110 rows"),
+    ],
+)
+def test_what_is_odd_is_a_warning(odd, kind, said):
+    report = check_recording(odd, LAB)
+    assert report.usable
+    assert any(said in finding.text for finding in report.of_kind(kind)), report.findings
+
+
+def test_a_break_within_a_trial_is_a_warning():
+    time_s = SOUND.time_s.copy()
+    time_s[4:] += 30.0  # within the rest of trial 0
+    finding = only(check_recording(replace(SOUND, time_s=time_s), LAB))
+    assert (finding.severity, finding.kind) == (Severity.WARN, "gap")
+    assert "before row 5" in finding.text
+
+
+@pytest.mark.parametrize(("one", "other"), [(1, 2), (2, 9), (5, 12)])
+def test_exchanged_channels_are_named(one, other):
+    order = np.arange(12)
+    order[[one - 1, other - 1]] = order[[other - 1, one - 1]]
+    finding = only(check_recording(with_tensions(lambda t: t[:, order]), LAB, NOMINAL))
+    assert finding.kind == "swapped"
+    assert f"tension_{one}_n reads cable_{other}" in finding.text
+    assert f"tension_{other}_n reads cable_{one}" in finding.text
+
+
+def test_a_dead_and_a_dying_channel_are_stuck():
+    def dead(tensions):
+        tensions[:, 3] = 0.0
+        return tensions
+
+    def dying(tensions):
+        tensions[500:, 6] = tensions[500, 6]
+        return tensions
+
+    for nominal in (None, NOMINAL):
+        assert (
+            "tension_4_n is 0 N"
+            in check_recording(with_tensions(dead), LAB, nominal).of_kind("stuck")[0].text
+        )
+    finding = only(check_recording(with_tensions(dying), LAB, NOMINAL))
+    assert finding.kind == "stuck"
+    assert f"tension_7_n stands still in rows 501 to {len(SOUND)}" in finding.text
+
+
+def test_saturation_is_found_with_and_without_a_stated_range():
+    clipped = with_tensions(lambda t: np.minimum(t, 90.0))
+    found = check_recording(clipped, LAB, NOMINAL).of_kind("saturated")
+    assert any(finding.text.startswith("tension_1_n does not exceed 90 N") for finding in found)
+    sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 90.0)})
+    stated = LAB.model_copy(update={"sensors": sensors})
+    found = check_recording(clipped, stated).of_kind("saturated")
+    assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in found)
+
+
+def test_another_arm_and_other_units_are_refused():
+    rng = np.random.default_rng(1)
+    mirrored = replace(MECHANISM, hole_y_m=-MECHANISM.hole_y_m, hole_z_m=-MECHANISM.hole_z_m)
+    for tensions, kind in (
+        (tensions_of(mirrored, BARE), "arm"),
+        (rng.normal(50.0, 10.0, NOMINAL.shape), "arm"),
+        (NOMINAL / 9.81, "unit"),
+    ):
+        report = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
+        assert not report.usable
+        assert report.of_kind(kind), report.findings
+
+
+def test_a_recording_at_rest_says_nothing_of_channels():
+    rest = SOUND.rows(SOUND.trial == 0)
+    nominal = NOMINAL[SOUND.trial == 0]
+    assert {finding.kind for finding in check_recording(rest, LAB, nominal).findings} == {"amount"}
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60).filter(any))
+def test_rows_are_named_from_one(marked):
+    text = rows_named(np.array(marked))
+    first = marked.index(True) + 1
+    assert text.startswith(("row ", "rows "))
+    assert str(first) in text
+    if sum(marked) == 1:
+        assert text == f"row {first}"
+
+
+def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_path):
+    write_csv(tmp_path / "short.csv", SOUND.rows(slice(0, 3)))
+    assert len(read_recording(tmp_path / "short.csv", LAB)) == 3
+    write_csv(tmp_path / "degrees.csv", replace(SOUND, command_rad=np.rad2deg(SOUND.command_rad)))
+    with pytest.raises(RecordingError, match=r"degrees: .*look like degrees"):
+        read_recording(tmp_path / "degrees.csv", LAB)
+    assert not check_form(with_((9, 4), "tensions_n", np.nan), LAB).usable
