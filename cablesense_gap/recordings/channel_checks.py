@@ -41,11 +41,12 @@ def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) ->
     told = np.ptp(nominal_n, axis=0) > MOVED_FLOORS * floor_n
     if told.sum() < 2:
         return findings
-    stuck = list(_stuck(recording, nominal_n, MOVED_FLOORS * floor_n))
     living = told & (np.ptp(read, axis=0) > 0.0)
     swapped = list(_swapped(read, nominal_n, np.flatnonzero(living)))
-    foreign = [] if swapped else list(_foreign(read, nominal_n, living, arm))
-    return [*findings, *stuck, *swapped, *foreign]
+    if swapped:  # what else is said of these channels is said of the wrong ones
+        return [*findings, *swapped]
+    stuck = _stuck(recording, nominal_n, MOVED_FLOORS * floor_n)
+    return [*findings, *stuck, *_foreign(read, nominal_n, living, arm)]
 
 
 def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
@@ -79,8 +80,8 @@ def _dead(recording: Recording) -> Iterator[Finding]:
 def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[Finding]:
     """Channels that stop at one value while the prediction moves on.
 
-    Friction and slack hold a tension as well, but not from one trial to the next, as a dead channel
-    does, nor at the same maximum in one cycle of loads after another.
+    Friction and slack hold a tension as well, but not from one trial to the next, as a dead
+    channel does, nor at the same maximum in one cycle of loads after another.
     """
     channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
     for cable, (values, told) in enumerate(channels, start=1):

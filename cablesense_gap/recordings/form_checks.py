@@ -141,7 +141,7 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
 
 def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     command = recording.command_rad
-    far = (np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1)
+    far = np.asarray((np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1))
     if far.any():
         yield refuse(
             "degrees",
