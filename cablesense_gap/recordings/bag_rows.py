@@ -22,10 +22,14 @@ Array = NDArray[np.float64]
 
 
 class BagRows:
-    """Takes messages in the order they came, and gives the recording they make."""
+    """Takes messages in the order they came, and gives the recording they make.
 
-    def __init__(self, arm: Arm) -> None:
+    With `keep` false it only says whether messages keep the contract.
+    """
+
+    def __init__(self, arm: Arm, keep: bool = True) -> None:
         self._arm = arm
+        self._keep = keep
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._taken: Counter[str] = Counter()
@@ -109,8 +113,11 @@ class BagRows:
                 "one load off (a zero force in its frame) before putting on the next"
             )
         segment, force = next(iter(self._loads.items()), (0, np.zeros(3)))
+        tensions = self._cables.arrange(message.name, message.effort, "effort")
+        if not self._keep:
+            return
         stamp = message.header.stamp
-        self._tensions.append(self._cables.arrange(message.name, message.effort, "effort"))
+        self._tensions.append(tensions)
         self._stamps_ns.append((log_ns, stamp.sec * 1_000_000_000 + stamp.nanosec))
         self._commands.append(command)
         self._segments.append(segment)

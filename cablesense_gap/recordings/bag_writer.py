@@ -114,9 +114,10 @@ class BagWriter:
                 f"{self._path}: cannot be written ({error.strerror or error})"
             ) from error
         finally:
-            self._clear()
+            self.discard()
 
-    def _clear(self) -> None:
+    def discard(self) -> None:
+        """Leave nothing behind but a file that is closed already."""
         with suppress(Exception):
             self._writer.abort()
         shutil.rmtree(self._beside, ignore_errors=True)
@@ -155,4 +156,4 @@ class BagWriter:
         if error is None:
             self.close()
         else:
-            self._clear()
+            self.discard()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from cablesense_ros.cli.gap.protocol import protocol
+from cablesense_ros.cli.gap.record import record
 
 gap = typer.Typer(
     name="gap",
@@ -13,4 +14,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-gap.command()(protocol)
+for verb in (protocol, record):
+    gap.command()(verb)

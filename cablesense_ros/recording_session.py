@@ -1,0 +1,67 @@
+"""A recording from start to Ctrl-C: the node, its executor, and what people see meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import rclpy
+import rclpy.utilities
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rich.console import Console
+
+from cablesense_ros.recorder import Recorder
+from cablesense_sim.arm import Arm
+
+_WAKE_S = 0.25
+
+
+def record_topics(path: Path, duration_s: float | None, arm: Arm | None, console: Console) -> None:
+    """Record until `duration_s` have passed, SIGINT or SIGTERM; the file is whole then.
+
+    Raises:
+        RecordingError: the file exists, cannot be written, or no tensions came.
+    """
+    wanted_end = Future()
+    before = {
+        number: signal.signal(number, lambda *_: wanted_end.set_result(None))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("recorder")
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        recorder = Recorder(node, path, arm, console.print)
+        try:
+            _spin(executor, recorder, wanted_end, duration_s, console)
+        finally:
+            recorder.close()
+        console.print(f"{path}: {recorder.status}")
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        with suppress(RuntimeError):
+            rclpy.utilities.try_shutdown()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _spin(
+    executor: EventsExecutor,
+    recorder: Recorder,
+    wanted_end: Future,
+    duration_s: float | None,
+    console: Console,
+) -> None:
+    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+    with console.status("waiting for the arm") as line:
+        while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
+            executor.spin_until_future_complete(wanted_end, timeout_sec=min(_WAKE_S, left_s))
+            recorder.hint_at_silence()
+            line.update(f"recording, Ctrl-C ends it: {recorder.status}")
