@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import rclpy
@@ -27,6 +28,7 @@ def record_topics(path: Path, duration_s: float | None, arm: Arm | None, console
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
     """
+    say = partial(console.print, soft_wrap=True, markup=False, highlight=False)
     wanted_end = Future()
     before = {
         number: signal.signal(number, lambda *_: wanted_end.set_result(None))
@@ -37,12 +39,12 @@ def record_topics(path: Path, duration_s: float | None, arm: Arm | None, console
     executor = EventsExecutor()
     executor.add_node(node)
     try:
-        recorder = Recorder(node, path, arm, console.print)
+        recorder = Recorder(node, path, arm, say)
         try:
             _spin(executor, recorder, wanted_end, duration_s, console)
         finally:
             recorder.close()
-        console.print(f"{path}: {recorder.status}")
+        say(f"{path}: {recorder.status}")
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -49,4 +49,4 @@ def record(
     )
     report = check_recording(recording, description, nominal.tensions_n)
     for finding in report.findings:
-        console.print(f"{finding.severity}: {finding.text}")
+        console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)

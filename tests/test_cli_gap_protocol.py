@@ -1,0 +1,48 @@
+"""`cablesense gap protocol`: a table for people, and rows for programs."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.cli.app import app
+from cablesense_sim.arm_files import open_arm
+
+
+def test_the_table_has_a_line_for_every_block():
+    result = CliRunner().invoke(
+        app, ["gap", "protocol", "--arm", "cdsm_lab"], env={"COLUMNS": "200"}
+    )
+    assert result.exit_code == 0, result.output
+    for block in standard_protocol(open_arm("cdsm_lab")):
+        assert block.does.split(" (")[0][:60] in result.output
+
+
+def test_rows_have_the_columns_of_a_recording_but_tensions(tmp_path):
+    out = tmp_path / "protocol.csv"
+    result = CliRunner().invoke(
+        app, ["gap", "protocol", "--arm", "cdsm_table2", "--out", str(out)]
+    )
+    assert result.exit_code == 0, result.output
+    with out.open(encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    assert header[:2] == ["time_s", "trial"]
+    assert header[7:] == ["q6_cmd_rad", "load_segment", "load_x_n", "load_y_n", "load_z_n"]
+    values = np.array(rows, dtype=float)
+    assert (np.diff(values[:, 0]) > 0.0).all()
+    assert np.abs(values[:, 2:8]).max() < math.radians(15.0)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--arm", "nonsense"], ["--out", "/no/such/folder/protocol.csv"]]
+)
+def test_what_cannot_be_is_one_line(arguments):
+    result = CliRunner().invoke(app, ["gap", "protocol", *arguments])
+    assert isinstance(result.exception, CableSenseError)
+    assert "\n" not in str(result.exception)
