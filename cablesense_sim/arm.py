@@ -193,7 +193,8 @@ class Arm(_Part):
         return self
 
     def _check_effects(self) -> None:
-        from cablesense_sim.effects.entry import checked_entry  # effects know mechanisms, these arms
+        # here, as effects know mechanisms, and mechanisms arms
+        from cablesense_sim.effects.entry import checked_entry
 
         for listed in self.effects:
             try:

@@ -31,7 +31,7 @@ from cablesense_sim.rest_search import descent_step, load_hessian
 
 Array = NDArray[np.float64]
 
-_ENOUGH_N_M = 1e-7
+_ENOUGH_N_M = 2e-6
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
 _SHORTEST = 1e-3
@@ -92,6 +92,7 @@ class QuasiStaticArm:
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
         self._weights = _length_shares(self._mechanism)
         self._angles_rad: Array | None = None
+        self._last: tuple[Array, Array, _Pose] | None = None
 
     def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
@@ -112,7 +113,7 @@ class QuasiStaticArm:
         arms = kinematics.load_arms(
             self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape))
         )
-        pose = self._search(rest_m, arms)
+        pose = self._next(rest_m, arms)
         self._angles_rad = pose.angles_rad
         rest = Rest(
             time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n
@@ -120,6 +121,16 @@ class QuasiStaticArm:
         for memory in self._memories:
             memory.settle(rest)
         return pose.tensions_n
+
+    def _next(self, rest_m: Array, arms: Array) -> _Pose:
+        """The next rest, which is the last one where nothing has changed."""
+        if self._last is not None:
+            last_rest_m, last_arms, pose = self._last
+            if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
+                return pose
+        pose = self._search(rest_m, arms)
+        self._last = rest_m, arms, pose
+        return pose
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
         """Every memory begins where an arm without a past would rest."""
@@ -147,8 +158,8 @@ class QuasiStaticArm:
             unbalanced = np.abs(pose.torque_n_m).max(-1)
             if unbalanced.max() <= _ENOUGH_N_M:
                 return pose
-            # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever:
-            # a step is cut while the torques at its end drive the arm back as hard as it was driven
+            # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
+            # step is cut while the torques at its end drive the arm back as hard as it was driven
             back = (pose.torque_n_m * step).sum(-1)
             cut = (back > 0.3 * driven) & (fraction > _SHORTEST)
             newton = _step_rad(pose)

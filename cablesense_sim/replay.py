@@ -37,7 +37,9 @@ class Replay:
         self._nominal = Mechanism.from_arm(nominal)
         self._held_m = held_lengths_m(self._nominal, command_rad)
         flat = np.concatenate([command_rad, forces_n.reshape(len(forces_n), -1)], axis=1)
-        _, self._first, self._same = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+        _, self._first, self._same = np.unique(
+            flat, axis=0, return_index=True, return_inverse=True
+        )
         self._start_rad: Array | None = None
 
     def readings_n(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
@@ -98,9 +100,8 @@ class Replay:
         for entries in zip(*variants, strict=True):
             sensing = entries[0].effect.sensing(entries[0].place, side_by_side(entries))
             if sensing is not None:
-                readings = np.stack(
-                    [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)], axis=1
-                )
+                read = [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)]
+                readings = np.stack(read, axis=1)
         return readings
 
 

@@ -47,7 +47,7 @@ class CableCreep(Effect):
             0.5,
             "share of the creep under pretension that was over before the cables were tensioned",
             role="shape",
-            starts=(0.0, 1.0),
+            starts=(0.5,),
         ),
         Parameter(
             "begun",
@@ -57,7 +57,7 @@ class CableCreep(Effect):
             0.5,
             "share of the creep to come that was over before the first sample",
             role="shape",
-            starts=(0.0, 1.0),
+            starts=(0.5,),
         ),
     )
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import Effect, Parameter, Values, cables, chosen
-from cablesense_sim.effects.routing_geometry import moved_holes_m
+from cablesense_sim.effects.holes import with_cables_moved
 from cablesense_sim.effects.sensor_offset import Shifted
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class CableTolerance(Effect):
-    """Scatter of pretensions, hole angles and zeros; no finding, but fitted beside every effect."""
+    """Scatter of pretensions, hole angles and zeros; no finding, but fitted beside all."""
 
     name = "cable_tolerance"
     acts_on = "arm"
@@ -35,21 +35,11 @@ class CableTolerance(Effect):
         self, mechanism: Mechanism, place: str, values: Mapping[str, float]
     ) -> Mechanism:
         here = chosen(place, mechanism.cable_count)
-        y, z = moved_holes_m(
-            (mechanism.hole_y_m, mechanism.hole_z_m), 0.0 * here, here * values["angle_rad"]
-        )
-        plates = (mechanism.segment_hole_y_m, mechanism.segment_hole_z_m)
-        if plates[0] is not None and plates[1] is not None:
-            turned = (here * values["angle_rad"])[:, None]
-            plates = moved_holes_m((plates[0], plates[1]), 0.0 * turned, turned)
-        return replace(
-            mechanism,
-            pretension_n=mechanism.pretension_n + here * values["pretension_n"],
-            hole_y_m=y,
-            hole_z_m=z,
-            segment_hole_y_m=plates[0],
-            segment_hole_z_m=plates[1],
-        )
+        tensioned = mechanism.pretension_n + here * values["pretension_n"]
+        mechanism = replace(mechanism, pretension_n=tensioned)
+        if not values["angle_rad"]:
+            return mechanism
+        return with_cables_moved(mechanism, 0.0 * here, here * values["angle_rad"])
 
     def sensing(self, place: str, values: Values) -> Shifted:
         return Shifted(place, values["zero_n"])

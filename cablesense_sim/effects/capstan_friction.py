@@ -23,7 +23,7 @@ class CapstanFriction(Effect):
 
     name = "capstan_friction"
     acts_on = "transmission"
-    about = "friction where cables run over guides and pulleys, growing with tension and wrap angle"
+    about = "friction where cables run over guides and pulleys, with tension and wrap angle"
     source = "equation (2) of the paper: T_out = T_in exp(-μ θ); presliding after Dahl, 1968"
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
@@ -36,7 +36,7 @@ class CapstanFriction(Effect):
             "wrap angle at the actuator's pulley",
             0.0,
             "shape",
-            (0.0, 1.0),
+            (0.5,),
         ),
         Parameter(
             "give_m",

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Array, Effect, Parameter, Values, chosen, joints
+from cablesense_sim.effects.effect import (
+    WHOLE_ARM,
+    Array,
+    Effect,
+    Parameter,
+    Values,
+    chosen,
+    joints,
+)
 from cablesense_sim.effects.transmission import Rest, Transmission
 
 if TYPE_CHECKING:
