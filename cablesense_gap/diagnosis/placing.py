@@ -1,0 +1,147 @@
+"""Where an effect sits: places are added while they explain trials that were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.diagnosis.blocks import Block
+from cablesense_gap.diagnosis.course import Course
+from cablesense_gap.diagnosis.evidence import (
+    Products,
+    held_out_squares,
+    products,
+    solve,
+    weight,
+)
+from cablesense_gap.diagnosis.hypothesis import excess
+from cablesense_gap.simulator import Array
+from cablesense_sim.effects.effect import WHOLE_ARM
+
+_WORTH = 1.12
+"""A further place must make what is left smaller by this factor."""
+
+_LOOKED_AT = 6
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An effect in the places that explain most.
+
+    Attributes:
+        blocks: chosen, in the order in which they were found.
+        coefficients: (K,) of their columns, scaled.
+        squares: (T,) left in each held-out trial.
+        mean_square: of all that is left.
+    """
+
+    blocks: tuple[Block, ...]
+    coefficients: Array
+    squares: Array
+    mean_square: float
+
+
+def place(
+    course: Course, residual: Array, beside: Array, offered: Sequence[Block]
+) -> Placed | None:
+    """The best places for one effect; None where it explains nothing.
+
+    `residual` (R, C) is what is to be explained, `beside` (B, R, C) are scaled columns of effects
+    already found, which are fitted along with the tolerances.
+    """
+    columns = np.concatenate([course.tolerance_columns, beside, *(b.columns for b in offered)])
+    data = products(columns, residual, course.trial, course.used)
+    base = len(course.tolerance_columns) + len(beside)
+    precision = np.concatenate([np.ones(base), *(b.precision for b in offered)])
+    ends = base + np.cumsum([len(b.columns) for b in offered])
+    owned = [np.arange(e - len(b.columns), e) for e, b in zip(ends, offered, strict=True)]
+    search = _Search(course, data, precision, np.arange(base), owned)
+    whole = [k for k, b in enumerate(offered) if b.place == WHOLE_ARM]
+    single = [k for k, b in enumerate(offered) if b.place != WHOLE_ARM]
+    paths = [search.grow(among) for among in (whole, single) if among]
+    best = min(paths, key=lambda path: path[1])
+    if len(paths) == 2 and paths[0][0] and paths[0][1] < _WORTH * paths[1][1]:
+        best = paths[0]
+    chosen, left = best
+    if not chosen:
+        return None
+    coefficients, squares = search.fit(chosen)
+    return Placed(
+        tuple(offered[k] for k in chosen),
+        coefficients,
+        squares,
+        float(squares.sum() / data.count.sum()),
+    )
+
+
+class _Search:
+    def __init__(
+        self,
+        course: Course,
+        data: Products,
+        precision: Array,
+        base: NDArray[np.int64],
+        owned: Sequence[NDArray[np.int64]],
+    ) -> None:
+        self._course, self._data, self._precision = course, data, precision
+        self._base, self._owned = base, owned
+        self._gram, self._moment = data.gram.sum(0), data.moment.sum(0)
+        self._weight = weight(data.mean_square, course.floor)
+
+    def grow(self, among: Sequence[int]) -> tuple[list[int], float]:
+        """Blocks added one by one, and the excess that is left."""
+        chosen: list[int] = []
+        left = self._left(chosen)
+        while len(chosen) < len(among):
+            rest = [k for k in among if k not in chosen]
+            ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
+            tried = {k: self._left([*chosen, k]) for k in ranked}
+            best = min(tried, key=lambda k: tried[k])
+            if tried[best] * _WORTH > left:
+                break
+            chosen.append(best)
+            left = tried[best]
+        return chosen, left
+
+    def fit(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Coefficients of the chosen blocks and squares (T,) left in held-out trials."""
+        at = self._columns(chosen)
+        part, precision = self._data.columns(at), self._precision[at]
+        none = np.zeros(len(at))
+        weight_ = weight(self._mean_square(part, precision, self._weight), self._course.floor)
+        found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
+        squares = held_out_squares(part, precision, none, weight_, self._course.fold)
+        return found[len(self._base) :], squares
+
+    def _left(self, chosen: Sequence[int]) -> float:
+        at = self._columns(chosen)
+        part, precision = self._data.columns(at), self._precision[at]
+        first = self._mean_square(part, precision, self._weight)
+        weight_ = weight(first, self._course.floor)
+        return excess(self._mean_square(part, precision, weight_), self._course.floor)
+
+    def _mean_square(self, part: Products, precision: Array, weight_: float) -> float:
+        none = np.zeros(len(precision))
+        squares = held_out_squares(part, precision, none, weight_, self._course.fold)
+        return float(squares.sum() / part.count.sum())
+
+    def _gain(self, chosen: Sequence[int], k: int) -> float:
+        """Decrease of the sum of squares over all trials, if only block k moved."""
+        at, own = self._columns(chosen), self._owned[k]
+        found = solve(
+            self._gram[np.ix_(at, at)],
+            self._moment[at],
+            self._precision[at],
+            np.zeros(len(at)),
+            self._weight,
+        )
+        moment = self._moment[own] - self._gram[np.ix_(own, at)] @ found
+        gram = self._gram[np.ix_(own, own)]
+        gram = gram + 1e-9 * np.trace(gram) * np.eye(len(own)) + 1e-12 * np.eye(len(own))
+        return float(moment @ np.linalg.solve(gram, moment))
+
+    def _columns(self, chosen: Sequence[int]) -> NDArray[np.int64]:
+        return np.concatenate([self._base, *(self._owned[k] for k in chosen)])

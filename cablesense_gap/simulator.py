@@ -1,0 +1,76 @@
+"""All that the diagnosis knows of a mechanism: sensor channels under named parameters.
+
+Bring another mechanism by giving an object with the attributes and the one method of `Simulator`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_sim.effects.effect import Parameter
+
+Array = NDArray[np.float64]
+
+
+class Term(NamedTuple):
+    """One number of one effect in one place."""
+
+    effect: str
+    place: str
+    parameter: str
+
+    def __str__(self) -> str:
+        """As in `sensor_gain.cable_3.gain`."""
+        return f"{self.effect}.{self.place}.{self.parameter}"
+
+
+Assignment = Mapping[Term, float]
+"""Values of the effects that are present; with none, the mechanism is nominal."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be the cause.
+
+    Attributes:
+        effect: its name.
+        places: where it can sit; `arm` for everywhere at once.
+        parameters: what it has in each place.
+        remembers: whether it makes the past matter, and so is dear to simulate.
+    """
+
+    effect: str
+    places: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    remembers: bool = False
+
+    def terms(self, place: str) -> tuple[Term, ...]:
+        """Its numbers in one place."""
+        return tuple(Term(self.effect, place, p.name) for p in self.parameters)
+
+
+class Simulator(Protocol):
+    """A mechanism that is put through the course of one recording.
+
+    Attributes:
+        candidates: effects to choose among.
+        tolerances: effects that a careful workshop leaves; each parameter's `typical` is its
+            standard deviation.
+        floor: root mean square of what the sensors add to a perfect reading.
+    """
+
+    candidates: Sequence[Candidate]
+    tolerances: Sequence[Candidate]
+    floor: float
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """Channels (P, R, C) of P variants, all with the same terms, without noise.
+
+        NaN where the mechanism cannot be simulated with these numbers.
+        """
+        ...
