@@ -14,6 +14,7 @@ turn it into one line and a node into one log message::
     ├── EstimateError       inputs that a model cannot take        cablesense_training.inference
     ├── RecordingError      a recording that cannot be used        cablesense_gap.recordings
     ├── VerdictError        a verdict that cannot be               cablesense_gap.verdict
+    ├── ScoreError          what cannot be scored                  cablesense_gap.scoring
     ├── ParameterError      a node parameter out of place          cablesense_ros
     ├── SampleError         a sample that is of no use             cablesense_ros
     ├── TareError           a tare that cannot be taken            cablesense_ros

@@ -6,6 +6,7 @@ import typer
 
 from cablesense_ros.cli.gap.protocol import protocol
 from cablesense_ros.cli.gap.record import record
+from cablesense_ros.cli.gap.score import score
 
 gap = typer.Typer(
     name="gap",
@@ -14,5 +15,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (protocol, record):
+for verb in (protocol, record, score):
     gap.command()(verb)
