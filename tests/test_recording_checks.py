@@ -146,7 +146,7 @@ def test_a_dead_and_a_dying_channel_are_stuck():
         return tensions
 
     def dying(tensions):
-        tensions[500:, 6] = tensions[500, 6]
+        tensions[500:, 6] = tensions[499, 6] + 1.0
         return tensions
 
     for nominal in (None, NOMINAL):

@@ -17,6 +17,7 @@ class BlockKind(StrEnum):
 
     REST = "rest"
     LOAD_CYCLE = "load cycle"
+    SLACKENING = "slackening cycle"
     STEP_LOAD = "step load"
     HOLD = "hold and release"
     MOVE = "move"

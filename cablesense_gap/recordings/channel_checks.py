@@ -85,6 +85,8 @@ def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[F
     """
     channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
     for cable, (values, told) in enumerate(channels, start=1):
+        if np.ptp(values) == 0.0:  # dead, and said already
+            continue
         edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
         runs = [slice(start, end) for start, end in pairwise(edges)]
         longest = max(runs, key=lambda run: run.stop - run.start)

@@ -5,6 +5,8 @@ What each part is for:
 - load cycles on every segment from several sides, straight and bent: scale and crosstalk of the
   sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
   loading and unloading;
+- slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
+  how the others share pretension and weight; no taut cable tells these apart as well;
 - pose sweeps: weight and level of the base against the springs of the joints, friction of joints
   and guides; each joint alone, and all at once so that every joint's answer is in several trials;
 - small reversals: the lost motion of actuators, which larger motion hides;
@@ -22,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.recordings.bearable_load import bearable_load_n
+from cablesense_gap.recordings.bearable_load import bearable_load_n, slackening_load_n
 from cablesense_gap.recordings.block import Block, BlockKind, ProtocolRows, rows_of
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
@@ -35,6 +37,7 @@ Array = NDArray[np.float64]
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "down": (0.0, 0.0, -1.0),
     "to the left": (0.0, 1.0, 0.0),
+    "to the right": (0.0, -1.0, 0.0),
     "up and to the right": (0.0, -(0.5**0.5), 0.5**0.5),
     "down and to the left": (0.0, 0.5**0.5, -(0.5**0.5)),
     "down and to the right": (0.0, -(0.5**0.5), -(0.5**0.5)),
@@ -42,6 +45,7 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
 """Unit vectors of the base frame, as someone sees them who looks along the arm from its base."""
 
 STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
+SLACKENING_SIDES = ("down", "to the right")
 LEVELS = (0.25, 0.5, 0.75, 1.0)
 LEVEL_S = 1.0
 SPEED_RAD_S = float(np.deg2rad(5.0))
@@ -52,10 +56,10 @@ REST_S = 5.0
 
 
 def standard_protocol(arm: Arm) -> tuple[Block, ...]:
-    """The blocks to record on an arm, in their order; about seven minutes for four segments.
+    """The blocks to record on an arm, in their order; about eight minutes for four segments.
 
-    Loads are as strong as leaves every cable of the nominal arm taut (`bearable_load_n`), poses as
-    bent as its guide plates and cables allow.
+    Loads are as strong as leaves every cable of the nominal arm taut (`bearable_load_n`), but for
+    slackening cycles; poses are as bent as its guide plates and cables allow.
 
     Raises:
         EquilibriumError: the nominal arm finds no rest.
@@ -68,18 +72,22 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     return (
         _rest(straight, "straight, at the start"),
         *(_cycle(arm, straight, n, side, "straight") for n in segments for side in STRAIGHT_SIDES),
+        *(_slackening(arm, straight, tip, side, "straight") for side in SLACKENING_SIDES),
         _steps(arm, straight, tip, "to the left", "straight"),
         _rest(straight, "straight, in the middle"),
         *_single_sweeps(arm, reach_rad),
         _joint_sweep(arm.joint_count, reach_rad, 1.0),
         _reversals(straight, "straight"),
         _move(straight, bent, "to the first bent pose"),
-        *(_cycle(arm, bent, n, "down and to the left", "first bent pose") for n in segments),
+        *(_slackening(arm, bent, n, "down and to the left", "first bent pose") for n in segments),
         _hold(arm, bent, tip, "down and to the right", "first bent pose"),
         _steps(arm, bent, 1, "down", "first bent pose"),
         _reversals(bent, "first bent pose"),
         _move(bent, -bent, "to the second bent pose, the mirror of the first"),
-        *(_cycle(arm, -bent, n, "down and to the right", "second bent pose") for n in segments),
+        *(
+            _slackening(arm, -bent, n, "down and to the right", "second bent pose")
+            for n in segments
+        ),
         _move(-bent, straight, "back to straight"),
         _joint_sweep(arm.joint_count, reach_rad, -1.0),
         _rest(straight, "straight, at the end"),
@@ -108,12 +116,28 @@ def _move(start: Array, end: Array, where: str) -> Block:
 
 
 def _cycle(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    """Up in levels, the strongest twice as long, and down by the same levels."""
     peak_n = _peak_n(arm, command, segment, side)
-    shares = (0.0, *LEVELS, *LEVELS[::-1], 0.0)
+    does = f"{_levels(pose, segment, side, peak_n)}."
+    return _up_and_down(BlockKind.LOAD_CYCLE, does, command, segment, side, peak_n)
+
+
+def _slackening(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
+    peak_n = slackening_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
+    does = f"{_levels(pose, segment, side, peak_n)}; a cable may go slack."
+    return _up_and_down(BlockKind.SLACKENING, does, command, segment, side, peak_n)
+
+
+def _levels(pose: str, segment: int, side: str, peak_n: float) -> str:
     listed = ", ".join(f"{share * peak_n:.3g}" for share in LEVELS)
-    does = f"{pose.capitalize()}: load segment {segment} {side}, {listed} N, and back."
-    return _stepped(BlockKind.LOAD_CYCLE, does, command, segment, side, peak_n, shares, LEVEL_S)
+    return f"{pose.capitalize()}: load segment {segment} {side}, {listed} N, and back"
+
+
+def _up_and_down(
+    kind: BlockKind, does: str, command: Array, segment: int, side: str, peak_n: float
+) -> Block:
+    """Up in levels, the strongest twice as long, and down by the same levels."""
+    shares = (0.0, *LEVELS, *LEVELS[::-1], 0.0)
+    return _stepped(kind, does, command, segment, side, peak_n, shares, LEVEL_S)
 
 
 def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
