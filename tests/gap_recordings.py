@@ -1,0 +1,36 @@
+"""A small recording for tests of the diagnosis: load cycles, a sweep, a bent pose; no physics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_gap.recordings.recording import Recording
+from cablesense_sim.arm_files import open_arm
+
+LAB = open_arm("cdsm_lab")
+RATE_HZ = 5.0
+CYCLE = np.repeat([0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0], 4)
+
+
+def small_recording(peak_n: float = 40.0) -> Recording:
+    """Rest; a cycle on each segment straight and bent; one sweep of joint 2; all tensions 50 N."""
+    bent = np.zeros(8)
+    bent[4] = 0.1
+    trials = [(np.zeros((20, 8)), 0, np.zeros(20))]
+    for pose in (np.zeros(8), bent):
+        trials += [(np.tile(pose, (len(CYCLE), 1)), n, peak_n * CYCLE) for n in range(1, 5)]
+    sweep = np.zeros((60, 8))
+    sweep[:, 2] = 0.12 * np.sin(np.linspace(0.0, 2.0 * np.pi, 60))
+    trials.append((sweep, 0, np.zeros(60)))
+    load = np.concatenate([size for *_, size in trials])
+    segment = np.repeat([n for _, n, _ in trials], [len(size) for *_, size in trials])
+    rows = len(load)
+    return Recording(
+        name="small",
+        time_s=np.arange(rows) / RATE_HZ,
+        trial=np.repeat(np.arange(len(trials)), [len(size) for *_, size in trials]),
+        command_rad=np.concatenate([command for command, *_ in trials]),
+        load_segment=np.where(load > 0.0, segment, 0),
+        load_n=np.outer(load, [0.0, 0.0, -1.0]),
+        tensions_n=np.full((rows, 12), 50.0),
+    )
