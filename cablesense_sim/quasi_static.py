@@ -94,6 +94,13 @@ class QuasiStaticArm:
         self._angles_rad: Array | None = None
         self._last: tuple[Array, Array, _Pose] | None = None
 
+    @property
+    def joint_angles_rad(self) -> Array:
+        """(P, 2N) where the arms rest; straight before the first step."""
+        if self._angles_rad is None:
+            return np.zeros((len(self._each), self._mechanism.joint_count))
+        return self._angles_rad.copy()
+
     def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
 
@@ -114,6 +121,7 @@ class QuasiStaticArm:
             self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape))
         )
         pose = self._next(rest_m, arms)
+        self._require_room(pose.angles_rad)
         self._angles_rad = pose.angles_rad
         rest = Rest(
             time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n
@@ -176,6 +184,18 @@ class QuasiStaticArm:
             f"{int((unbalanced > _TOLERATED_N_M).sum())} of {len(unbalanced)} arms found no rest "
             f"after a small step; {unbalanced.max():.2g} N·m stay unbalanced; lower the loads or "
             "the size of the effects"
+        )
+
+    def _require_room(self, angles_rad: Array) -> None:
+        """No joint bent so far that guide plates would have met before."""
+        bend, limit = kinematics.bend_rad(angles_rad), self._mechanism.bend_limit_rad
+        if (bend < limit).all():
+            return
+        arm, joint = np.unravel_index(int(np.argmax(bend - limit)), bend.shape)
+        raise EquilibriumError(
+            f"arm {arm} of {len(bend)} would bend joint {joint + 1} by "
+            f"{np.rad2deg(bend[arm, joint]):.1f} degrees, and its guide plates touch before; "
+            "lower the loads or the commanded angles"
         )
 
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:

@@ -52,7 +52,7 @@ def readings(replay: Replay, *entries: EffectEntry) -> np.ndarray:
     return replay.readings_n([list(entries)])[0]
 
 
-def up_and_down(highest_n: float = 30.0, rows: int = 12, segment: int = 3) -> np.ndarray:
+def up_and_down(highest_n: float = 15.0, rows: int = 12, segment: int = 3) -> np.ndarray:
     """Loads (2 rows + 1, 4, 3) along y: from nothing up, and down again by the same steps."""
     rise = np.linspace(0.0, highest_n, rows + 1)
     return np.stack([push(segment, [0.0, f, 0.0]) for f in [*rise, *rise[-2::-1]]])

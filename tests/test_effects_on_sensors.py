@@ -1,4 +1,4 @@
-"""Effects between the tension at an actuator and its reading, and on the actuator's own lengths."""
+"""Effects between an actuator's tension and its reading, and on the lengths that it holds."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,112 @@
+"""From rest to rest: without memory the static solver, and arms side by side as if alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from effect_arms import MECHANISM, bent, entry, push, small, up_and_down
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.quasi_static import QuasiStaticArm, memories, stack
+from cablesense_sim.replay import amended
+
+KINDS = [
+    entry("capstan_friction", coefficient=0.1, pulley_wrap_rad=1.5, start=0.2),
+    entry("joint_friction", torque_n_m=0.1, start=-0.4),
+    entry("cable_creep", "segment_3", share=0.3, time_s=2.0),
+]
+
+
+def tensions(
+    mechanisms: list, variants: list[list[EffectEntry]], commands: np.ndarray, loads: np.ndarray
+) -> np.ndarray:
+    """Tensions (P, R, M) along a course."""
+    arm = QuasiStaticArm(mechanisms, variants)
+    held = held_lengths_m(MECHANISM, commands)
+    rows = [
+        arm.step(0.2 * i, np.repeat(held[i : i + 1], len(variants), axis=0), load)
+        for i, load in enumerate(loads)
+    ]
+    return np.stack(rows, axis=1)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=15, deadline=None)
+def test_without_a_memory_it_is_the_static_solver(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    commands, loads = bent(seed, count=6), rng.uniform(-8.0, 8.0, (6, 4, 3))
+    odd = amended(
+        MECHANISM,
+        [
+            entry("payload", "segment_4", mass_kg=0.4),
+            entry("joint_elasticity", stiffness_n_m_rad=3.0),
+            entry("routing_geometry", "segment_2", plates_angle_rad=0.03),
+            entry("base_tilt", roll_rad=0.1),
+        ],
+    )
+    found = tensions([MECHANISM, odd], [[], []], commands, loads)
+    held = held_lengths_m(MECHANISM, commands)
+    for p, mechanism in enumerate((MECHANISM, odd)):
+        rest = solve_equilibrium(mechanism, commands, loads, held_m=held)
+        np.testing.assert_allclose(found[p], rest.tensions_n, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda e: e.effect.name)
+def test_side_by_side_is_as_alone(kind: EffectEntry) -> None:
+    size = kind.effect.parameters[0].name
+    variants = [[small(kind, **{size: f * kind.values[size]})] for f in (0.0, 0.5, 1.0)]
+    payloads = [[entry("payload", "segment_2", mass_kg=m)] for m in (0.0, 0.1, 0.3)]
+    mechanisms = [amended(MECHANISM, entries) for entries in payloads]
+    loads = up_and_down(rows=6)
+    commands = np.linspace(0.3, 1.0, len(loads))[:, None] * bent(7, most_deg=6.0)
+    together = tensions(mechanisms, variants, commands, loads)
+    for p in range(3):
+        alone = tensions([mechanisms[p]], [variants[p]], commands, loads)[0]
+        np.testing.assert_allclose(together[p], alone, atol=1e-3)
+    assert np.abs(together[1] - together[2]).max() > 1e-2
+
+
+def test_all_at_once_go_together() -> None:
+    loads = up_and_down(rows=6)
+    commands = np.repeat(bent(8, most_deg=6.0)[None], len(loads), axis=0)
+    everything = tensions([MECHANISM], [KINDS], commands, loads)[0]
+    each = [tensions([MECHANISM], [[kind]], commands, loads)[0] for kind in KINDS]
+    for one in each:
+        assert np.abs(everything - one).max() > 0.05
+
+
+def test_a_memory_is_made_for_all_arms_at_once() -> None:
+    variants = [[KINDS[0], entry("sensor_gain", "cable_1")] for _ in range(3)]
+    assert len(memories(variants)) == 1
+    assert memories([[entry("payload", "segment_1")]]) == []
+
+
+def test_stacked_mechanisms_keep_their_own_numbers() -> None:
+    odd = amended(MECHANISM, [entry("routing_geometry", "segment_2", plates_angle_rad=0.03)])
+    both = stack([MECHANISM, odd])
+    np.testing.assert_array_equal(both.hole_y_m, [MECHANISM.hole_y_m, odd.hole_y_m])
+    (y, _), (v, _) = both.plate_holes_m
+    assert y.shape == v.shape == (2, 12, 4)
+    np.testing.assert_array_equal(v[0], np.repeat(MECHANISM.hole_y_m[:, None], 4, axis=1))
+    np.testing.assert_array_equal(v[1], odd.segment_hole_y_m)
+
+
+def test_angles_are_those_of_the_last_rest() -> None:
+    arm = QuasiStaticArm([MECHANISM], [[]])
+    np.testing.assert_array_equal(arm.joint_angles_rad, np.zeros((1, 8)))
+    load = push(2, [0.0, 10.0, 0.0])
+    arm.step(0.0, np.zeros((1, 12)), load)
+    expected = solve_equilibrium(MECHANISM, np.zeros(8), load).joint_angles_rad
+    np.testing.assert_allclose(arm.joint_angles_rad[0], expected, atol=1e-7)
+    arm.joint_angles_rad[:] = 1.0
+    assert np.abs(arm.joint_angles_rad).max() < 0.1
+
+
+def test_a_load_beyond_the_arm_is_refused() -> None:
+    arm = QuasiStaticArm([MECHANISM], [KINDS])
+    arm.step(0.0, np.zeros((1, 12)), np.zeros((4, 3)))
+    with pytest.raises(EquilibriumError):
+        arm.step(0.2, np.zeros((1, 12)), push(4, [0.0, 5e4, 0.0]))

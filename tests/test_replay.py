@@ -1,0 +1,121 @@
+"""A course of commands and loads as the sensors of many arms would read it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arm_variants import variant
+from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings, up_and_down
+
+from cablesense_sim.effects.effect import Effect
+from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.replay import Replay, amended, replay_arm
+
+COMMANDS = np.repeat(bent(11, count=3, most_deg=6.0), 5, axis=0)
+LOADS = np.concatenate([up_and_down(rows=2, segment=2)] * 3)
+
+
+def any_entry(effect: Effect, size: float = 1.0):
+    """An effect of its typical size in the middle of its places."""
+    places = effect.places(4, 12)
+    values = {p.name: size * p.typical for p in effect.parameters if p.role == "size"}
+    return entry(effect.name, places[len(places) // 2], **values)
+
+
+def test_without_effects_it_is_the_static_solver() -> None:
+    expected = solve_equilibrium(MECHANISM, COMMANDS, LOADS).tensions_n
+    np.testing.assert_allclose(readings(course(COMMANDS, LOADS)), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", list(known_effects()))
+def test_every_effect_is_seen_and_none_of_size_zero(name: str) -> None:
+    """A lag is seen after a step, a play after a reversal, a drift after a while."""
+    effect = known_effects()[name]
+    replay = course(COMMANDS, LOADS, period_s=3.0 if name == "sensor_drift" else 0.2)
+    ideal = readings(replay)
+    np.testing.assert_allclose(readings(replay, any_entry(effect, 0.0)), ideal, atol=1e-3)
+    seen = np.abs(readings(replay, any_entry(effect)) - ideal)
+    assert seen.max() > (0.005 if effect.tolerance else 0.05)
+    assert np.isfinite(seen).all()
+
+
+@pytest.mark.parametrize("name", list(known_effects()))
+def test_side_by_side_is_as_alone(name: str) -> None:
+    replay = course(COMMANDS, LOADS)
+    variants = [[any_entry(known_effects()[name], size)] for size in (0.0, 0.5, 1.0)]
+    together = replay.readings_n(variants)
+    for p in range(3):
+        np.testing.assert_allclose(
+            together[p], replay.readings_n(variants[p : p + 1])[0], atol=1e-3
+        )
+
+
+def test_a_course_at_once_is_as_row_by_row() -> None:
+    effects = [
+        entry("payload", "segment_2", mass_kg=0.3),
+        entry("sensor_gain", "cable_4", gain=0.1),
+    ]
+    at_once = readings(course(COMMANDS, LOADS), *effects)
+    for row in (0, 4, 9, 14):
+        alone = readings(course(COMMANDS[row], LOADS[row]), *effects)
+        np.testing.assert_allclose(at_once[row], alone[0], atol=1e-6)
+
+
+def test_effects_that_follow_each_other_act_in_the_order_of_the_list() -> None:
+    replay = course(COMMANDS, LOADS)
+    gain = entry("sensor_gain", "cable_4", gain=0.1)
+    offset = entry("sensor_offset", "cable_4", offset_n=5.0)
+    ideal = readings(replay)[:, 3]
+    np.testing.assert_allclose(readings(replay, gain, offset)[:, 3], 1.1 * ideal + 5.0)
+    np.testing.assert_allclose(readings(replay, offset, gain)[:, 3], 1.1 * (ideal + 5.0))
+
+
+def test_an_amended_file_replays_as_its_entries_do() -> None:
+    listed = [
+        {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": 0.3}},
+        {"effect": "cable_creep", "parameters": {"share": 0.2}},
+        {"effect": "sensor_lag", "parameters": {"time_constant_s": 0.4}},
+    ]
+    arm = variant({"effects": listed}, "cdsm_lab")
+    replay = course(COMMANDS, LOADS)
+    found = replay_arm(arm, replay.time_s, replay.command_rad, replay.forces_n)
+    np.testing.assert_array_equal(found, readings(replay, *entries_of(arm)))
+
+
+def test_a_second_question_is_answered_as_the_first() -> None:
+    """Where the first answer lay is only where the next search begins."""
+    replay = course(COMMANDS, LOADS)
+    payload = entry("payload", "segment_2", mass_kg=0.3)
+    first = readings(replay, payload)
+    readings(replay, entry("payload", "segment_4", mass_kg=0.3))
+    np.testing.assert_allclose(readings(replay, payload), first, atol=1e-6)
+
+
+def test_equal_rows_read_equally_and_are_solved_once() -> None:
+    replay = course(STRAIGHT, np.repeat(push(3, [0.0, 10.0, 0.0])[None], 200, axis=0))
+    found = readings(replay, entry("base_tilt", roll_rad=0.1))
+    np.testing.assert_array_equal(found, np.repeat(found[:1], 200, axis=0))
+
+
+def test_amending_is_one_after_the_other() -> None:
+    entries = [entry("payload", f"segment_{n}", mass_kg=0.1) for n in (1, 2, 2)]
+    np.testing.assert_allclose(amended(MECHANISM, entries).mass_kg, [0.6, 0.7, 0.5, 0.5])
+
+
+def test_an_arm_that_finds_no_rest_says_so() -> None:
+    too_much = np.array([0.0]), STRAIGHT[None], push(4, [0.0, 5e4, 0.0])[None]
+    with pytest.raises(EquilibriumError):
+        replay_arm(ARM, *too_much)
+
+
+def test_held_lengths_are_those_of_the_nominal_arm() -> None:
+    replay = Replay(ARM, np.arange(3.0), bent(1, count=3), np.zeros((3, 4, 3)))
+    turned = entry("routing_geometry", "segment_3", cables_angle_rad=0.1)
+    rest = solve_equilibrium(
+        amended(MECHANISM, [turned]),
+        replay.command_rad,
+        held_m=held_lengths_m(MECHANISM, replay.command_rad),
+    )
+    np.testing.assert_allclose(readings(replay, turned), rest.tensions_n, atol=1e-6)
