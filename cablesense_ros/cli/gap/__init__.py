@@ -7,6 +7,7 @@ import typer
 from cablesense_ros.cli.gap.protocol import protocol
 from cablesense_ros.cli.gap.record import record
 from cablesense_ros.cli.gap.score import score
+from cablesense_ros.cli.gap.withhold import withhold
 
 gap = typer.Typer(
     name="gap",
@@ -15,5 +16,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (protocol, record, score):
+for verb in (protocol, record, score, withhold):
     gap.command()(verb)

@@ -1,0 +1,22 @@
+"""An independent plant: the "real arm" that the diagnosis is tried on without knowing it.
+
+It shares no code and no solver with the simulator or with the diagnosis, and has its own forms of
+the effects. Nothing of the diagnosis may import it.
+"""
+
+from cablesense_gap.plant.case import Answer, Case, CaseRecording, draw_case, record_case
+from cablesense_gap.plant.deck import draw_kinds
+from cablesense_gap.plant.nominal import Nominal, read_nominal
+from cablesense_gap.plant.plant_error import PlantError
+
+__all__ = [
+    "Answer",
+    "Case",
+    "CaseRecording",
+    "Nominal",
+    "PlantError",
+    "draw_case",
+    "draw_kinds",
+    "read_nominal",
+    "record_case",
+]

@@ -1,0 +1,143 @@
+"""The body of a plant: its joints, holes, masses, cables and springs, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.plant.nominal import Nominal
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Snag:
+    """Cables that something pushes aside, and so lengthens, beyond an angle of one joint.
+
+    They lengthen by ``depth_m_rad2 * max(0, toward . angles - from_rad)^2``.
+    """
+
+    joint: int
+    toward: tuple[float, float]
+    cables: tuple[int, ...]
+    depth_m_rad2: float
+    from_rad: float
+
+
+@dataclass(frozen=True)
+class TipSpring:
+    """A spring between the end of the last segment and its surroundings.
+
+    A tether pulls the end towards `anchor_m`; a wall (`normal` given) pushes it back along
+    the normal once it is beyond the plane through `anchor_m`.
+    """
+
+    anchor_m: tuple[float, float, float]
+    stiffness_n_m: float
+    normal: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Body:
+    """J universal joints in a chain, M cables through holes, point masses, springs.
+
+    A joint turns its frame by ``skew * Ry(pitch) * Rz(yaw) * skew^T``. Segments hang on joints; a
+    stiff arm has one joint a segment, a limber one a second in the middle of each.
+
+    Attributes:
+        gravity_m_s2: (3,) base frame.
+        spacing_m: (J,) from the joint before, the first from x = 0.
+        before_m: (J, M, 3) hole in the plate before each joint, from its centre, frame before it.
+        after_m: (J, M, 3) hole in the plate after each joint, in the frame that it turns.
+        passes: (J, M) whether the cable passes the joint.
+        skew: (J, 3, 3) rotation of the joint's axes.
+        mass_kg: (K,) point masses.
+        mass_joint: (K,) the joint whose frame carries each.
+        mass_at_m: (K, 3) where in that frame.
+        contact_joint: (N,) the joint whose frame carries the contact point of each segment.
+        contact_at_m: (N, 3) where in that frame.
+        tip_at_m: (3,) the arm's end in the last frame.
+        stiffness_n_m: (M,) at the pretension.
+        pretension_n: (M,) straight and weightless.
+        exponent: the tension grows with this power of the stretch; 1 is a linear cable.
+        spring_nm_rad: (J, 2) joints' springs, neutral at straight.
+        hardening_nm_rad3: (J, 2) their cubic part.
+        cogging_nm: (J, 2) amplitude of a torque periodic in the angle.
+        cogging_per_turn: its periods a turn.
+        snags: what lengthens cables at some poses.
+        tip_springs: what holds the arm's end.
+        driven: (N,) the joints that commands speak of, among the J.
+    """
+
+    gravity_m_s2: Array
+    spacing_m: Array
+    before_m: Array
+    after_m: Array
+    passes: NDArray[np.bool_]
+    skew: Array
+    mass_kg: Array
+    mass_joint: Ints
+    mass_at_m: Array
+    contact_joint: Ints
+    contact_at_m: Array
+    tip_at_m: Array
+    stiffness_n_m: Array
+    pretension_n: Array
+    exponent: float
+    spring_nm_rad: Array
+    hardening_nm_rad3: Array
+    cogging_nm: Array
+    driven: Ints
+    cogging_per_turn: float = 60.0
+    snags: tuple[Snag, ...] = field(default=())
+    tip_springs: tuple[TipSpring, ...] = field(default=())
+
+    @property
+    def joint_count(self) -> int:
+        """J."""
+        return len(self.spacing_m)
+
+    @property
+    def cable_count(self) -> int:
+        """M."""
+        return len(self.pretension_n)
+
+
+def stiff_body(nominal: Nominal) -> Body:
+    """The arm as drawn, one joint a segment."""
+    n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
+    holes = hole_points(nominal.radius_m, nominal.hole_angle_rad)
+    before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
+    before[..., 0], after[..., 0] = -offset, offset
+    ends_on = np.arange(m) // nominal.per_segment
+    on_axis = np.array([1.0, 0.0, 0.0])
+    return Body(
+        gravity_m_s2=nominal.gravity_m_s2,
+        spacing_m=np.array([offset] + [nominal.length_m] * (n - 1)),
+        before_m=before,
+        after_m=after,
+        passes=np.arange(n)[:, None] <= ends_on,
+        skew=np.tile(np.eye(3), (n, 1, 1)),
+        mass_kg=np.full(n, nominal.mass_kg),
+        mass_joint=np.arange(n),
+        mass_at_m=np.tile(0.5 * nominal.length_m * on_axis, (n, 1)),
+        contact_joint=np.arange(n),
+        contact_at_m=np.tile(nominal.contact_m * on_axis, (n, 1)),
+        tip_at_m=nominal.length_m * on_axis,
+        stiffness_n_m=np.full(m, nominal.stiffness_n_m),
+        pretension_n=np.full(m, nominal.pretension_n),
+        exponent=1.0,
+        spring_nm_rad=np.zeros((n, 2)),
+        hardening_nm_rad3=np.zeros((n, 2)),
+        cogging_nm=np.zeros((n, 2)),
+        driven=np.arange(n),
+    )
+
+
+def hole_points(radius_m: Array | float, angle_rad: Array) -> Array:
+    """(..., 3) holes at an angle from +z towards +y, at x = 0."""
+    radius, angle = np.broadcast_arrays(radius_m, angle_rad)
+    return np.stack([0.0 * angle, radius * np.sin(angle), radius * np.cos(angle)], axis=-1)

@@ -1,0 +1,197 @@
+"""A case: an arm of a workshop with something hidden, what is done to it, and its recording."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.plant.change import Change
+from cablesense_gap.plant.listed import LISTED
+from cablesense_gap.plant.nominal import Nominal
+from cablesense_gap.plant.plant_error import PlantError
+from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
+from cablesense_gap.plant.real_arm import RealArm, ideal_arm, signals_n
+from cablesense_gap.plant.scatter import scattered
+from cablesense_gap.plant.sensing import read_n
+from cablesense_gap.plant.sizing import gap_n, size_for
+from cablesense_gap.plant.unlisted import UNLISTED
+
+Array = NDArray[np.float64]
+
+NONE = "none"
+_FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
+_SHARES = (0.1, 0.78, 0.12)
+_PLAIN = (8.0, 60.0)
+_VISIBLE_FLOORS = 5.0
+_REDRAWS = 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """All of a recording but its noise.
+
+    Attributes:
+        name: of the recording.
+        schedule: what is done.
+        history: what was done before.
+        workshop: the arm with scatter alone.
+        changes: what is hidden, and of which size.
+        noise_seed: of the sensors' noise.
+    """
+
+    name: str
+    schedule: Schedule
+    history: Schedule
+    workshop: RealArm
+    changes: tuple[tuple[Change, float], ...]
+    noise_seed: int
+
+    @property
+    def arm(self) -> RealArm:
+        """The arm with what is hidden."""
+        arm = self.workshop
+        for change, size in self.changes:
+            arm = change.apply(arm, size)
+        return arm
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in a recording.
+
+    Attributes:
+        recording: its name.
+        effects: names joined by `+` in alphabetical order, `none` or `unknown`.
+        where: places joined by spaces; empty for the whole arm.
+        form: what it physically is, joined by ` + `.
+        sizes: of each, with units, as JSON.
+        gap_n: root mean square of what the hidden changes make of the noise-free readings.
+        gap_over_floor: the same by the error of one reading.
+        scatter_gap_n: of the workshop's arm without them against the arm as drawn.
+        each_gap_n: of each change alone, joined by spaces.
+    """
+
+    recording: str
+    effects: str
+    where: str
+    form: str
+    sizes: str
+    gap_n: float
+    gap_over_floor: float
+    scatter_gap_n: float
+    each_gap_n: str
+
+
+@dataclass(frozen=True)
+class CaseRecording:
+    """What is handed out of a case, and what is kept back."""
+
+    schedule: Schedule
+    tensions_n: Array
+    answer: Answer
+
+
+def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str) -> Case:
+    """Draw an arm, what is hidden in it and what is done to it.
+
+    Args:
+        rng: all of the case comes from it.
+        index: number in the name, `case_001`.
+        nominal: the arm as drawn.
+        kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
+            joined by `+`.
+
+    Raises:
+        PlantError: a kind that is none of those.
+    """
+    draws = {**LISTED, **UNLISTED}
+    names = [] if kind == NONE else kind.split("+")
+    if names == ["unknown"]:
+        names = [str(rng.choice(list(UNLISTED)))]
+    strange = [name for name in names if name not in draws]
+    if strange:
+        raise PlantError(
+            f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
+            "several joined by +"
+        )
+    schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
+    workshop = scattered(ideal_arm(nominal), rng)
+    changes = []
+    for name in sorted(names):
+        for _ in range(_REDRAWS):
+            change = draws[name](rng, nominal)
+            plain = len(names) > 1 or change.effect == "unknown"
+            wanted_n = nominal.floor_n * _drawn_floors(rng, plain)
+            size = size_for(change, workshop, wanted_n, schedule, history)
+            if not plain or _alone_n(change, size, workshop, schedule, history) >= (
+                _VISIBLE_FLOORS * nominal.floor_n
+            ):
+                break
+        changes.append((change, size))
+    return Case(
+        name=f"case_{index:03d}",
+        schedule=schedule,
+        history=history,
+        workshop=workshop,
+        changes=tuple(changes),
+        noise_seed=int(rng.integers(2**63)),
+    )
+
+
+def record_case(case: Case) -> CaseRecording:
+    """Record a case.
+
+    Raises:
+        PlantError: its arm finds no rest in some row.
+    """
+    nominal = case.workshop.nominal
+    signals = signals_n(case.arm, case.schedule, case.history)
+    workshop = signals_n(case.workshop, case.schedule, case.history)
+    drawn = signals_n(ideal_arm(nominal), case.schedule, case.history)
+    gap = gap_n(signals, workshop)
+    each = [gap]
+    if len(case.changes) > 1:
+        each = [
+            _alone_n(change, size, case.workshop, case.schedule, case.history)
+            for change, size in case.changes
+        ]
+    rng = np.random.default_rng(case.noise_seed)
+    changes = [change for change, _ in case.changes]
+    answer = Answer(
+        recording=case.name,
+        effects="+".join(sorted(change.effect for change in changes)) or NONE,
+        where=" ".join(place for change in changes for place in change.where),
+        form=" + ".join(change.form for change in changes),
+        sizes=json.dumps(
+            [
+                {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
+                | {key: _short(value) for key, value in change.details.items()}
+                for change, size in case.changes
+            ]
+        ),
+        gap_n=gap,
+        gap_over_floor=gap / nominal.floor_n,
+        scatter_gap_n=gap_n(workshop, drawn),
+        each_gap_n=" ".join(f"{value:.4f}" for value in each),
+    )
+    readings = read_n(signals, nominal.noise_std_n, nominal.step_n, rng)
+    return CaseRecording(case.schedule, readings, answer)
+
+
+def _drawn_floors(rng: np.random.Generator, plain: bool) -> float:
+    bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
+    return float(np.exp(rng.uniform(*np.log(bounds))))
+
+
+def _alone_n(
+    change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
+) -> float:
+    changed = signals_n(change.apply(arm, size), schedule, history)
+    return gap_n(changed, signals_n(arm, schedule, history))
+
+
+def _short(value: float | str) -> float | str:
+    return value if isinstance(value, str) else float(f"{value:.6g}")

@@ -1,0 +1,161 @@
+"""Where the holes and points of a body are at given joint angles, and how cables lengthen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.plant.body import Body, Snag
+
+Array = NDArray[np.float64]
+
+_PITCH_PLANE, _YAW_PLANE = (2, 0), (0, 1)
+_LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]
+_PITCH_ORDER = np.array([0, 1, 0, 2, 1, 0])
+_YAW_ORDER = np.array([0, 0, 1, 0, 1, 2])
+
+
+class Spans(NamedTuple):
+    """The pieces of cable across the joints, B rows.
+
+    Attributes:
+        length_m: (B, J, M) from plate to plate, with what snags add; 0 where a cable ends before.
+        slope_m_rad: (B, J, 2, M) by pitch and yaw of that joint.
+        curve_m_rad2: (B, J, 3, M) second derivatives: pitch twice, both, yaw twice.
+        bend_rad: (B, J, 2, M) by which the cable turns at the guides before and after the joint; 0
+            where it is anchored or has ended.
+    """
+
+    length_m: Array
+    slope_m_rad: Array
+    curve_m_rad2: Array
+    bend_rad: Array
+
+
+class Frames(NamedTuple):
+    """The joints in the base frame, B rows.
+
+    Attributes:
+        rotation: (B, J, 3, 3) of the frame that each joint turns.
+        centre_m: (B, J, 3) of each joint.
+        axis: (B, 2J, 3) pitch and yaw axes, unit.
+    """
+
+    rotation: Array
+    centre_m: Array
+    axis: Array
+
+
+def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = False) -> Spans:
+    """Cable spans at joint angles (B, 2J), of which `turning` are the `turns`."""
+    turned = turning @ np.swapaxes(body.after_m, -1, -2)
+    v = turned[0] - np.swapaxes(body.before_m, -1, -2)
+    first, second = turned[1:3], turned[3:6]
+    length = np.sqrt((v * v).sum(-2))
+    slope = (first * v).sum(-2) / length
+    pairs = (first[_LEFT] * first[_RIGHT] + second * v).sum(-2)
+    curve = (pairs - slope[_LEFT] * slope[_RIGHT]) / length
+    keep = body.passes
+    result = Spans(
+        length * keep,
+        np.moveaxis(slope * keep, 0, -2),
+        np.moveaxis(curve * keep, 0, -2),
+        _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0),
+    )
+    for snag in body.snags:
+        result = _snagged(result, snag, angles_rad)
+    return result
+
+
+def cable_lengths_m(body: Body, angles_rad: Array) -> Array:
+    """(B, M) lengths across all joints at angles (B, 2J); what lies in segments is constant."""
+    return spans(body, angles_rad, turns(body, angles_rad)).length_m.sum(-2)
+
+
+def frames(body: Body, angles_rad: Array, turning: Array) -> Frames:
+    """Frames of the joints in base axes at angles (B, 2J), of which `turning` are the `turns`."""
+    rows, joints = angles_rad.shape[0], body.joint_count
+    sine, cosine = np.sin(angles_rad[:, ::2]), np.cos(angles_rad[:, ::2])
+    rotation = np.empty((rows, joints, 3, 3))
+    centre = np.empty((rows, joints, 3))
+    axis = np.empty((rows, 2 * joints, 3))
+    before: Array = np.tile(np.eye(3), (rows, 1, 1))
+    at: Array = np.zeros((rows, 3))
+    for j in range(joints):
+        at = at + body.spacing_m[j] * before[:, :, 0]
+        centre[:, j] = at
+        skewed = before @ body.skew[j]
+        axis[:, 2 * j] = skewed[:, :, 1]
+        forward = sine[:, j, None] * skewed[:, :, 0]
+        axis[:, 2 * j + 1] = forward + cosine[:, j, None] * skewed[:, :, 2]
+        before = before @ turning[0, :, j]
+        rotation[:, j] = before
+    return Frames(rotation, centre, axis)
+
+
+def points_m(placed: Frames, joint: NDArray[np.int64], at_m: Array) -> Array:
+    """(B, P, 3) base-frame places of points (P, 3) of the frames that joints (P,) turn."""
+    return placed.centre_m[:, joint] + (placed.rotation[:, joint] @ at_m[..., None])[..., 0]
+
+
+def turns(body: Body, angles_rad: Array) -> Array:
+    """(6, B, J, 3, 3) rotations over joints at angles (B, 2J), derivatives p, y, pp, py, yy."""
+    pitch, yaw = angles_rad[:, ::2], angles_rad[:, 1::2]
+    by_pitch = _about(pitch, *_PITCH_PLANE)
+    by_yaw = _about(yaw, *_YAW_PLANE)
+    level = np.swapaxes(body.skew, -1, -2)
+    return body.skew @ by_pitch[_PITCH_ORDER] @ by_yaw[_YAW_ORDER] @ level
+
+
+def _about(angle: Array, first: int, second: int) -> Array:
+    """(3, ..., 3, 3) turns from axis `first` to axis `second`, first and second derivatives."""
+    result = np.zeros((3, *angle.shape, 3, 3))
+    sine, cosine = np.sin(angle), np.cos(angle)
+    for order, (along, across) in enumerate(((cosine, sine), (-sine, cosine), (-cosine, -sine))):
+        result[order, ..., first, first] = result[order, ..., second, second] = along
+        result[order, ..., second, first] = across
+        result[order, ..., first, second] = -across
+    still = 3 - first - second
+    result[0, ..., still, still] = 1.0
+    return result
+
+
+def _bends(body: Body, turning: Array, direction: Array) -> Array:
+    """(B, J, 2, M) by the straight pieces inside the segments before and after each joint."""
+    back, ahead = _inside(body)
+    own = np.swapaxes(turning, -1, -2) @ direction
+    away = np.stack([direction - back, own - ahead], axis=-3)
+    chords = np.sqrt((away * away).sum(axis=-2))
+    anchored = np.zeros_like(body.passes)
+    anchored[:-1] = body.passes[1:]
+    guided = np.stack([body.passes, anchored], axis=1)
+    return 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)) * guided
+
+
+def _inside(body: Body) -> tuple[Array, Array]:
+    """Unit directions (J, 3, M) of the cables in the frames before and after each joint."""
+    ahead = np.zeros_like(body.after_m)
+    ahead[..., 0] = 1.0
+    back = ahead.copy()
+    pieces = body.before_m[1:] - body.after_m[:-1]
+    pieces[..., 0] += body.spacing_m[1:, None]
+    pieces /= np.linalg.norm(pieces, axis=-1, keepdims=True)
+    back[1:], ahead[:-1] = pieces, pieces
+    return np.swapaxes(back, -1, -2), np.swapaxes(ahead, -1, -2)
+
+
+def _snagged(free: Spans, snag: Snag, angles_rad: Array) -> Spans:
+    j, cables = snag.joint, list(snag.cables)
+    p, y = snag.toward
+    beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - snag.from_rad
+    beyond = np.maximum(beyond, 0.0)[:, None]
+    touching = (beyond > 0.0) * 2.0 * snag.depth_m_rad2
+    length, slope, curve = free.length_m, free.slope_m_rad.copy(), free.curve_m_rad2.copy()
+    length[:, j, cables] += snag.depth_m_rad2 * beyond**2
+    for i, share in enumerate((p, y)):
+        slope[:, j, i, cables] += touching * beyond * share
+    for i, share in enumerate((p * p, p * y, y * y)):
+        curve[:, j, i, cables] += touching * share
+    return Spans(length, slope, curve, free.bend_rad)

@@ -1,0 +1,150 @@
+"""The rest of a body without friction: all rows at once, by Newton steps on the torques."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.plant.body import Body
+from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
+from cablesense_gap.plant.plant_error import PlantError
+from cablesense_gap.plant.torques import torques
+
+Array = NDArray[np.float64]
+
+_ENOUGH_NM = 1e-9
+_MOST_STEPS = 150
+_LEAST_STIFFENING = 0.02
+_SOFTEST_NM_RAD = 10.0
+_LEAST_NM_RAD = 1e-3
+_LOAD_STEPS = 13
+
+
+class Rest(NamedTuple):
+    """Angles (B, 2J) and tensions (B, M) at rest."""
+
+    angles_rad: Array
+    tensions_n: Array
+
+
+def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
+    """(B, 2J) of commands (B, 2N); a joint that nobody drives is straight."""
+    angles = np.zeros((len(command_rad), body.joint_count, 2))
+    angles[:, body.driven] = command_rad.reshape(len(command_rad), -1, 2)
+    return angles.reshape(len(command_rad), -1)
+
+
+def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
+    """Rest of rows near their starts (B, 2J).
+
+    Args:
+        body: the arm.
+        start_rad: (B, 2J) from where to search.
+        paid_out_m: (B, M) cable length that the actuators give, less that of the straight arm.
+        loads_n: (B, N, 3) base-frame forces at the contact points.
+
+    Raises:
+        PlantError: rows without rest.
+    """
+    angles, tensions, lost = _search(body, start_rad, paid_out_m, loads_n)
+    if len(lost):  # loads put on little by little, each from the rest under the last
+        paid, loads = paid_out_m[lost], loads_n[lost]
+        start = start_rad[lost]
+        for share in np.linspace(0.0, 1.0, _LOAD_STEPS):
+            start, tension, still = _search(body, start, paid, share * loads)
+            if len(still):
+                raise PlantError(
+                    f"no rest found in {len(still)} rows, the first is {lost[still[0]] + 1}; "
+                    "smaller loads or angles leave the arm stable"
+                )
+        angles[lost], tensions[lost] = start, tension
+    return Rest(angles, tensions)
+
+
+def _search(
+    body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Angles, tensions, and the rows that found no rest."""
+    angles = np.array(start_rad, dtype=float)
+    wanted = paid_out_m + cable_lengths_m(body, np.zeros((1, angles.shape[1])))
+    torque, slope, tensions = _balance(body, angles, wanted, loads_n)
+    stiffening = np.zeros(len(angles))
+    for _ in range(_MOST_STEPS):
+        rows = np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
+        if not len(rows):
+            break
+        move = downhill_rad(torque[rows], slope[rows], stiffening[rows])
+        found = _balance(body, angles[rows] + move, wanted[rows], loads_n[rows])
+        held = (found[0] * move).sum(-1) >= -0.5 * (torque[rows] * move).sum(-1)
+        kept = rows[held]
+        angles[kept] += move[held]
+        for whole, part in zip((torque, slope, tensions), found, strict=True):
+            whole[kept] = part[held]
+        more = np.maximum(_LEAST_STIFFENING, 4.0 * stiffening[rows])
+        less = np.where(stiffening[rows] > _LEAST_STIFFENING, 0.25 * stiffening[rows], 0.0)
+        stiffening[rows] = np.where(held, less, more)
+    rows = np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
+    return angles, tensions, rows
+
+
+def downhill_rad(torque_nm: Array, slope_nm_rad: Array, stiffening: Array) -> Array:
+    """Newton's step (B, 2J) where the arm is stable, else one that leads away from the saddle.
+
+    `stiffening` (B,), a share of the arm's own stiffness, makes it shorter.
+    """
+    symmetric = 0.5 * (slope_nm_rad + np.swapaxes(slope_nm_rad, -1, -2))
+    softest = np.linalg.eigvalsh(symmetric)[:, -1]
+    diagonal = np.arange(slope_nm_rad.shape[-1])
+    own = np.abs(slope_nm_rad[:, diagonal, diagonal])
+    firmer = slope_nm_rad.copy()
+    firmer[:, diagonal, diagonal] -= stiffening[:, None] * np.maximum(own, _SOFTEST_NM_RAD)
+    unstable = softest > -_LEAST_NM_RAD
+    firmer[:, diagonal, diagonal] -= (unstable * (2.0 * np.abs(softest) + 0.5))[:, None]
+    return np.asarray(np.linalg.solve(firmer, -torque_nm[..., None])[..., 0], dtype=float)
+
+
+def tension_law(body: Body, stretch_m: Array) -> tuple[Array, Array]:
+    """Tension and its slope, N and N/m, of a stretch counted from the pretension."""
+    n = body.exponent
+    base = 1.0 + body.stiffness_n_m * stretch_m / (n * body.pretension_n)
+    taut = base > 0.0
+    base = np.where(taut, base, 1.0)
+    tension = body.pretension_n * base**n
+    slope = body.stiffness_n_m * base ** (n - 1.0)
+    return tension * taut, slope * taut
+
+
+def cable_torques(
+    slope_m_rad: Array, curve_m_rad2: Array, tension_n: Array
+) -> tuple[Array, Array]:
+    """Torques (B, 2J) of span tensions (B, J, M), and their blocks (B, J, 3) by the curves."""
+    torque = -(slope_m_rad @ tension_n[..., None])[..., 0]
+    blocks = -(curve_m_rad2 @ tension_n[..., None])[..., 0]
+    return torque.reshape(len(torque), -1), blocks
+
+
+def add_blocks(matrix: Array, blocks: Array) -> Array:
+    """Add (B, J, 3) symmetric blocks pp, py, yy to the diagonal of (B, 2J, 2J), in place."""
+    p = np.arange(0, matrix.shape[-1], 2)
+    matrix[:, p, p] += blocks[..., 0]
+    matrix[:, p, p + 1] += blocks[..., 1]
+    matrix[:, p + 1, p] += blocks[..., 1]
+    matrix[:, p + 1, p + 1] += blocks[..., 2]
+    return matrix
+
+
+def _balance(
+    body: Body, angles: Array, wanted_m: Array, loads_n: Array
+) -> tuple[Array, Array, Array]:
+    turning = turns(body, angles)
+    across = spans(body, angles, turning)
+    tension, stiffness = tension_law(body, across.length_m.sum(-2) - wanted_m)
+    rows, joints = len(angles), body.joint_count
+    slopes = across.slope_m_rad.reshape(rows, 2 * joints, -1)
+    shared = np.broadcast_to(tension[:, None, :], across.length_m.shape)
+    torque, blocks = cable_torques(across.slope_m_rad, across.curve_m_rad2, shared)
+    outer = torques(body, angles, turning, loads_n)
+    matrix = outer.slope_nm_rad - (slopes * stiffness[:, None, :]) @ np.swapaxes(slopes, 1, 2)
+    return torque + outer.torque_nm, add_blocks(matrix, blocks), tension

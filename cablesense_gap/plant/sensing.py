@@ -1,0 +1,134 @@
+"""What sensors make of tensions, before noise and rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.plant.freezing import Freezing
+from cablesense_gap.plant.wander import Wander
+
+Array = NDArray[np.float64]
+
+_FINE = 10
+
+
+class Filter(StrEnum):
+    """How a sensor follows late."""
+
+    FIRST_ORDER = "first order"
+    MOVING_AVERAGE = "moving average"
+    CRITICAL = "second order, critically damped"
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Faults of M sensors, in the order in which a signal meets them.
+
+    Attributes:
+        gain: (M,) reading by tension.
+        bow_per_n: (M,) share by which the gain changes with each newton above the pretension.
+        ceiling_n: (M,) where a soft saturation sets in.
+        leak: (M, M) share of the column's signal in the row's.
+        lag_s: (M,) time constant, or half the window of an average.
+        lag_filter: which of the filters.
+        offset_n: (M,) zero errors.
+        wander: how zeros wander.
+        hum_n: (M,) amplitude of an interference.
+        hum_hz: its frequency.
+        hum_phase_rad: (M,) its phase.
+        freezing: when channels repeat their last value.
+        bow_from_n: tension at which the bow is zero.
+    """
+
+    gain: Array
+    bow_per_n: Array
+    ceiling_n: Array
+    leak: Array
+    lag_s: Array
+    lag_filter: Filter
+    offset_n: Array
+    wander: Wander
+    hum_n: Array
+    hum_hz: float
+    hum_phase_rad: Array
+    freezing: Freezing
+    bow_from_n: float
+
+    def signals_n(self, tension_n: Array, time_s: Array) -> Array:
+        """(R, M) noise-free readings of tensions (R, M) at times (R,)."""
+        signal = tension_n * (self.gain + self.bow_per_n * (tension_n - self.bow_from_n))
+        over = np.maximum(signal - self.ceiling_n, 0.0)
+        signal = np.where(over > 0.0, self.ceiling_n + over / (1.0 + over / 10.0), signal)
+        signal = signal + signal @ self.leak.T
+        signal = _late(signal, time_s, self.lag_s, self.lag_filter)
+        hum = np.sin(2.0 * np.pi * self.hum_hz * time_s[:, None] + self.hum_phase_rad)
+        signal = signal + self.offset_n + self.wander.zeros_n(time_s) + self.hum_n * hum
+        return self.freezing.held_n(signal)
+
+
+def ideal_sensing(cables: int, pretension_n: float) -> Sensing:
+    """Sensors without faults."""
+    zero = np.zeros(cables)
+    return Sensing(
+        gain=zero + 1.0,
+        bow_per_n=zero,
+        ceiling_n=zero + np.inf,
+        leak=np.zeros((cables, cables)),
+        lag_s=zero,
+        lag_filter=Filter.FIRST_ORDER,
+        offset_n=zero,
+        wander=Wander(zero),
+        hum_n=zero,
+        hum_hz=0.3,
+        hum_phase_rad=zero,
+        freezing=Freezing(zero),
+        bow_from_n=pretension_n,
+    )
+
+
+def read_n(signal_n: Array, noise_std_n: float, step_n: float, rng: np.random.Generator) -> Array:
+    """Readings of signals: noise, then whole steps."""
+    noisy = signal_n + noise_std_n * rng.standard_normal(signal_n.shape)
+    return np.round(noisy / step_n) * step_n if step_n > 0.0 else noisy
+
+
+def _late(signal_n: Array, time_s: Array, lag_s: Array, kind: Filter) -> Array:
+    """Each column through its filter, which has seen the first value for ever."""
+    if not lag_s.any():
+        return signal_n
+    steps = len(time_s) - 1
+    fine_s = np.interp(np.arange(steps * _FINE + 1) / _FINE, np.arange(steps + 1), time_s)
+    period_s = float(fine_s[1] - fine_s[0])
+    late = signal_n.copy()
+    for column in np.flatnonzero(lag_s):
+        fine = np.interp(fine_s, time_s, signal_n[:, column])
+        if kind is Filter.MOVING_AVERAGE:
+            fine = _averaged(fine, max(1.0, 2.0 * lag_s[column] / period_s))
+        else:
+            order = 1 if kind is Filter.FIRST_ORDER else 2
+            for _ in range(order):
+                fine = _first_order(fine, period_s, lag_s[column] / order)
+        late[:, column] = fine[::_FINE]
+    return late
+
+
+def _first_order(signal: Array, period_s: float, lag_s: float) -> Array:
+    from scipy.signal import lfilter
+
+    kept = np.exp(-period_s / lag_s)
+    out, _ = lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])
+    return np.asarray(out)
+
+
+def _averaged(signal: Array, window: float) -> Array:
+    """Mean over the last `window` samples, which need not be a whole number."""
+    whole = int(np.ceil(window))
+    padded = np.concatenate([np.full(whole, signal[0]), signal])
+    total = np.concatenate([[0.0], np.cumsum(padded)])
+    ends = whole + np.arange(1, len(signal) + 1)
+    starts = np.interp(ends - window, np.arange(len(total)), total)
+    return (total[ends] - starts) / window
