@@ -77,6 +77,6 @@ def _pieces(recording: Recording, residual_n: Array, arm: Arm) -> Iterator[tuple
     for n in range(arm.segment_count):
         for mode, name in enumerate(MODES):
             yield SET, f"segment_{n + 1}, {name}", modes[:, n, mode, None]
-    yield LOOP, "half the loop between loading and unloading", loop_n(recording, residual_n)
+    yield LOOP, "half the width of the loop", loop_n(recording, residual_n)
     for group, member, rows in row_groups(recording):
         yield group, member, residual_n[rows]
