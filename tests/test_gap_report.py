@@ -14,7 +14,7 @@ from verdict_cases import gap_of, verdict_of
 from cablesense_gap.report.inputs import ReportInputs
 from cablesense_gap.report.page import report_page, write_report
 from cablesense_gap.report.report_error import ReportError
-from cablesense_gap.verdict import Estimate, Estimator
+from cablesense_gap.verdict import Candidate, Estimate, Estimator
 
 SMALL = small_recording()
 NOISE = np.random.default_rng(3).normal(0.0, 0.1, SMALL.tensions_n.shape)
@@ -148,6 +148,21 @@ def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("cablesense_gap.report.page.report_page", lambda _: "page")
     with pytest.raises(ReportError, match="cannot be written"):
         write_report(tmp_path / "nowhere" / "report.html", inputs_of(PAYLOAD))
+
+
+def test_readings_without_noise_can_be_shown_too():
+    verdict = verdict_of(
+        "none",
+        1.0,
+        gap=gap_of(0.0, 0.0, floor_n=0.0),
+    ).model_copy(
+        update={
+            "candidates": (Candidate(effects=("none",), held_out_rmse_n=0.0, probability=1.0),)
+        }
+    )
+    exact = SMALL.tensions_n
+    inputs = inputs_of(verdict, predicted_before_n=exact, predicted_after_n=exact)
+    assert Page(report_page(inputs)).h1.startswith("Nothing to add: the gap of 0.00 N")
 
 
 def test_a_long_recording_is_drawn_small_and_soon():

@@ -7,6 +7,7 @@ import numpy as np
 from cablesense_gap.report.figure_style import (
     AFTER,
     FLOOR,
+    LEAST_N,
     OTHER,
     WIDTH_IN,
     as_uri,
@@ -37,16 +38,17 @@ def candidate_figure(verdict: Verdict) -> str:
         chosen = candidate.effects == verdict.effects
         colour = AFTER if chosen else OTHER
         if candidate.held_out_ci95_n is not None:
-            left.hlines(at, *candidate.held_out_ci95_n, color=colour, lw=2.4)
-        left.scatter(candidate.held_out_rmse_n, at, s=38, color=colour, zorder=3)
+            left.hlines(at, *np.maximum(candidate.held_out_ci95_n, LEAST_N), color=colour, lw=2.4)
+        left.scatter(max(candidate.held_out_rmse_n, LEAST_N), at, s=38, color=colour, zorder=3)
         right.barh(at, candidate.probability, 0.62, color=colour)
         right.text(
             candidate.probability + 0.012, at, percent(candidate.probability), va="center",
             weight="bold" if chosen else "normal",
         )  # fmt: skip
-    left.axvline(verdict.gap.floor_n, color=FLOOR, ls="--", lw=1.2)
+    floor_n = max(verdict.gap.floor_n, LEAST_N)
+    left.axvline(floor_n, color=FLOOR, ls="--", lw=1.2)
     left.text(
-        verdict.gap.floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
+        floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
         transform=left.get_xaxis_transform(),
     )  # fmt: skip
     left.set_xscale("log")

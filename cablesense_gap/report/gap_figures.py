@@ -12,6 +12,7 @@ from cablesense_gap.report.figure_style import (
     BEFORE,
     FLOOR,
     GRID,
+    LEAST_N,
     OTHER,
     WIDTH_IN,
     as_uri,
@@ -77,12 +78,13 @@ def _dumbbells(
         y += 0.35
     figure, axes = plt.subplots(figsize=(WIDTH_IN, 0.8 + 0.205 * y), layout="constrained")
     at, start, end = (np.array(column) for column in zip(*lines, strict=True))
+    start, end = np.maximum(start, LEAST_N), np.maximum(end, LEAST_N)
     _draw(axes, at, start, end, after_label)
     axes.axvline(before.floor_n, color=FLOOR, ls="--", lw=1.2, label="floor")
     sizes = np.concatenate([start, end])
     axes.set_xlim(
-        min(np.nanmin(sizes) / 1.2, before.floor_n / 2.0),
-        max(np.nanmax(sizes) * 1.2, before.floor_n * 5.0),
+        max(min(np.nanmin(sizes) / 1.2, before.floor_n / 2.0), LEAST_N),
+        max(np.nanmax(sizes) * 1.2, before.floor_n * 5.0, 10.0 * LEAST_N),
     )
     axes.set_yticks(at, labels)
     for height, words in heads:
