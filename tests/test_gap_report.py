@@ -16,6 +16,8 @@ from cablesense_gap.report.page import report_page, write_report
 from cablesense_gap.report.report_error import ReportError
 from cablesense_gap.verdict import Candidate, Estimate, Estimator
 
+pytestmark = pytest.mark.slow  # each page has five pictures to draw
+
 SMALL = small_recording()
 NOISE = np.random.default_rng(3).normal(0.0, 0.1, SMALL.tensions_n.shape)
 PAYLOAD = verdict_of(
