@@ -23,7 +23,9 @@ from cablesense_ros.sample_clock import SampleClock
 from cablesense_ros.sample_error import ProblemKind, SampleError
 from cablesense_ros.tare import Tare, TareModel
 from cablesense_sim.arm import Arm
-from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.effects.chains import amended
+from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -101,7 +103,8 @@ class Estimation:
     def __init__(
         self, arm: Arm, estimator: EstimatesContacts, settings: EstimationSettings, now_s: float
     ) -> None:
-        self._mechanism = Mechanism.from_arm(arm)
+        self._nominal = Mechanism.from_arm(arm)
+        self._mechanism = amended(self._nominal, entries_of(arm))
         self._estimator = estimator
         self._contact_m = self._mechanism.contact_m.tolist()
         self._contact_threshold = settings.contact_threshold
@@ -220,4 +223,5 @@ class Estimation:
         return Contact(segment, angle, magnitude, self._contact_m[segment - 1])
 
     def _predict_n(self, command_rad: Array) -> Array:
-        return solve_equilibrium(self._mechanism, command_rad).tensions_n
+        held = held_lengths_m(self._nominal, command_rad)
+        return solve_equilibrium(self._mechanism, command_rad, held_m=held).tensions_n

@@ -12,7 +12,7 @@ from cablesense_training.inference.model_files import find_model
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """An arm, its estimator, and the file that this came from."""
+    """An estimator, the arm that it believes in, and the file that this came from."""
 
     arm: Arm
     estimator: Estimator
@@ -27,4 +27,5 @@ def load_model(arm: str, model: str) -> LoadedModel:
     """
     description = open_arm(arm)
     path = find_model(model or description.name)
-    return LoadedModel(description, Estimator.load(path, description), str(path))
+    estimator = Estimator.load(path, description)
+    return LoadedModel(estimator.metadata.arm, estimator, str(path))

@@ -1,4 +1,4 @@
-"""The `sim` node: the arm in MuJoCo at real time, as if it were the real one on the bus."""
+"""The `sim` node: the arm at real time with its effects, as if it were the real one on the bus."""
 
 from __future__ import annotations
 
@@ -28,11 +28,13 @@ from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
 from cablesense_ros.sim_parameters import SIM_PARAMETERS
-from cablesense_ros.simulated_arm import SimulatedArm
+from cablesense_ros.simulated_arm import LONGEST_LAG_S, SimulatedArm
 from cablesense_ros.spin import run_node
 from cablesense_ros.throttled_log import ThrottledLog
 from cablesense_sim.arm_files import open_arm
-from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.effects.chains import sensings
+from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.moving_arm import moving_arm
 from cablesense_sim.urdf import urdf_xml
 
 TIMESTEP_S = 1e-3
@@ -40,6 +42,7 @@ JOINT_STATES_HZ = 100.0
 """`joint_states` come with the tensions, but no faster than this: they are for display."""
 
 _SLOWEST_FACTOR = 0.95
+_PERIODS_OF_LAG = 2.0
 
 
 class SimNode(Node):
@@ -55,11 +58,13 @@ class SimNode(Node):
         self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
         self._rate_hz = given["rate_hz"] or min(self._arm.sensors.rate_hz, 1000.0)
         self._simulated = SimulatedArm(
-            ArmDynamics(self._arm, TIMESTEP_S),
+            moving_arm(self._arm, TIMESTEP_S),
             TIMESTEP_S,
             math.radians(given["joint_speed_deg_s"]),
             given["load_timeout_s"],
             time.monotonic(),
+            sensings=sensings([entries_of(self._arm)]),
+            longest_lag_s=max(LONGEST_LAG_S, _PERIODS_OF_LAG / self._rate_hz),
         )
         self._refusals = 0
         self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
@@ -126,7 +131,7 @@ class SimNode(Node):
         if self._simulated.resets:
             level, message = (
                 Level.ERROR,
-                "the dynamics lost their footing and started afresh, unloaded",
+                "the arm lost its footing and started afresh, unloaded",
             )
         loads = ", ".join(
             f"segment_{segment}: {force:.1f}" for segment, force in self._simulated.loads_n.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from cablesense_msgs_py.load import Load
 from cablesense_ros.joint_motion import JointMotion
 from cablesense_ros.real_time import RealTimePacer
 from cablesense_sim.arm import Sensors
+from cablesense_sim.effects.sensing import Sensing
 from cablesense_sim.sensors import read_tensions_n
 
 Array = NDArray[np.float64]
@@ -20,10 +22,13 @@ LONGEST_LAG_S = 0.1
 
 
 class Dynamics(Protocol):
-    """What is needed of `cablesense_sim.dynamics.ArmDynamics`."""
+    """What is needed of an arm of `cablesense_sim.moving_arm`."""
 
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Hold the cable lengths of these angles (2N,)."""
+
+    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
+        """The angles, if they can be commanded; changes nothing."""
 
     def load(self, segment: int, force_base_n: ArrayLike) -> None:
         """Push a segment with a force (3,), base axes, N."""
@@ -61,14 +66,23 @@ class SimulatedArm:
         joint_speed_rad_s: float,
         load_timeout_s: float,
         now_s: float,
+        *,
+        sensings: Sequence[Sensing] = (),
+        longest_lag_s: float = LONGEST_LAG_S,
     ) -> None:
-        """`load_timeout_s` of 0 lets loads hold until they are changed."""
+        """`load_timeout_s` of 0 lets loads hold until they are changed.
+
+        `sensings` are the effects of the sensors, in their order; `longest_lag_s` must be longer
+        than the time from one look at the arm to the next.
+        """
         self._dynamics = dynamics
         self._timestep_s = timestep_s
         self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
         self._load_timeout_s = load_timeout_s
         self._loads: dict[int, tuple[Array, float]] = {}
-        self._pacer = RealTimePacer(timestep_s, LONGEST_LAG_S, now_s)
+        self._pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
+        self._sensings = sensings
+        self._began_s = self._now_s = now_s
         self.resets = 0
 
     def go_to(self, joint_angles_rad: Array) -> None:
@@ -77,12 +91,7 @@ class SimulatedArm:
         Raises:
             CableSenseError: the arm cannot take such a command; it keeps the one it has.
         """
-        before = self._dynamics.command_rad
-        try:
-            self._dynamics.command(joint_angles_rad)
-        finally:
-            self._dynamics.command(before)
-        self._motion.go_to(joint_angles_rad)
+        self._motion.go_to(self._dynamics.checked_command(joint_angles_rad))
 
     def push(self, load: Load, now_s: float) -> None:
         """Put a load on its segment in place of the one before; a zero force takes it away."""
@@ -93,6 +102,7 @@ class SimulatedArm:
 
     def advance_to(self, now_s: float) -> None:
         """Let the time that has passed pass in the simulation as well."""
+        self._now_s = now_s
         self._drop_old_loads(now_s)
         due = self._pacer.steps_due(now_s)
         while due > 0 and self._motion.moving:
@@ -105,8 +115,10 @@ class SimulatedArm:
             self._start_afresh()
 
     def reading_n(self, sensors: Sensors, rng: np.random.Generator | None) -> Array:
-        """(M,) tensions in N: as the sensors read them, or the true ones without `rng`."""
+        """(M,) tensions in N as the sensors read them, without noise and step without `rng`."""
         tensions = self._dynamics.tensions_n
+        for sensing in self._sensings:
+            tensions = sensing.step(self._now_s - self._began_s, tensions[None])[0]
         return tensions if rng is None else read_tensions_n(tensions, sensors, rng)
 
     @property

@@ -247,6 +247,11 @@ class Arm(_Part):
         )
 
     @property
+    def nominal(self) -> Arm:
+        """The arm as it was drawn, without effects."""
+        return self.model_copy(update={"effects": []}) if self.effects else self
+
+    @property
     def identity(self) -> str:
         """Name and the first 12 hex digits of the SHA-256 of the description."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)

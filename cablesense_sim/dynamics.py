@@ -1,4 +1,8 @@
-"""The arm in time: MuJoCo stepped under commands and loads, with the tensions in its cables."""
+"""The arm in time: MuJoCo stepped under commands and loads, with the tensions in its cables.
+
+Effects on the arm itself and on its actuators are in it. What depends on the past is not: sticking
+as a force computed every step is stiffer than a step of 1 ms bears. `rest_to_rest` has that.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
+from cablesense_sim.command import actuated_m, checked_command
+from cablesense_sim.effects.chains import actuations, amended, memories
+from cablesense_sim.effects.entry import entries_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
-from cablesense_sim.loads import LoadError
+from cablesense_sim.loads import checked_load
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 
@@ -21,13 +27,21 @@ class ArmDynamics:
 
     Attributes:
         arm: the description it was built from.
-        mechanism: its numbers as arrays.
+        mechanism: its numbers as arrays, as its effects leave them.
         model, data: MuJoCo's own, for rendering.
     """
 
     def __init__(self, arm: Arm, timestep_s: float = 1e-3) -> None:
+        """Raise an EquilibriumError where the arm has effects that depend on the past."""
         self.arm = arm
-        self.mechanism = Mechanism.from_arm(arm)
+        self._entries = entries_of(arm)
+        if memories([self._entries]):
+            raise EquilibriumError(
+                f"arm {arm.identity} has effects that depend on the past; it goes from rest to "
+                "rest (cablesense_sim.rest_to_rest), not in time"
+            )
+        self._nominal = Mechanism.from_arm(arm)
+        self.mechanism = amended(self._nominal, self._entries)
         self.model = build_spec(self.mechanism, arm.name).compile()
         self.model.opt.timestep = timestep_s
         self.data = mujoco.MjData(self.model)
@@ -41,14 +55,20 @@ class ArmDynamics:
         self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
         self._forces_n = np.zeros((arm.segment_count, 3))
         self._command_rad = np.zeros(arm.joint_count)
+        self._actuations = actuations([self._entries])
         self.reset()
 
     def reset(self, command_rad: ArrayLike | None = None) -> None:
         """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
-        command = np.zeros(self.arm.joint_count) if command_rad is None else command_rad
-        rest = solve_equilibrium(self.mechanism, command)
+        command = self.checked_command(
+            np.zeros(self.arm.joint_count) if command_rad is None else command_rad
+        )
+        fresh = actuations([self._entries])
+        held = actuated_m(self._nominal, command, fresh, 0.0)
+        rest = solve_equilibrium(self.mechanism, command, held_m=held)
         mujoco.mj_resetData(self.model, self.data)
         self._forces_n[:] = 0.0
+        self._actuations = fresh
         self.command(command)
         self.data.qpos[self._joints] = rest.joint_angles_rad
         if not self._rigid:
@@ -60,28 +80,26 @@ class ArmDynamics:
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Let the actuators hold the cable lengths of these joint angles (2N,).
 
+        They are those of the arm without its effects: its controller knows no better.
+
         Raises:
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
         """
-        command = np.asarray(joint_angles_rad, dtype=float)
-        if command.shape != (self.arm.joint_count,) or not np.isfinite(command).all():
-            raise EquilibriumError(
-                f"a command is {self.arm.joint_count} finite joint angles in rad, not {command!r}"
-            )
-        bend, limit = kinematics.bend_rad(command), self.mechanism.bend_limit_rad
-        if (bend >= limit).any():
-            joint = int(np.argmax(bend - limit))
-            raise EquilibriumError(
-                f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
-                f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
-            )
-        self._command_rad = command.copy()
-        lengths = kinematics.cable_lengths_m(self.mechanism, command)
-        retraction = self.mechanism.straight_length_m - lengths
+        command = self.checked_command(joint_angles_rad)
+        self._command_rad = command
+        retraction = -actuated_m(self._nominal, command, self._actuations, self.time_s)
         if self._rigid:
             self.data.mocap_pos[:, 0] = -self.mechanism.run_m - retraction
         else:
             self.data.ctrl[:] = retraction
+
+    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
+        """Joint angles (2N,) that the arm can be commanded to; changes nothing.
+
+        Raises:
+            EquilibriumError: as `command`.
+        """
+        return checked_command(self._nominal, joint_angles_rad)
 
     def load(self, segment: int, force_base_n: ArrayLike) -> None:
         """Push segment 1..N at its contact point with a force (3,) in base axes, N, from now on.
@@ -89,12 +107,7 @@ class ArmDynamics:
         Raises:
             LoadError: no such segment, or a force that is not three finite numbers.
         """
-        force = np.asarray(force_base_n, dtype=float)
-        if not 1 <= segment <= self.arm.segment_count:
-            raise LoadError(f"no segment {segment}; this arm has 1 to {self.arm.segment_count}")
-        if force.shape != (3,) or not np.isfinite(force).all():
-            raise LoadError(f"a load is three finite force components in N, not {force!r}")
-        self._forces_n[segment - 1] = force
+        self._forces_n[segment - 1] = checked_load(self._nominal, segment, force_base_n)
 
     @property
     def forces_n(self) -> Array:

@@ -16,6 +16,20 @@ class LoadError(CableSenseError):
     """A load that the arm cannot bear: names the segment or the number and what would be valid."""
 
 
+def checked_load(mechanism: Mechanism, segment: int, force_base_n: ArrayLike) -> Array:
+    """A force (3,) in base axes on a segment 1..N, as an array.
+
+    Raises:
+        LoadError: no such segment, or a force that is not three finite numbers.
+    """
+    force = np.asarray(force_base_n, dtype=float)
+    if not 1 <= segment <= mechanism.segment_count:
+        raise LoadError(f"no segment {segment}; this arm has 1 to {mechanism.segment_count}")
+    if force.shape != (3,) or not np.isfinite(force).all():
+        raise LoadError(f"a load is three finite force components in N, not {force!r}")
+    return force
+
+
 def normal_force_n(
     mechanism: Mechanism,
     command_rad: ArrayLike,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 ACTUATOR_MASS_KG = 0.5
@@ -43,7 +44,8 @@ def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
 
 def unstretched_length_m(mechanism: Mechanism) -> np.ndarray:
     """(M,) straight length less the pretension's stretch: where a cable is just slack."""
-    return mechanism.straight_length_m - mechanism.pretension_n / mechanism.stiffness_n_m
+    straight = kinematics.cable_lengths_m(mechanism, np.zeros(mechanism.joint_count))
+    return np.asarray(straight - mechanism.pretension_n / mechanism.stiffness_n_m)
 
 
 def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody]:
@@ -61,6 +63,7 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
                 type=mujoco.mjtJoint.mjJNT_HINGE,
                 axis=direction,
                 damping=[mechanism.joint_damping_n_m_s, 0.0, 0.0],
+                stiffness=[mechanism.joint_stiffness_n_m_rad[n], 0.0, 0.0],
             )
         body.explicitinertial = True
         body.mass = max(mass, 1e-6)
@@ -117,10 +120,18 @@ def _add_cable(
         width=_CABLE_WIDTH_M,
     )
     tendon.wrap_site(spool.name)
+    every = (mechanism.cable_count, mechanism.segment_count)
+    before, after = (
+        [np.broadcast_to(axis, every)[i] for axis in holes] for holes in mechanism.plate_holes_m
+    )
     for n in range(mechanism.cable_segment[i]):
-        before = mechanism.segment_length_m[n - 1] - o if n else 0.0
-        for body, x, side in ((bodies[n], before, "before"), (bodies[n + 1], o, "after")):
-            hole = body.add_site(name=f"{name}_{side}_joint_{n + 1}", pos=[x, y, z])
+        ahead = mechanism.segment_length_m[n - 1] - o if n else 0.0
+        for body, x, side, (across, up) in (
+            (bodies[n], ahead, "before", before),
+            (bodies[n + 1], o, "after", after),
+        ):
+            place = [x, across[n], up[n]]
+            hole = body.add_site(name=f"{name}_{side}_joint_{n + 1}", pos=place)
             tendon.wrap_site(hole.name)
 
 

@@ -17,14 +17,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.entry import EffectEntry, side_by_side
-from cablesense_sim.effects.transmission import Rest, Transmission
+from cablesense_sim.effects.chains import memories
+from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import descent_step, load_hessian
@@ -51,7 +52,9 @@ _STACKED = (
 
 def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
     """Mechanisms of one kind as one whose arrays have a leading axis P."""
-    fields = {name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED}
+    fields: dict[str, Any] = {
+        name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED
+    }
     if any(m.segment_hole_y_m is not None for m in mechanisms):
         shape = (mechanisms[0].cable_count, mechanisms[0].segment_count)
         for name in ("y", "z"):
@@ -273,16 +276,6 @@ def _step_rad(pose: _Pose) -> Array:
         step[uphill] = descent_step(symmetric, pose.torque_n_m[uphill], stable=none)
     longest = np.abs(step).max(-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
-
-
-def memories(variants: Sequence[Sequence[EffectEntry]]) -> list[Transmission]:
-    """What of the variants depends on the past, each for all arms side by side."""
-    found = []
-    for entries in zip(*variants, strict=True):
-        memory = entries[0].effect.transmission(entries[0].place, side_by_side(entries))
-        if memory is not None:
-            found.append(memory)
-    return found
 
 
 def _length_shares(mechanism: Mechanism) -> Array:

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.entry import EffectEntry, entries_of, side_by_side
+from cablesense_sim.effects.chains import actuations, amended, memories, sensings
+from cablesense_sim.effects.entry import EffectEntry, entries_of
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.quasi_static import QuasiStaticArm, memories
+from cablesense_sim.quasi_static import QuasiStaticArm
 
 Array = NDArray[np.float64]
 
@@ -66,16 +67,10 @@ class Replay:
         return self._sensed_n(variants, tensions)
 
     def _actuated_m(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
-        actuations = [
-            actuation
-            for entries in zip(*variants, strict=True)
-            if (actuation := entries[0].effect.actuation(entries[0].place, side_by_side(entries)))
-        ]
         held = np.repeat(self._held_m[None], len(variants), axis=0)
-        if actuations:
+        for actuation in actuations(variants):
             for row, time in enumerate(self.time_s):
-                for actuation in actuations:
-                    held[:, row] = actuation.step(time, held[:, row])
+                held[:, row] = actuation.step(time, held[:, row])
         return held
 
     def _at_rest_n(self, mechanism: Mechanism, held_m: Array) -> Array:
@@ -97,19 +92,10 @@ class Replay:
 
     def _sensed_n(self, variants: Sequence[Sequence[EffectEntry]], tensions: Array) -> Array:
         readings = tensions
-        for entries in zip(*variants, strict=True):
-            sensing = entries[0].effect.sensing(entries[0].place, side_by_side(entries))
-            if sensing is not None:
-                read = [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)]
-                readings = np.stack(read, axis=1)
+        for sensing in sensings(variants):
+            read = [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)]
+            readings = np.stack(read, axis=1)
         return readings
-
-
-def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
-    """The mechanism with what its effects change of the arm itself."""
-    for entry in entries:
-        mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
-    return mechanism
 
 
 def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> Array:

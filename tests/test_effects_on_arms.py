@@ -8,10 +8,10 @@ from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, rea
 from scipy.spatial.transform import Rotation
 
 from cablesense_sim import kinematics
+from cablesense_sim.effects.chains import amended
 from cablesense_sim.effects.entry import EffectEntry
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.replay import amended
 
 POSES = np.concatenate([STRAIGHT[None], bent(1, count=4)])
 PUSH = push(3, [0.0, 15.0, 10.0])

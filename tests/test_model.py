@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
+from cablesense_sim import kinematics
 from cablesense_sim.arm_files import bundled_arms, open_arm
+from cablesense_sim.effects.chains import amended
+from cablesense_sim.effects.entry import checked_entry
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec, unstretched_length_m
 
@@ -74,3 +77,31 @@ def test_nothing_collides_and_nothing_but_cables_holds() -> None:
     assert not (model.geom_contype | model.geom_conaffinity).any()
     assert not model.tendon_damping.any()
     assert not model.dof_frictionloss.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("routing_geometry", "segment_2", {"plates_angle_rad": 0.1, "plates_radius_m": 0.004}),
+        ("routing_geometry", "segment_4", {"cables_angle_rad": -0.1}),
+        ("joint_elasticity", "arm", {"stiffness_n_m_rad": 20.0}),
+        ("joint_elasticity", "joint_3", {"stiffness_n_m_rad": -5.0}),
+    ],
+)
+def test_holes_out_of_line_and_springs_are_those_of_the_statics(
+    name: str, place: str, values: dict[str, float]
+) -> None:
+    arm = open_arm("cdsm_lab")
+    mechanism = amended(Mechanism.from_arm(arm), [checked_entry(name, place, values, 4, 12)])
+    model = build_spec(mechanism).compile()
+    data = mujoco.MjData(model)
+    angles = np.deg2rad([5.0, -4.0, 8.0, 3.0, -6.0, 2.0, 4.0, 7.0])
+    data.qpos[:] = angles
+    mujoco.mj_forward(model, data)
+    lengths = kinematics.cable_lengths_m(mechanism, angles)
+    np.testing.assert_allclose(data.ten_length, lengths, atol=1e-12)
+    stretch = np.maximum(lengths - unstretched_length_m(mechanism), 0.0)
+    jacobian = kinematics.cable_jacobian_m(mechanism, angles)
+    spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2) * angles
+    passive = -jacobian.T @ (mechanism.stiffness_n_m * stretch) - spring
+    np.testing.assert_allclose(data.qfrc_passive, passive, atol=1e-8)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from arm_variants import variant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_fixtures import metadata_for
@@ -163,6 +164,14 @@ def test_a_model_of_another_arm_names_both(tmp_path):
     message = _refused(_written(tmp_path, _small_model()), arm=lab)
     assert CDSM.identity in message
     assert lab.identity in message
+
+
+def test_a_model_of_the_arm_without_its_effects_fits_one_with_them(tmp_path):
+    gain = {"effect": "sensor_gain", "at": "cable_1", "parameters": {"gain": 0.1}}
+    path, odd = _written(tmp_path, _small_model()), variant({"effects": [gain]})
+    assert odd.identity != CDSM.identity
+    assert ModelSession.open(path, OUTPUTS, odd).metadata.arm_identity == CDSM.identity
+    assert CDSM.identity in _refused(path, arm=variant({"effects": [gain]}, "cdsm_lab"))
 
 
 def test_other_outputs_than_needed_are_listed(tmp_path):

@@ -8,10 +8,10 @@ from effect_arms import MECHANISM, bent, entry, push, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cablesense_sim.effects.chains import amended, memories
 from cablesense_sim.effects.entry import EffectEntry
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.quasi_static import QuasiStaticArm, memories, stack
-from cablesense_sim.replay import amended
+from cablesense_sim.quasi_static import QuasiStaticArm, stack
 
 KINDS = [
     entry("capstan_friction", coefficient=0.1, pulley_wrap_rad=1.5, start=0.2),

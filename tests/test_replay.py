@@ -7,11 +7,12 @@ import pytest
 from arm_variants import variant
 from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings, up_and_down
 
+from cablesense_sim.effects.chains import amended
 from cablesense_sim.effects.effect import Effect
 from cablesense_sim.effects.entry import entries_of
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.replay import Replay, amended, replay_arm
+from cablesense_sim.replay import Replay, replay_arm
 
 COMMANDS = np.repeat(bent(11, count=3, most_deg=6.0), 5, axis=0)
 LOADS = np.concatenate([up_and_down(rows=2, segment=2)] * 3)

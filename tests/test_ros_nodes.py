@@ -144,6 +144,7 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.until(lambda: len(tared.wrenches) > 5, "zero wrenches in the silence")
     source = tared.node.create_publisher(JointState, "/cable_tensions", 10)
     tared.until(lambda: source.get_subscription_count() == 2, "estimator and test")
+    tared.spin(0.5)  # that they know of the publisher as well
     nan, names = [*UNLOADED[:4], math.nan, *UNLOADED[5:]], list(ARM.cable_names)
     pushed = (UNLOADED + np.linspace(-20.0, 20.0, 12)).tolist()
     for name, effort in ((names, nan), (names[:9], pushed[:9]), (["x"] * 12, pushed)):

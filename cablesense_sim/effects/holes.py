@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_sim.effects.effect import Array
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
 
+Numbers = NDArray[np.floating[Any]]
 
-def with_cables_moved(mechanism: Mechanism, outward_m: Array, turned_rad: Array) -> Mechanism:
+
+def with_cables_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
     """Every hole of a cable further out and turned from +z towards +y, each (M,)."""
     y, z = _moved_m(mechanism.hole_y_m, mechanism.hole_z_m, outward_m, turned_rad)
     moved = replace(mechanism, hole_y_m=y, hole_z_m=z)
@@ -28,7 +31,7 @@ def with_cables_moved(mechanism: Mechanism, outward_m: Array, turned_rad: Array)
     return replace(moved, segment_hole_y_m=y, segment_hole_z_m=z)
 
 
-def with_plates_moved(mechanism: Mechanism, outward_m: Array, turned_rad: Array) -> Mechanism:
+def with_plates_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
     """Every hole in the plates that a segment carries further out and turned, each (N,)."""
     y, z = mechanism.segment_hole_y_m, mechanism.segment_hole_z_m
     if y is None or z is None:
@@ -37,7 +40,7 @@ def with_plates_moved(mechanism: Mechanism, outward_m: Array, turned_rad: Array)
     return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
 
 
-def _moved_m(y: Array, z: Array, outward_m: Array, turned_rad: Array) -> tuple[Array, Array]:
+def _moved_m(y: Array, z: Array, outward_m: Numbers, turned_rad: Numbers) -> tuple[Array, Array]:
     radius = np.hypot(y, z) + outward_m
     angle = np.arctan2(y, z) + turned_rad
-    return radius * np.sin(angle), radius * np.cos(angle)
+    return np.asarray(radius * np.sin(angle), float), np.asarray(radius * np.cos(angle), float)

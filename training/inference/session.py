@@ -53,13 +53,16 @@ class ModelSession:
     ) -> ModelSession:
         """Read a model file that gives `outputs` and, where an arm is named, fits it.
 
+        A model made for the same arm without its effects fits as well: so answers who does not
+        know of them.
+
         Raises:
             ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
                 another arm.
         """
         source = str(path)
         model, metadata = read_model(path)
-        if arm is not None and arm.identity != metadata.arm_identity:
+        if arm is not None and metadata.arm_identity not in (arm.identity, arm.nominal.identity):
             raise ModelFileError(
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
