@@ -10,13 +10,16 @@ from rich.table import Table
 
 from cablesense_sim.arm import load_arm
 from cablesense_sim.arm_files import find_arm
+from cablesense_sim.effects.entry import entries_of
 from cablesense_sim.mechanism import Mechanism
 
 Description = dict[str, Any]
 
 
 def describe_arm(name: str) -> Description:
-    """An arm's identity, geometry, cables and sensors; SI units as the keys say.
+    """An arm's identity, geometry, cables and sensors as drawn, and its effects.
+
+    SI units, as the keys say.
 
     Raises:
         CableSenseError: no such arm file, or one that cannot be true.
@@ -57,6 +60,17 @@ def describe_arm(name: str) -> Description:
             "range_n": sensors.range_n,
         },
         "joints": list(arm.joint_names),
+        "effects": [
+            {
+                "effect": entry.effect.name,
+                "at": entry.place,
+                "parameters": {
+                    parameter.name: {"value": entry.values[parameter.name], "unit": parameter.unit}
+                    for parameter in entry.effect.parameters
+                },
+            }
+            for entry in entries_of(arm)
+        ],
     }
 
 
@@ -89,7 +103,7 @@ def _port(port: Any, units: dict[str, str]) -> dict[str, Any]:
 
 
 def description_tables(description: Description) -> list[Table]:
-    """The description as tables for a terminal."""
+    """The description of an arm or a model as tables for a terminal."""
     return _arm_tables(description) if description["kind"] == "arm" else _model_tables(description)
 
 
@@ -127,7 +141,23 @@ def _arm_tables(arm: Description) -> list[Table]:
             f"{cable['stiffness_n_m']:.3g}",
             f"{cable['pretension_n']:g}",
         )
-    return [facts, cables]
+    return [facts, cables, *_effect_tables(arm["effects"])]
+
+
+def _effect_tables(effects: list[Description]) -> list[Table]:
+    """What the arm does beyond the ideal; no table where that is nothing."""
+    if not effects:
+        return []
+    table = Table(title="Effects", title_justify="left", header_style="bold")
+    for heading in ("effect", "at", "parameters"):
+        table.add_column(heading)
+    for effect in effects:
+        numbers = (
+            f"{name} = {said['value']:g} {'' if said['unit'] == '1' else said['unit']}".strip()
+            for name, said in effect["parameters"].items()
+        )
+        table.add_row(effect["effect"], effect["at"], "\n".join(numbers))
+    return [table]
 
 
 def _model_tables(model: Description) -> list[Table]:

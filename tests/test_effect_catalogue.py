@@ -1,0 +1,59 @@
+"""What `cablesense info` says of effects: the catalogue, and those of an arm file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from arm_variants import variant
+from typer.testing import CliRunner
+
+from cablesense_ros.cli.app import app
+from cablesense_sim.effects.registry import known_effects
+
+
+def shown(*arguments: str) -> str:
+    result = CliRunner().invoke(app, ["info", *arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_the_catalogue_has_every_effect_with_its_parameters() -> None:
+    said = {
+        effect["name"]: effect for effect in json.loads(shown("--effects", "--json"))["effects"]
+    }
+    assert set(said) == set(known_effects())
+    for name, effect in known_effects().items():
+        assert [p["name"] for p in said[name]["parameters"]] == [p.name for p in effect.parameters]
+        assert said[name]["source"] == effect.source
+
+
+def test_the_catalogue_reads_well_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    text = shown("--effects")
+    assert "payload: mass that nobody modelled" in text
+    assert "mass_kg" in text
+    assert "at: segment_1, segment_2, segment_3, segment_4" in text
+    assert "a tolerance and no finding" in text
+
+
+def test_an_arm_file_shows_what_it_lists(tmp_path: Path) -> None:
+    gain = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
+    path = tmp_path / "odd.yaml"
+    path.write_text(yaml.safe_dump(variant({"effects": [gain]}).model_dump()), encoding="utf-8")
+    said = json.loads(shown(str(path), "--json"))["effects"]
+    assert said == [
+        {
+            "effect": "sensor_gain",
+            "at": "cable_3",
+            "parameters": {"gain": {"value": 0.04, "unit": "1"}},
+        }
+    ]
+    assert "gain = 0.04" in shown(str(path))
+
+
+def test_an_arm_without_effects_shows_none() -> None:
+    assert json.loads(shown("cdsm", "--json"))["effects"] == []
+    assert "Effects" not in shown("cdsm")
