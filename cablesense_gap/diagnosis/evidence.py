@@ -72,22 +72,29 @@ def solve(
     return np.asarray(np.linalg.solve(system, weight_ * moment - precision * offset))
 
 
+def fold_solutions(
+    data: Products, precision: Array, offset: Array, weight_: float, fold: Indices
+) -> Array:
+    """(F, K) the coefficients without each of the folds 0 … F - 1."""
+    gram, moment = data.gram.sum(0), data.moment.sum(0)
+    return np.array(
+        [
+            solve(
+                gram - data.gram[fold == k].sum(0),
+                moment - data.moment[fold == k].sum(0),
+                precision,
+                offset,
+                weight_,
+            )
+            for k in range(int(fold.max()) + 1)
+        ]
+    )
+
+
 def held_out_squares(
     data: Products, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
     """(T,) sum of squares left in each trial by a fit to the trials of the other folds."""
-    gram, moment = data.gram.sum(0), data.moment.sum(0)
-    left = np.empty(len(data.count))
-    for k in np.unique(fold):
-        out = fold == k
-        found = solve(
-            gram - data.gram[out].sum(0),
-            moment - data.moment[out].sum(0),
-            precision,
-            offset,
-            weight_,
-        )
-        left[out] = (
-            data.square[out] - 2.0 * data.moment[out] @ found + (data.gram[out] @ found) @ found
-        )
-    return np.maximum(left, 0.0)
+    found = fold_solutions(data, precision, offset, weight_, fold)[fold]
+    explained = ((data.gram @ found[..., None])[..., 0] - 2.0 * data.moment) * found
+    return np.maximum(data.square + explained.sum(-1), 0.0)

@@ -25,7 +25,8 @@ class Hypothesis:
         tolerances: values of what a workshop leaves.
         prediction: (R, C) with effects and tolerances.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
-        squares: (T,) sum of squares left in each trial by a fit without its fold.
+        held_out: (R, C) each trial predicted by a fit without its fold.
+        squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
     """
 
@@ -35,6 +36,7 @@ class Hypothesis:
     tolerances: Mapping[Term, float]
     prediction: Array
     columns: Array
+    held_out: Array
     squares: Array
     count: Array
 

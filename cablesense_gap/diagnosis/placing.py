@@ -47,11 +47,13 @@ class Placed:
 def place(
     course: Course, residual: Array, beside: Array, offered: Sequence[Block]
 ) -> Placed | None:
-    """The best places for one effect; None where it explains nothing.
+    """The best places for one effect, at least one; None where none is offered.
 
     `residual` (R, C) is what is to be explained, `beside` (B, R, C) are scaled columns of effects
     already found, which are fitted along with the tolerances.
     """
+    if not offered:
+        return None
     columns = np.concatenate([course.tolerance_columns, beside, *(b.columns for b in offered)])
     data = products(columns, residual, course.trial, course.used)
     base = len(course.tolerance_columns) + len(beside)
@@ -66,8 +68,6 @@ def place(
     if len(paths) == 2 and paths[0][0] and paths[0][1] < _WORTH * paths[1][1]:
         best = paths[0]
     chosen, left = best
-    if not chosen:
-        return None
     coefficients, squares = search.fit(chosen)
     return Placed(
         tuple(offered[k] for k in chosen),
@@ -100,7 +100,7 @@ class _Search:
             ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
             tried = {k: self._left([*chosen, k]) for k in ranked}
             best = min(tried, key=lambda k: tried[k])
-            if tried[best] * _WORTH > left:
+            if chosen and tried[best] * _WORTH > left:
                 break
             chosen.append(best)
             left = tried[best]

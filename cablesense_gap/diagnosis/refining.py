@@ -15,7 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve, weight
+from cablesense_gap.diagnosis.evidence import (
+    Products,
+    fold_solutions,
+    products,
+    solve,
+    weight,
+)
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
 from cablesense_gap.diagnosis.scaled import from_scaled, is_logarithmic, prior_precision
 from cablesense_gap.simulator import Array, Term
@@ -36,11 +42,14 @@ class _Linear:
 def refine(
     course: Course,
     parameters: Mapping[Term, Parameter],
-    start: Sequence[float],
-    most_steps: int = 6,
+    starts: Sequence[Sequence[float]],
+    most_steps: int = 8,
 ) -> Hypothesis | None:
-    """The most probable numbers from a scaled start on; None where that cannot be simulated."""
-    return _Refining(course, parameters).run(np.asarray(start, dtype=float), most_steps)
+    """The most probable numbers from the best of some scaled starts on.
+
+    None where nothing there can be simulated.
+    """
+    return _Refining(course, parameters).run(np.array(starts, dtype=float), most_steps)
 
 
 class _Refining:
@@ -53,11 +62,10 @@ class _Refining:
         self._low = np.array([_scaled_bound(p, p.low) for p in self._parameters])
         self._high = np.array([_scaled_bound(p, p.high) for p in self._parameters])
 
-    def run(self, start: Array, most_steps: int) -> Hypothesis | None:
-        self._expected = np.array(
-            [0.0 if p.role == "size" else s for p, s in zip(self._parameters, start, strict=True)]
-        )
-        point = np.clip(start, self._low, self._high)
+    def run(self, starts: Array, most_steps: int) -> Hypothesis | None:
+        point = self._best(np.clip(starts, self._low, self._high))
+        shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
+        self._expected = np.where(shape, point, 0.0)
         linear = self._linear(point)
         if not np.isfinite(linear.prediction).all():
             return None
@@ -80,6 +88,15 @@ class _Refining:
             if gained < 1e-3:
                 break
         return self._hypothesis(point, linear, mean_square)
+
+    def _best(self, starts: Array) -> Array:
+        """The start that leaves least, with the tolerances at their best."""
+        if len(starts) == 1:
+            return starts[0]
+        self._expected = starts[0]
+        predicted = self._course.simulator.predict([self._assignment(s) for s in starts])
+        left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
+        return np.asarray(starts[int(np.argmin(left))])
 
     def _linear(self, point: Array) -> _Linear:
         moved = []
@@ -128,7 +145,7 @@ class _Refining:
             free[tolerances:] &= ~stuck
         return step[tolerances:]
 
-    def _products(self, linear: _Linear):  # type: ignore[no-untyped-def]
+    def _products(self, linear: _Linear) -> Products:
         course = self._course
         columns = np.concatenate([course.tolerance_columns, linear.columns])
         return products(
@@ -169,7 +186,8 @@ class _Refining:
         part, precision = data.columns(at), self._precision[at]
         gram, moment = part.gram.sum(0), part.moment.sum(0)
         found = solve(gram, moment, precision, offset, weight_)
-        squares = held_out_squares(part, precision, offset, weight_, course.fold)
+        without = fold_solutions(part, precision, offset, weight_, course.fold)
+        held_out = _held_out(course, linear, without, at)
         spread = np.zeros(len(self._precision))
         spread[at] = _spread(part.gram, part.moment, found, precision, weight_)
         values = self._assignment(point)
@@ -188,9 +206,26 @@ class _Refining:
             prediction=linear.prediction
             + np.tensordot(found[:tolerances], course.tolerance_columns, axes=1),
             columns=linear.columns,
-            squares=squares,
+            held_out=held_out,
+            squares=_squares(course, course.readings - held_out),
             count=data.count,
         )
+
+
+def _held_out(course: Course, linear: _Linear, without: Array, at: Array) -> Array:
+    """(R, C) prediction of each trial by the fit without its fold."""
+    columns = np.concatenate([course.tolerance_columns, linear.columns])[at]
+    prediction = linear.prediction.copy()
+    for k, found in enumerate(without):
+        rows = course.fold[course.trial] == k
+        prediction[rows] += np.tensordot(found, columns[:, rows], axes=1)
+    return prediction
+
+
+def _squares(course: Course, residual: Array) -> Array:
+    """(T,) sum of squares of a residual (R, C) in each trial, over the rows that count."""
+    of_row = (residual**2).sum(-1) * course.used
+    return np.bincount(course.trial, of_row, minlength=len(course.fold))
 
 
 def _spread(
@@ -202,7 +237,7 @@ def _spread(
     """
     bread = np.linalg.inv(weight_ * gram.sum(0) + np.diag(precision))
     scores = weight_ * (moment - gram @ found)
-    return np.sqrt(np.diagonal(bread @ (scores.T @ scores) @ bread) + np.diagonal(bread) * 0.0)
+    return np.sqrt(np.diagonal(bread @ (scores.T @ scores) @ bread))
 
 
 def _scaled_bound(parameter: Parameter, value: float) -> float:

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from cablesense_gap.diagnosis.blocks import Block, blocks
 from cablesense_gap.diagnosis.course import Course
+from cablesense_gap.diagnosis.crew import Crew
 from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
 from cablesense_gap.diagnosis.placing import Placed, place
 from cablesense_gap.diagnosis.refining import refine
+from cablesense_gap.diagnosis.scaled import to_scaled
 from cablesense_gap.simulator import Array, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 _MOST_SINGLES = 5
 _PROMISING = 3.0
 _MOST_PAIRS = 4
+_MOST_DEAR_PAIRS = 1
 _RESOLVED = 0.04
+_STEPS, _STEPS_OF_PAIRS = 8, 5
+_SCALES = (0.4, 1.0, 2.5)
 
 
 @dataclass(frozen=True)
@@ -29,36 +35,55 @@ class Look:
     placed: Placed
 
 
-def search(course: Course, tell: Callable[[str], None] = lambda _: None) -> list[Hypothesis]:
-    """Every hypothesis that was fitted, that of tolerances alone first."""
-    tell("tolerances alone")
-    none = refine(course, {}, [])
+def search(
+    course: Course, tell: Callable[[str, float], None] = lambda *_: None, workers: int = 1
+) -> list[Hypothesis]:
+    """Every hypothesis that was fitted, that of tolerances alone first.
+
+    `tell` hears what is under way and which share of the whole is behind. With more than one
+    worker, candidates are looked at and fitted in as many processes.
+    """
+    none = refine(course, {}, [[]])
     assert none is not None
     residual = course.readings - course.nominal
-    offered: dict[str, tuple[Candidate, list[tuple[Block, ...]]]] = {}
-    looks: list[Look] = []
-    for candidate in course.simulator.candidates:
-        tell(candidate.effect)
-        every = blocks(course, candidate)
-        offered[candidate.effect] = candidate, every
-        look = _look(course, candidate, every, residual, np.empty((0, *residual.shape)))
-        if look is not None:
-            looks.append(look)
-    looks.sort(key=lambda look: look.placed.mean_square)
-    singles: list[Hypothesis] = []
-    for look in _promising(looks, course.floor):
-        tell(f"{look.candidate.effect}, fitted")
-        fitted = _fit(course, None, look)
-        if fitted is not None:
-            singles.append(fitted)
-    singles.sort(key=lambda h: h.held_out_rmse)
-    found = [none, *singles]
-    gap = excess(none.held_out_rmse**2, course.floor)
-    if singles and excess(singles[0].held_out_rmse**2, course.floor) > max(
-        _RESOLVED * gap, 1.5 * excess(0.0, course.floor)
-    ):
-        found += _pairs(course, singles, offered, tell)
+    nothing = np.empty((0, *residual.shape))
+    candidates = sorted(course.simulator.candidates, key=lambda c: -c.remembers)
+    with Crew(course, workers) as crew:
+        offered: dict[str, tuple[Candidate, list[tuple[Block, ...]]]] = {}
+        looks: list[Look] = []
+        for k, (candidate, every) in enumerate(
+            zip(candidates, crew.map(blocks, candidates), strict=True)
+        ):
+            tell(candidate.effect, 0.4 * k / len(candidates))
+            offered[candidate.effect] = candidate, every
+            look = _look(course, candidate, every, residual, nothing)
+            if look is not None:
+                looks.append(look)
+        looks.sort(key=lambda look: look.placed.mean_square)
+        promising = list(_promising(looks, course.floor))
+        singles: list[Hypothesis] = []
+        for k, fitted in enumerate(crew.map(_fit_single, promising)):
+            tell("fitting single effects", 0.4 + 0.3 * k / len(promising))
+            if fitted is not None:
+                singles.append(fitted)
+        singles.sort(key=lambda h: h.held_out_rmse)
+        found = [none, *singles]
+        if singles and not _is_resolved(singles[0], none, course.floor):
+            tell("fitting pairs of effects", 0.7)
+            pairs = list(_pairs(course, singles, offered))
+            for k, fitted in enumerate(crew.map(_fit_pair, pairs)):
+                tell("fitting pairs of effects", 0.7 + 0.3 * k / len(pairs))
+                if fitted is not None:
+                    found.append(fitted)
+    tell("done", 1.0)
     return found
+
+
+def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
+    """Whether one effect leaves so little that a second has nothing to do."""
+    gap = excess(none.held_out_rmse**2, floor)
+    left = excess(best.held_out_rmse**2, floor)
+    return left <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
 
 def _promising(looks: list[Look], floor: float) -> Iterator[Look]:
@@ -86,9 +111,8 @@ def _pairs(
     course: Course,
     singles: list[Hypothesis],
     offered: dict[str, tuple[Candidate, list[tuple[Block, ...]]]],
-    tell: Callable[[str], None],
-) -> list[Hypothesis]:
-    """Forward selection: a second effect beside each of the two best."""
+) -> Iterator[tuple[Hypothesis, Look]]:
+    """Forward selection: the best second effects beside each of the two best."""
     looks: list[tuple[Hypothesis, Look]] = []
     for first in singles[:2]:
         residual = course.readings - first.prediction
@@ -99,22 +123,31 @@ def _pairs(
             if look is not None:
                 looks.append((first, look))
     looks.sort(key=lambda pair: pair[1].placed.mean_square)
-    found: dict[tuple[str, ...], Hypothesis] = {}
+    names: set[frozenset[str]] = set()
+    dear = 0
     for first, look in looks:
-        names = tuple(sorted((*first.effects, look.candidate.effect)))
-        if names in found:
+        named = frozenset((*first.effects, look.candidate.effect))
+        dear += look.candidate.remembers
+        if named in names or (look.candidate.remembers and dear > _MOST_DEAR_PAIRS):
             continue
-        if len(found) == _MOST_PAIRS:
-            break
-        tell(f"{' and '.join(names)}, fitted")
-        fitted = _fit(course, first, look)
-        if fitted is not None:
-            found[names] = fitted
-    return list(found.values())
+        if len(names) == _MOST_PAIRS:
+            return
+        names.add(named)
+        yield first, look
+
+
+def _fit_single(course: Course, look: Look) -> Hypothesis | None:
+    return _fit(course, None, look)
+
+
+def _fit_pair(course: Course, pair: tuple[Hypothesis, Look]) -> Hypothesis | None:
+    return _fit(course, *pair)
 
 
 def _fit(course: Course, first: Hypothesis | None, look: Look) -> Hypothesis | None:
+    """From the first look on; with an effect that remembers, from smaller and larger sizes too."""
     parameters, start = _start(course, first)
+    found = len(start)
     coefficients = iter(look.placed.coefficients)
     for block in look.placed.blocks:
         change = {name: next(coefficients) for name in block.probed}
@@ -123,14 +156,35 @@ def _fit(course: Course, first: Hypothesis | None, look: Look) -> Hypothesis | N
         ):
             parameters[term] = parameter
             start.append(change[parameter.name] if parameter.role == "size" else begin)
-    return refine(course, parameters, start)
+    starts = [start]
+    if look.candidate.remembers and first is None:
+        sizes = [p.role == "size" for p in list(parameters.values())[found:]]
+        starts = [
+            start[:found]
+            + [
+                max(abs(s), 0.1) * scale if size else shapes.get(p.name, s)
+                for s, size, p in zip(
+                    start[found:], sizes, list(parameters.values())[found:], strict=True
+                )
+            ]
+            for scale in _SCALES
+            for shapes in _shape_starts(look.candidate)
+        ]
+    return refine(course, parameters, starts, _STEPS if first is None else _STEPS_OF_PAIRS)
+
+
+def _shape_starts(candidate: Candidate) -> list[dict[str, float]]:
+    """Combinations of the shapes that a first look has not told apart."""
+    shapes = [p for p in candidate.parameters if p.role == "shape" and p.trials]
+    return [
+        {p.name: to_scaled(p, value) for p, value in zip(shapes, values, strict=True)}
+        for values in product(*(p.trials for p in shapes))
+    ]
 
 
 def _start(
     course: Course, first: Hypothesis | None
 ) -> tuple[dict[Term, Parameter], list[float]]:
-    from cablesense_gap.diagnosis.scaled import to_scaled
-
     parameters: dict[Term, Parameter] = {}
     start: list[float] = []
     if first is not None:

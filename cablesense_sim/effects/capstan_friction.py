@@ -37,6 +37,7 @@ class CapstanFriction(Effect):
             0.0,
             "shape",
             (0.5,),
+            (0.0, 0.5, 3.0),
         ),
         Parameter(
             "give_m",
@@ -48,6 +49,7 @@ class CapstanFriction(Effect):
             2e-5,
             "shape",
             (2e-5,),
+            (1e-5, 1e-4),
         ),
         Parameter(
             "start", "1", -1.0, 1.0, 0.5, "share of the holding that the past left", role="shape"

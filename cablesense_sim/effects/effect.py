@@ -35,7 +35,8 @@ class Parameter:
         default: what holds where nothing is said.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
             says how the effect behaves where it is present.
-        starts: values of a shape from which a fit should begin.
+        starts: values of a shape with which a first look should be taken.
+        trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
     """
 
@@ -48,6 +49,7 @@ class Parameter:
     default: float = 0.0
     role: Literal["size", "shape"] = "size"
     starts: tuple[float, ...] = ()
+    trials: tuple[float, ...] = ()
 
 
 class Effect:

@@ -44,6 +44,7 @@ class JointFriction(Effect):
             3e-4,
             "shape",
             (3e-4,),
+            (1e-4, 1e-3),
         ),
         Parameter("start", "1", -1.0, 1.0, 0.5, "share of the torque at first", role="shape"),
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from cablesense_ros.cli.gap.diagnose import diagnose
+from cablesense_ros.cli.gap.predict import predict
 from cablesense_ros.cli.gap.protocol import protocol
 from cablesense_ros.cli.gap.record import record
 from cablesense_ros.cli.gap.score import score
@@ -16,5 +18,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (protocol, record, score, withhold):
+for verb in (diagnose, predict, protocol, record, score, withhold):
     gap.command()(verb)

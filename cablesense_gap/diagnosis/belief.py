@@ -1,0 +1,93 @@
+"""How probable each hypothesis is, given what it leaves unexplained on held-out trials.
+
+The weights fall with a power of what is left beyond the sensors' floor, and by a factor for every
+effect that a hypothesis names:
+
+    log w = -κ log(excess) - π_k,    k effects,
+
+and an effect that nobody listed is the hypothesis that something removes all but a share φ of the
+gap. The few numbers in it are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their
+mean log probability, so that the probabilities mean what they say.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
+
+UNKNOWN = ("unknown",)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The numbers of the formula above.
+
+    Attributes:
+        power: κ.
+        one: π_1, of naming an effect.
+        two: π_2, of naming two.
+        unknown: π of naming none that is listed.
+        share: φ, what remains of the gap if the cause were known, whatever it is.
+        floor_share: excess that no hypothesis can do without, as a share of the floor.
+    """
+
+    power: float
+    one: float
+    two: float
+    unknown: float
+    share: float
+    floor_share: float
+
+
+def bundled_calibration() -> Calibration:
+    """That of `calibration.json` beside this file."""
+    text = files("cablesense_gap.diagnosis").joinpath("calibration.json").read_text("utf-8")
+    return Calibration(**json.loads(text))
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A hypothesis, or that of an unlisted effect, with its probability."""
+
+    effects: tuple[str, ...]
+    probability: float
+    hypothesis: Hypothesis | None
+
+
+def beliefs(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: Calibration
+) -> list[Belief]:
+    """Probabilities of all hypotheses and of an unlisted effect, the most probable first.
+
+    `hypotheses` holds that of tolerances alone, which stands for `none`.
+    """
+    left = np.array([h.held_out_rmse for h in hypotheses])
+    counts = np.array([len(h.effects) for h in hypotheses])
+    weights = log_weights(left, counts, floor, calibration)
+    shares = np.exp(weights - weights.max())
+    shares /= shares.sum()
+    found = [
+        Belief(h.effects or ("none",), float(share), h)
+        for h, share in zip(hypotheses, shares, strict=False)
+    ]
+    found.append(Belief(UNKNOWN, float(shares[-1]), None))
+    return sorted(found, key=lambda belief: -belief.probability)
+
+
+def log_weights(
+    held_out_rmse: np.ndarray, counts: np.ndarray, floor: float, calibration: Calibration
+) -> np.ndarray:
+    """Of each hypothesis, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
+    c = calibration
+    least = c.floor_share * floor
+    left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
+    none = left[np.flatnonzero(counts == 0)[0]]
+    penalty = np.array([0.0, c.one, c.two])[counts]
+    unknown = -c.power * np.log(np.hypot(c.share * none, least)) - c.unknown
+    return np.append(-c.power * np.log(left) - penalty, unknown)
