@@ -102,12 +102,12 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
         index: number in the name, `case_001`.
         nominal: the arm as drawn.
         kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
-            joined by `+`.
+            inside it joined by `+`.
 
     Raises:
         PlantError: a kind that is none of those.
     """
-    draws = {**LISTED, **UNLISTED}
+    draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
     names = [] if kind == NONE else kind.split("+")
     if names == ["unknown"]:
         names = [str(rng.choice(list(UNLISTED)))]
@@ -115,7 +115,7 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
     if strange:
         raise PlantError(
             f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
-            "several joined by +"
+            "several of the list joined by +"
         )
     schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
     workshop = scattered(ideal_arm(nominal), rng)
@@ -163,7 +163,7 @@ def record_case(case: Case) -> CaseRecording:
     answer = Answer(
         recording=case.name,
         effects="+".join(sorted(change.effect for change in changes)) or NONE,
-        where=" ".join(place for change in changes for place in change.where),
+        where=_places(changes),
         form=" + ".join(change.form for change in changes),
         sizes=json.dumps(
             [
@@ -191,6 +191,14 @@ def _alone_n(
 ) -> float:
     changed = signals_n(change.apply(arm, size), schedule, history)
     return gap_n(changed, signals_n(arm, schedule, history))
+
+
+def _places(changes: list[Change]) -> str:
+    """Every place once, cables before joints before segments, each by number."""
+    found = {place for change in changes for place in change.where}
+    return " ".join(
+        sorted(found, key=lambda place: (place.split("_")[0], int(place.split("_")[1])))
+    )
 
 
 def _short(value: float | str) -> float | str:

@@ -2,110 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_gap.plant.balance import Balance, Balances
 from cablesense_gap.plant.body import Body
-from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
+from cablesense_gap.plant.geometry import spans, turns
 from cablesense_gap.plant.plant_error import PlantError
-from cablesense_gap.plant.rest import (
-    add_blocks,
-    cable_torques,
-    commanded_angles_rad,
-    downhill_rad,
-    find_rest,
-)
-from cablesense_gap.plant.rubbing import Creep, Rubbing, piece_compliance_m_n
-from cablesense_gap.plant.slip import follow
-from cablesense_gap.plant.torques import torques
+from cablesense_gap.plant.rest import commanded_angles_rad, downhill_rad, find_rest, require_room
+from cablesense_gap.plant.rubbing import Creep, Rubbing
+from cablesense_gap.plant.state import State
 
 Array = NDArray[np.float64]
 
-_ENOUGH_NM, _ENOUGH_N = 1e-7, 1e-6
 _QUICK_STEPS, _PATIENT_STEPS = 10, 60
 _DEEPEST = 6
 _LONGEST_RAD = 0.03
-
-
-@dataclass(frozen=True)
-class State:
-    """One row of a march.
-
-    Attributes:
-        angles_rad: (2J,).
-        tension_n: (2J + 2, M) of the pieces of the cables; the first is what the sensor feels.
-        rub: (2J + 1, M) state of friction at the guides.
-        fed_m: (2J + 1, M) cable that has passed each guide.
-        joint_rub: (2J,) state of friction in the joints.
-        speed_rad_s: (2J,) of the angles.
-        crept_m: (K, M) lengthening of each element.
-        paid_out_m: (M,) by the actuators.
-        loads_n: (N, 3).
-    """
-
-    angles_rad: Array
-    tension_n: Array
-    rub: Array
-    fed_m: Array
-    joint_rub: Array
-    speed_rad_s: Array
-    crept_m: Array
-    paid_out_m: Array
-    loads_n: Array
-
-
-class _Linear(NamedTuple):
-    """The balances at a guess, and what a step of Newton needs."""
-
-    torque_nm: Array
-    torque_slope: Array
-    misfit_n: Array
-    by_tension: Array
-    by_angle: Array
-    pull: Array
-    rub: Array
-    fed_m: Array
-    joint_rub: Array
-
-    @property
-    def settled(self) -> bool:
-        """Whether this is rest."""
-        return bool(
-            np.abs(self.torque_nm).max() < _ENOUGH_NM and np.abs(self.misfit_n).max() < _ENOUGH_N
-        )
-
-    def condensed(self) -> tuple[Array, Array, Array]:
-        """Torque (2J,), slope (2J, 2J) once cables follow, and how they do (M, 2J + 2, 1 + 2J)."""
-        sides = np.concatenate([self.misfit_n[..., None], self.by_angle], axis=-1)
-        answer = -np.linalg.solve(self.by_tension, sides)
-        pulled = np.einsum("acp,cpb->ab", self.pull, answer)
-        return self.torque_nm - pulled[:, 0], self.torque_slope - pulled[:, 1:], answer
-
-
-def _newton_step(at: _Linear) -> tuple[Array, Array]:
-    """Change of the angles (2J,) and of the pieces' tensions (2J + 2, M)."""
-    torque, slope, answer = at.condensed()
-    turn = downhill_rad(torque[None], slope[None], np.zeros(1))[0]
-    turn *= min(1.0, _LONGEST_RAD / max(np.abs(turn).max(), 1e-300))
-    return turn, (answer[..., 0] + answer[..., 1:] @ turn).T
-
-
-def _moved(
-    state: State, angles: Array, tension: Array, at: _Linear, paid_out_m: Array, loads_n: Array
-) -> State:
-    return replace(
-        state,
-        angles_rad=angles,
-        tension_n=tension,
-        rub=at.rub,
-        fed_m=at.fed_m,
-        joint_rub=at.joint_rub,
-        paid_out_m=paid_out_m,
-        loads_n=loads_n,
-    )
+_CABLES_REST_N = 1e-7
 
 
 class March:
@@ -115,16 +30,8 @@ class March:
         """From the arm's body, what rubs and creeps, and the run before the base plate."""
         if body.exponent != 1.0:
             raise PlantError("cables that harden cannot rub or creep here; use exponent 1")
-        joints = body.joint_count
-        self.body, self.rubbing, self.creep = body, rubbing, creep
-        self.compliance = piece_compliance_m_n(body, run_m, rubbing.spread)
-        self.straight_m = cable_lengths_m(body, np.zeros((1, 2 * joints)))[0]
-        self.distal = np.zeros((2 * joints + 1, joints))
-        self.distal[0] = 1.0
-        self.distal[1::2] = np.triu(np.ones((joints, joints)))
-        self.distal[2::2] = np.triu(np.ones((joints, joints)), 1)
-        self.across = 2 * np.arange(joints) + 2
-        self.of_joint = np.repeat(np.arange(joints), 2)
+        self.body, self.creep = body, creep
+        self.balances = Balances(body, rubbing, run_m)
         self.retensioned_m = np.zeros(body.cable_count)
 
     def start(self, command_rad: Array, paid_out_m: Array, loads_n: Array) -> State:
@@ -132,11 +39,11 @@ class March:
         body = self.body
         angles = commanded_angles_rad(body, command_rad[None])
         rest = find_rest(body, angles, paid_out_m[None], loads_n[None])
-        tension = np.tile(rest.tensions_n[0], (len(self.compliance), 1))
+        tension = np.tile(rest.tensions_n[0], (2 * body.joint_count + 2, 1))
         crept = self.creep.settled * self.creep.compliance_m_n * tension[0]
         self.retensioned_m = crept.sum(axis=0)
         length = spans(body, rest.angles_rad, turns(body, rest.angles_rad)).length_m[0]
-        fed = self.distal @ length - self._stretched_m(tension)
+        fed = self.balances.fed_m(length, tension)
         zero = np.zeros(len(angles[0]))
         return State(
             rest.angles_rad[0],
@@ -159,6 +66,7 @@ class March:
         moved = self._settle(state, paid_out_m, loads_n, 0)
         kept = np.exp(-period_s / self.creep.time_s)[:, None]
         wanted = self.creep.compliance_m_n * np.maximum(moved.tension_n[1], 0.0)
+        require_room(self.body, moved.angles_rad[None])
         speed = (moved.angles_rad - state.angles_rad) / period_s
         crept = wanted + kept * (state.crept_m - wanted)
         return replace(moved, speed_rad_s=speed, crept_m=crept)
@@ -178,13 +86,13 @@ class March:
 
     def _wanted_m(self, state: State, paid_out_m: Array) -> Array:
         crept = state.crept_m.sum(axis=0) - self.retensioned_m
-        return self.straight_m + paid_out_m + crept
+        return self.balances.straight_m + paid_out_m + crept
 
     def _quick(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
         angles, tension = state.angles_rad, state.tension_n
         wanted_m = self._wanted_m(state, paid_out_m)
         for _ in range(_QUICK_STEPS):
-            at = self._balances(state, angles, tension, wanted_m, loads_n)
+            at = self.balances.at(state, angles, tension, wanted_m, loads_n)
             if at.settled:
                 return _moved(state, angles, tension, at, paid_out_m, loads_n)
             turn, pull = _newton_step(at)
@@ -215,84 +123,35 @@ class March:
 
     def _cables_at_rest(
         self, state: State, angles: Array, tension: Array, wanted_m: Array, loads_n: Array
-    ) -> tuple[_Linear, Array]:
-        at = self._balances(state, angles, tension, wanted_m, loads_n)
+    ) -> tuple[Balance, Array]:
+        at = self.balances.at(state, angles, tension, wanted_m, loads_n)
         for step in range(_PATIENT_STEPS):
-            if np.abs(at.misfit_n).max() < 0.1 * _ENOUGH_N:
+            if np.abs(at.misfit_n).max() < _CABLES_REST_N:
                 break
             change = np.linalg.solve(at.by_tension, at.misfit_n[..., None])[..., 0].T
             tension = tension - change * 0.97 ** max(0, step - 5)
-            at = self._balances(state, angles, tension, wanted_m, loads_n)
+            at = self.balances.at(state, angles, tension, wanted_m, loads_n)
         return at, tension
 
-    def _balances(
-        self, state: State, angles: Array, tension: Array, wanted_m: Array, loads_n: Array
-    ) -> _Linear:
-        body, rubbing = self.body, self.rubbing
-        turning = turns(body, angles[None])
-        across = spans(body, angles[None], turning, with_bends=True)
-        length, slope = across.length_m[0], across.slope_m_rad[0].reshape(len(angles), -1)
-        bends = across.bend_rad[0].reshape(len(angles), -1)
-        pulley = np.full((1, body.cable_count), rubbing.pulley_rad)
-        grip = rubbing.coefficient * np.concatenate([pulley, bends])
-        fed = self.distal @ length - self._stretched_m(tension)
-        rub, rub_slope = follow(rubbing.onset, state.rub, fed - state.fed_m, rubbing.reach_m)
-        taut = tension > 0.0
-        gained = np.where(taut[:-1], np.expm1(grip * rub), 0.0)
-        carried = tension[:-1] * (1.0 + gained)
-        sticking = carried * grip * rub_slope * taut[:-1]
 
-        pieces = len(tension)
-        stiff, c = body.stiffness_n_m, self.compliance
-        misfit = np.empty((body.cable_count, pieces))
-        strain = (c * (tension - body.pretension_n)).sum(axis=0)
-        misfit[:, 0] = stiff * (strain - length.sum(axis=0) + wanted_m)
-        misfit[:, 1:] = (tension[1:] - carried).T
+def _newton_step(at: Balance) -> tuple[Array, Array]:
+    """Change of the angles (2J,) and of the pieces' tensions (2J + 2, M)."""
+    torque, slope, answer = at.condensed()
+    turn = downhill_rad(torque[None], slope[None], np.zeros(1))[0]
+    turn *= min(1.0, _LONGEST_RAD / max(np.abs(turn).max(), 1e-300))
+    return turn, (answer[..., 0] + answer[..., 1:] @ turn).T
 
-        by_tension = np.zeros((body.cable_count, pieces, pieces))
-        by_tension[:, 1:] = np.triu(np.ones((pieces, pieces)))[1:] * c.T[:, None, :]
-        by_tension[:, 1:] *= sticking.T[:, :, None]
-        by_tension[:, 0] = (stiff * c).T
-        guide = np.arange(1, pieces)
-        by_tension[:, guide, guide] += 1.0
-        by_tension[:, guide, guide - 1] -= (1.0 + gained).T
 
-        by_angle = np.empty((body.cable_count, pieces, len(angles)))
-        by_angle[:, 0] = -stiff[:, None] * slope.T
-        by_angle[:, 1:] = -(
-            sticking.T[:, :, None] * self.distal[:, self.of_joint] * slope.T[:, None, :]
-        )
-
-        pulling = np.maximum(tension[self.across], 0.0)
-        torque, blocks = cable_torques(across.slope_m_rad, across.curve_m_rad2, pulling[None])
-        outer = torques(body, angles[None], turning, loads_n[None])
-        matrix = add_blocks(outer.slope_nm_rad, blocks)[0]
-        joint_rub, joint_nm, joint_slope = self._joints(state, angles)
-        matrix[np.arange(len(angles)), np.arange(len(angles))] -= joint_slope
-
-        pull = np.zeros((len(angles), body.cable_count, pieces))
-        own = self.across[self.of_joint]
-        pull[np.arange(len(angles)), :, own] = slope * taut[own]
-        return _Linear(
-            (torque + outer.torque_nm)[0] - joint_nm,
-            matrix,
-            misfit,
-            by_tension,
-            by_angle,
-            pull,
-            rub,
-            fed,
-            joint_rub,
-        )
-
-    def _stretched_m(self, tension: Array) -> Array:
-        """(2J + 1, M) stretch of the cable beyond each guide."""
-        return np.cumsum((self.compliance * tension)[::-1], axis=0)[::-1][1:]
-
-    def _joints(self, state: State, angles: Array) -> tuple[Array, Array, Array]:
-        rubbing = self.rubbing
-        speed = np.abs(state.speed_rad_s) / rubbing.speed_rad_s
-        level = rubbing.joint_nm.ravel() * (1.0 + (rubbing.breakaway - 1.0) * np.exp(-(speed**2)))
-        moved = angles - state.angles_rad
-        new, slope = follow(rubbing.joint_onset, state.joint_rub, moved, rubbing.joint_reach_rad)
-        return new, level * new, level * slope
+def _moved(
+    state: State, angles: Array, tension: Array, at: Balance, paid_out_m: Array, loads_n: Array
+) -> State:
+    return replace(
+        state,
+        angles_rad=angles,
+        tension_n=tension,
+        rub=at.rub,
+        fed_m=at.fed_m,
+        joint_rub=at.joint_rub,
+        paid_out_m=paid_out_m,
+        loads_n=loads_n,
+    )

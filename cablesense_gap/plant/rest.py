@@ -60,7 +60,28 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
                     "smaller loads or angles leave the arm stable"
                 )
         angles[lost], tensions[lost] = start, tension
+    require_room(body, angles)
     return Rest(angles, tensions)
+
+
+def require_room(body: Body, angles_rad: Array) -> None:
+    """Refuse angles (B, 2J) at which the guide plates of a joint would cut into each other.
+
+    Raises:
+        PlantError: naming the first row and joint.
+    """
+    turn = angles_rad.reshape(len(angles_rad), -1, 2)
+    bend = np.arccos(np.clip(np.cos(turn).prod(axis=-1), -1.0, 1.0))
+    radius = np.linalg.norm(body.after_m[..., 1:], axis=-1).max(axis=1)
+    limit = 2.0 * np.arctan2(-body.before_m[:, 0, 0], radius)
+    beyond = np.argwhere(bend > limit)
+    if len(beyond):
+        row, joint = beyond[0]
+        raise PlantError(
+            f"row {row + 1}: joint {joint + 1} bends by {np.rad2deg(bend[row, joint]):.0f} "
+            f"degrees and its plates touch at {np.rad2deg(limit[joint]):.0f}; "
+            "smaller loads or angles leave them apart"
+        )
 
 
 def _search(

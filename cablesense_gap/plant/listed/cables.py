@@ -22,7 +22,7 @@ _CREEP_FORMS = {
 
 def capstan_friction(rng: np.random.Generator, nominal: Nominal) -> Change:
     """T2 <= T1 exp(mu theta) at every guide: sharp or rounded, with or without a pulley."""
-    onset = rng.choice([Onset.SHARP, Onset.ROUNDED])
+    onset = Onset.SHARP if rng.random() < 0.5 else Onset.ROUNDED
     spread, pulley = bool(rng.random() < 0.5), bool(rng.random() < 0.4)
     reach_m = 5e-6 if onset is Onset.SHARP else float(np.exp(rng.uniform(*np.log([2e-5, 2e-4]))))
     wrap = float(rng.uniform(0.3, 1.6)) if pulley else 0.0

@@ -17,7 +17,7 @@ from cablesense_gap.plant.rubbing import firm, smooth
 def limber_segments(rng: np.random.Generator, nominal: Nominal) -> Change:
     """Segments that bend in their middle under what they carry."""
     del rng, nominal
-    return Change("unknown", "limber_segments", "rad/(N m)", 1e-6, 0.05, _limber)
+    return Change("unknown", "limber_segments", "rad/(N m)", 1e-4, 0.05, _limber)
 
 
 def _limber(arm: RealArm, size: float) -> RealArm:
@@ -92,7 +92,7 @@ def skewed_axes(rng: np.random.Generator, nominal: Nominal) -> Change:
     chosen = some(rng, nominal.segment_count, 1, 2)
     directions = rng.standard_normal((len(chosen), 3))
     vector[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Change("unknown", "skewed_axes", "deg", 0.2, 20.0, partial(_skewed, vector=vector))
+    return Change("unknown", "skewed_axes", "deg", 1.0, 30.0, partial(_skewed, vector=vector))
 
 
 def _skewed(arm: RealArm, size: float, vector: np.ndarray) -> RealArm:

@@ -1,0 +1,119 @@
+"""Sets of recordings with hidden effects: files, answers, and that nothing else is told."""
+
+import ast
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_plant import ARM_FILE, NOMINAL
+from typer.testing import CliRunner
+
+import cablesense_gap.plant
+from cablesense_gap.plant.nominal import read_nominal
+from cablesense_gap.plant.plant_error import PlantError
+from cablesense_gap.plant.withhold import make_case, withhold
+from cablesense_gap.recordings.csv_file import read_csv
+from cablesense_ros.cli.app import app
+from cablesense_sim.arm_files import open_arm
+
+PLANT = Path(cablesense_gap.plant.__file__).parent
+OURS = ("cablesense_sim", "cablesense_training", "cablesense_ros", "cablesense_gap")
+QUICK = ("sensor_gain", "none", "load_scale")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("cases")
+    list(withhold(place, place / "answers" / "answers.csv", NOMINAL, 3, 7, QUICK))
+    return place
+
+
+def test_the_plant_knows_nothing_of_the_rest() -> None:
+    """Not even by a way that the linter's list of modules leaves open."""
+    for path in PLANT.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in getattr(node, "names", []) if alias.name]
+            module = getattr(node, "module", None) or ""
+            for name in [module, *(names if isinstance(node, ast.Import) else [])]:
+                allowed = name.startswith("cablesense_gap.plant")
+                assert allowed or not name.startswith(OURS), f"{path.name} imports {name}"
+
+
+def test_any_reader_of_recordings_reads_them(folder: Path) -> None:
+    for number, kind in enumerate(QUICK, start=1):
+        recorded = make_case(number, kind, NOMINAL, 7)
+        found = read_csv(folder / f"case_00{number}.csv", open_arm("cdsm_lab"))
+        schedule = recorded.schedule
+        np.testing.assert_allclose(found.time_s, schedule.time_s, atol=1e-9)
+        np.testing.assert_array_equal(found.trial, schedule.trial)
+        np.testing.assert_allclose(found.command_rad, schedule.command_rad, atol=1e-9)
+        np.testing.assert_array_equal(found.load_segment, schedule.load_segment)
+        np.testing.assert_allclose(found.load_n, schedule.load_n, atol=1e-9)
+        np.testing.assert_allclose(found.tensions_n, recorded.tensions_n, atol=5.1e-5)
+
+
+def test_the_files_are_rounded_as_documented(folder: Path) -> None:
+    with (folder / "case_001.csv").open(newline="") as file:
+        header, first, *_, last = list(csv.reader(file))
+    assert header[:3] == ["time_s", "trial", "q1_cmd_rad"]
+    assert header[10:15] == ["load_segment", "load_x_n", "load_y_n", "load_z_n", "tension_1_n"]
+    assert len(header) == len(first) == 26
+    assert first[0] == "0.00"
+    assert last[0] == "273.80"
+    decimals = [len(text.partition(".")[2]) for text in first]
+    assert decimals == [2, 0, *[6] * 8, 0, *[3] * 3, *[4] * 12]
+    assert not any(text.startswith("-0.0000") for text in first)
+
+
+def test_answers_stand_apart_and_no_recording_tells(folder: Path) -> None:
+    with (folder / "answers" / "answers.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[:3] == ["recording", "effects", "where"]
+    assert [row["effects"] for row in rows] == ["sensor_gain", "none", "unknown"]
+    assert rows[2]["form"] == "load_scale"
+    assert [row["recording"] for row in rows] == ["case_001", "case_002", "case_003"]
+    assert sorted(path.name for path in folder.glob("*.csv")) == [
+        f"case_00{number}.csv" for number in (1, 2, 3)
+    ]
+    for path in folder.glob("*.csv"):
+        assert "gain" not in path.read_text()
+
+
+def test_the_verb_makes_the_same_files_in_more_processes(folder: Path, tmp_path: Path) -> None:
+    arguments = ["gap", "withhold", "--count", "3", "--seed", "7", "--out", str(tmp_path / "out")]
+    arguments += ["--answers", str(tmp_path / "kept.csv"), "--workers", "2"]
+    result = CliRunner().invoke(app, [*arguments, *(f"--only={kind}" for kind in QUICK)])
+    assert result.exit_code == 0, result.output
+    assert not (tmp_path / "out" / "answers").exists()
+    kept = (tmp_path / "kept.csv").read_bytes()
+    assert kept == (folder / "answers" / "answers.csv").read_bytes()
+    for path in folder.glob("*.csv"):
+        assert path.read_bytes() == (tmp_path / "out" / path.name).read_bytes()
+
+
+def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match="no effect 'sag'"):
+        list(withhold(tmp_path, tmp_path / "a.csv", NOMINAL, 1, 0, ("sag",)))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PlantError, match="cannot be written"):
+        list(withhold(tmp_path / "file", tmp_path / "a.csv", NOMINAL, 1, 0, ("none",)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("name: cdsm_lab", "name: ["), "no arm file"),
+        (("mass_kg: 0.50", "mass: 0.5"), "'mass_kg' is missing"),
+        (("count: 4", "count: 1"), "identical segments"),
+        (("length_m: 0.130", "length_m: long"), "identical segments"),
+        (("name: cdsm_lab", "effects: [{effect: payload}]"), "effects are listed"),
+    ],
+)
+def test_arms_that_the_plant_cannot_build(
+    change: tuple[str, str], message: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text(ARM_FILE.read_text().replace(*change))
+    with pytest.raises(PlantError, match=message):
+        read_nominal(file)
