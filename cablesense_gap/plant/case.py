@@ -16,7 +16,7 @@ from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
 from cablesense_gap.plant.real_arm import RealArm, ideal_arm, signals_n
 from cablesense_gap.plant.scatter import scattered
 from cablesense_gap.plant.sensing import read_n
-from cablesense_gap.plant.sizing import gap_n, size_for
+from cablesense_gap.plant.sizing import gap_n, rows_to_try, size_for
 from cablesense_gap.plant.unlisted import UNLISTED
 
 Array = NDArray[np.float64]
@@ -71,7 +71,8 @@ class Answer:
         gap_n: root mean square of what the hidden changes make of the noise-free readings.
         gap_over_floor: the same by the error of one reading.
         scatter_gap_n: of the workshop's arm without them against the arm as drawn.
-        each_gap_n: of each change alone, joined by spaces.
+        each_gap_n: of each change alone, joined by spaces; where an arm remembers, from every
+            sixth row.
     """
 
     recording: str
@@ -189,8 +190,9 @@ def _drawn_floors(rng: np.random.Generator, plain: bool) -> float:
 def _alone_n(
     change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
 ) -> float:
-    changed = signals_n(change.apply(arm, size), schedule, history)
-    return gap_n(changed, signals_n(arm, schedule, history))
+    rows = rows_to_try(change, arm, schedule)
+    changed = signals_n(change.apply(arm, size), rows, history)
+    return gap_n(changed, signals_n(arm, rows, history))
 
 
 def _places(changes: list[Change]) -> str:

@@ -34,9 +34,7 @@ def size_for(
     sixth row. A size that leaves no rest lowers the upper bound.
     """
     low, high = np.log(change.least), np.log(change.most)
-    thin = every(schedule, _STRIDE)
-    remembers = change.apply(arm, change.least).remembers
-    rows = thin if remembers else schedule
+    rows = rows_to_try(change, arm, schedule)
     without = signals_n(arm, rows, history)
     at, best, nearest = 0.5 * (low + high), low, np.inf
     steepness, last = 1.0, None
@@ -59,6 +57,12 @@ def size_for(
         if abs(at - last[0]) < 1e-6:
             break
     return float(np.exp(best))
+
+
+def rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+    """The rows of a schedule that a gap is told from: fewer where each waits for the last."""
+    remembers = change.apply(arm, change.least).remembers
+    return every(schedule, _STRIDE) if remembers else schedule
 
 
 def every(schedule: Schedule, stride: int) -> Schedule:

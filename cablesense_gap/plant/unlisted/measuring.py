@@ -58,7 +58,7 @@ def sensor_ceiling(rng: np.random.Generator, nominal: Nominal) -> Change:
     """Sensors or amplifiers that do not follow high tensions; the size is how far below 250 N."""
     count = nominal.cable_count
     chosen = list(range(count)) if rng.random() < 0.5 else some(rng, count, 2, 6)
-    return Change("unknown", "sensor_ceiling", "N", 120.0, 195.0, partial(_ceiling, sensors=chosen))
+    return Change("unknown", "sensor_ceiling", "N", 30.0, 195.0, partial(_ceiling, sensors=chosen))
 
 
 def _ceiling(arm: RealArm, size: float, sensors: list[int]) -> RealArm:
