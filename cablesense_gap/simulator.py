@@ -61,7 +61,8 @@ class Simulator(Protocol):
         candidates: effects to choose among.
         tolerances: effects that a careful workshop leaves; each parameter's `typical` is its
             standard deviation.
-        floor: root mean square of what the sensors add to a perfect reading.
+        floor: root mean square of what the sensors add to a perfect reading. Channels share one
+            unit; those of different kinds are given in units of their noise, with a floor of 1.
     """
 
     candidates: Sequence[Candidate]

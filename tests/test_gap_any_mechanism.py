@@ -1,0 +1,171 @@
+"""The diagnosis of a mechanism that is no arm: what was planted is found, with right numbers."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pulley import FORCES, G_M_S2, NOISE, WEIGHT_KG, Pulley, Work, course_of, recorded, work
+
+from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
+from cablesense_gap.diagnosis.searching import search
+from cablesense_gap.simulator import Term
+
+FRICTION = Term("pulley_friction", "pulley", "coefficient")
+SHARE, TIME_S = (Term("cable_creep", "cable", name) for name in ("share", "time_s"))
+WINCH_GAIN, WEIGHT_GAIN = (Term("sensor_gain", force, "gain") for force in FORCES)
+GAIN = Term("sensor_gain", "arm", "gain")
+ZERO_N = Term("sensor_offset", FORCES[0], "zero_n")
+SOFT = Term("softer_cable", "cable", "compliance")
+MASS_KG = Term("extra_weight", "weight", "mass_kg")
+
+WITHIN = {
+    FRICTION: 0.001, SHARE: 0.04, TIME_S: 0.6, WINCH_GAIN: 0.001, WEIGHT_GAIN: 0.001, GAIN: 0.001,
+    ZERO_N: 0.2, SOFT: 0.02, MASS_KG: 0.04,
+}  # fmt: skip
+"""Four standard deviations and more, of what the workshop leaves where that is the larger."""
+
+SINGLES = [
+    {FRICTION: 0.08},
+    {SHARE: 0.6, TIME_S: 4.0},
+    {SHARE: 0.9, TIME_S: 15.0},
+    {WEIGHT_GAIN: -0.04},
+    {GAIN: 0.04},
+    {ZERO_N: 1.3},
+    {SOFT: 0.5},
+    {MASS_KG: 0.25},
+    {MASS_KG: -0.8},
+]
+DOUBLES = [
+    {FRICTION: 0.08, MASS_KG: 0.25},
+    {FRICTION: 0.03, SOFT: 0.5},
+    {SOFT: 0.5, WEIGHT_GAIN: -0.02},
+]
+
+
+def named(values: dict[Term, float]) -> str:
+    return "+".join(f"{term}={value:g}" for term, value in values.items()) or "none"
+
+
+def judged(simulator: Pulley, readings: np.ndarray) -> list[Belief]:
+    course = course_of(simulator, readings)
+    return beliefs(search(course), course.floor, bundled_calibration())
+
+
+@cache
+def cogging() -> list[Belief]:
+    """A winch that pulls harder and softer as its teeth pass: in nobody's list."""
+    simulator, readings = recorded({})
+    teeth = np.sin(2.0 * np.pi * work().wound_m / 0.012)
+    return judged(simulator, readings + np.outer(1.5 * teeth, [1.0, 0.0, 0.0]) / NOISE)
+
+
+@pytest.mark.parametrize("truth", SINGLES + DOUBLES, ids=named)
+def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) -> None:
+    simulator, readings = recorded(truth)
+    best = judged(simulator, readings)[0]
+    assert best.effects == tuple(sorted({term.effect for term in truth}))
+    assert best.probability > 0.5
+    assert best.hypothesis is not None
+    for term, value in truth.items():
+        assert best.hypothesis.values[term] == pytest.approx(value, abs=WITHIN[term]), term
+    for term in best.hypothesis.values.keys() - truth.keys():
+        assert best.hypothesis.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
+    assert best.hypothesis.held_out_rmse < 1.2 * simulator.floor
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_a_workshop_leaves_is_no_effect(seed: int) -> None:
+    best = judged(*recorded({}, seed))[0]
+    assert best.effects == ("none",)
+
+
+def test_what_nobody_listed_is_unknown() -> None:
+    assert cogging()[0].effects == ("unknown",)
+    assert cogging()[0].probability > 0.5
+
+
+def test_no_listed_effect_removes_what_nobody_listed() -> None:
+    left = {b.effects: b.hypothesis.held_out_rmse for b in cogging() if b.hypothesis}
+    assert min(left.values()) > 0.8 * left["none",]
+
+
+def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
+    truth = {FRICTION: 0.08, MASS_KG: 0.25}
+    best = judged(*recorded(truth))[0].hypothesis
+    assert best is not None
+    new = Pulley(work(seed=77))
+    after, before, real = (new.predict([v])[0] for v in (best.values, {}, truth))
+    assert np.sqrt(((after - real) ** 2).mean()) < 0.03 * np.sqrt(((before - real) ** 2).mean())
+
+
+def test_workers_find_what_one_process_finds() -> None:
+    course = course_of(*recorded({WEIGHT_GAIN: -0.04}))
+    alone, shared = search(course), search(course, workers=2)
+    assert [h.effects for h in shared] == [h.effects for h in alone]
+    for one, other in zip(alone, shared, strict=True):
+        np.testing.assert_allclose(other.squares, one.squares, rtol=1e-9)
+
+
+def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
+    told: list[tuple[str, float]] = []
+    search(course_of(*recorded({GAIN: 0.04})), lambda what, share: told.append((what, share)))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[0] == 0.0
+    assert shares[-1] == 1.0
+    assert "pulley_friction" in [what for what, _ in told]
+
+
+def test_the_engine_needs_nothing_of_the_arm() -> None:
+    """Imported in a fresh interpreter: no arm, no solver, no MuJoCo comes along."""
+    program = (
+        "import sys, pulley, cablesense_gap.diagnosis.belief, cablesense_gap.diagnosis.searching\n"
+        "print(*sorted(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = done.stdout.split()
+    assert "cablesense_gap.diagnosis.searching" in loaded
+    about_arms = ("arm", "equilibrium", "kinematics", "mechanism", "replay", "quasi_static")
+    assert not {f"cablesense_sim.{name}" for name in about_arms} & set(loaded)
+    assert not {"mujoco", "rclpy", "torch", "cablesense_gap.arm_simulator"} & set(loaded)
+
+
+# The mechanism itself, against what can be said of it without its code.
+
+
+def straight(wound_m: np.ndarray, load_n: float = 0.0) -> Work:
+    rows = len(wound_m)
+    return Work(wound_m, np.full(rows, load_n), np.zeros(rows, dtype=int))
+
+
+def test_without_friction_the_weight_hangs_on_both_springs_alike() -> None:
+    near, far, height = (Pulley(work()).predict([{}])[0] * NOISE).T
+    np.testing.assert_allclose(near, far, rtol=1e-12)
+    # the spring below pulls by 400 N/m times the height
+    np.testing.assert_allclose(far, WEIGHT_KG * G_M_S2 + work().load_n + 400.0 * height)
+
+
+def test_friction_opens_the_loop_of_the_capstan_equation() -> None:
+    up_and_down = 0.1 + 0.05 * np.sin(np.linspace(0.0, 4.0 * np.pi, 200))
+    near, far, _ = (Pulley(straight(up_and_down)).predict([{FRICTION: 0.08}])[0] * NOISE).T
+    ratio = near / far
+    assert ratio.max() == pytest.approx(np.exp(0.08 * np.pi), rel=1e-9)
+    assert ratio.min() == pytest.approx(np.exp(-0.08 * np.pi), rel=1e-9)
+
+
+def test_creep_sinks_to_its_share_of_the_stretch() -> None:
+    still = Pulley(straight(np.full(400, 0.1)))
+    _, far, height = (still.predict([{SHARE: 0.6, TIME_S: 4.0}])[0] * NOISE).T
+    stretch = far[-1] / 5e3 + 1.6 * far[-1] / 20e3
+    assert 0.1 - height[-1] == pytest.approx(stretch, rel=1e-6)
