@@ -37,6 +37,9 @@ _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
 _SHORTEST = 1e-3
 _LONGEST_TURN_RAD = 0.05
+_FOLLOWED_FROM_N = 10.0
+_FOLLOWING_STEPS = 2
+_SMALL_STEPS = 5
 _STACKED = (
     "gravity_m_s2",
     "mass_kg",
@@ -108,10 +111,10 @@ class QuasiStaticArm:
         """Tensions (P, M) at the actuators at the next rest.
 
         `held_m` (P, M) are the cable lengths that the actuators hold, relative to the straight
-        arm; `forces_n` (N, 3) act in base axes.
+        arm; `forces_n` (N, 3), or (P, N, 3) for each arm its own, act in base axes.
 
         Raises:
-            EquilibriumError: an arm finds no rest.
+            EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
         if self._angles_rad is None:
             self._begin(time_s, held_m, forces_n)
@@ -121,7 +124,7 @@ class QuasiStaticArm:
             if longer is not None:
                 rest_m = rest_m + longer
         arms = kinematics.load_arms(
-            self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape))
+            self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         )
         pose = self._next(rest_m, arms)
         self._require_room(pose.angles_rad)
@@ -139,29 +142,76 @@ class QuasiStaticArm:
             last_rest_m, last_arms, pose = self._last
             if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
                 return pose
-        pose = self._search(rest_m, arms)
+        start = self._followed(rest_m)
+        try:
+            pose = self._search(start, rest_m, arms)
+        except EquilibriumError:
+            pose = self._in_small_steps(rest_m, arms)
         self._last = rest_m, arms, pose
+        return pose
+
+    def _followed(self, rest_m: Array) -> Array:
+        """Where to begin: moved so that every cable, slack or not, keeps the stretch that it had.
+
+        Where cables are slack, Newton's method does not know how far the others were drawn.
+        """
+        assert self._angles_rad is not None
+        angles = self._angles_rad
+        if self._last is None:
+            return angles
+        last_m = self._last[0]
+        stiffness = self._mechanism.stiffness_n_m
+        if (stiffness * np.abs(rest_m - last_m)).max() < _FOLLOWED_FROM_N:
+            return angles
+        wanted = self._last[2].span.length_m.sum(-1) - last_m + rest_m
+        for _ in range(_FOLLOWING_STEPS):
+            span = kinematics.spans(self._mechanism, angles)
+            jacobian = kinematics.interleave(span)
+            pull = np.swapaxes(jacobian, -1, -2) * np.broadcast_to(
+                stiffness, wanted.shape
+            )[..., None, :]
+            missing = (wanted - span.length_m.sum(-1))[..., None]
+            angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
+        return np.asarray(angles)
+
+    def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
+        """The same rest by way of others, which memory takes no note of."""
+        assert self._angles_rad is not None
+        angles = self._angles_rad
+        last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
+        for share in np.linspace(0.0, 1.0, _SMALL_STEPS + 1)[1:]:
+            pose = self._search(
+                angles, last_m + share * (rest_m - last_m), last_arms + share * (arms - last_arms)
+            )
+            angles = pose.angles_rad
         return pose
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
         """Every memory begins where an arm without a past would rest."""
-        ideal = [
-            solve_equilibrium(
-                mechanism, np.zeros(mechanism.joint_count), forces_n, held_m=held_m[p]
-            )
-            for p, mechanism in enumerate(self._each)
-        ]
-        self._angles_rad = np.stack([e.joint_angles_rad for e in ideal])
+        forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
+        self._angles_rad, tensions = self._without_past(held_m, forces)
         span = kinematics.spans(self._mechanism, self._angles_rad)
         bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
-        tensions = np.stack([e.tensions_n for e in ideal])
         rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
         for memory in self._memories:
             memory.begin(self._mechanism, rest)
 
-    def _search(self, rest_m: Array, arms: Array) -> _Pose:
-        assert self._angles_rad is not None
-        start = self._angles_rad
+    def _without_past(self, held_m: Array, forces_n: Array) -> tuple[Array, Array]:
+        """Angles (P, 2N) and tensions (P, M); equal mechanisms are solved at once."""
+        straight = np.zeros((len(self._each), self._mechanism.joint_count))
+        if all(mechanism is self._each[0] for mechanism in self._each):
+            rest = solve_equilibrium(self._each[0], straight, forces_n, held_m=held_m)
+            return rest.joint_angles_rad, rest.tensions_n
+        rests = [
+            solve_equilibrium(mechanism, straight[p], forces_n[p], held_m=held_m[p])
+            for p, mechanism in enumerate(self._each)
+        ]
+        return (
+            np.stack([rest.joint_angles_rad for rest in rests]),
+            np.stack([rest.tensions_n for rest in rests]),
+        )
+
+    def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
         step, fraction = np.zeros_like(start), np.ones(len(start))
         driven = np.zeros(len(start))
@@ -186,7 +236,8 @@ class QuasiStaticArm:
         raise EquilibriumError(
             f"{int((unbalanced > _TOLERATED_N_M).sum())} of {len(unbalanced)} arms found no rest "
             f"after a small step; {unbalanced.max():.2g} N·m stay unbalanced; lower the loads or "
-            "the size of the effects"
+            "the size of the effects",
+            np.flatnonzero(unbalanced > _TOLERATED_N_M),
         )
 
     def _require_room(self, angles_rad: Array) -> None:
@@ -198,7 +249,8 @@ class QuasiStaticArm:
         raise EquilibriumError(
             f"arm {arm} of {len(bend)} would bend joint {joint + 1} by "
             f"{np.rad2deg(bend[arm, joint]):.1f} degrees, and its guide plates touch before; "
-            "lower the loads or the commanded angles"
+            "lower the loads or the commanded angles",
+            np.flatnonzero((bend >= limit).any(-1)),
         )
 
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from effect_arms import (
@@ -34,17 +36,19 @@ BENT = bent(3, most_deg=6.0)
 FRICTION = entry("capstan_friction", coefficient=0.15)
 
 
-def over_guides(coefficient=0.2, pulley=1.5, give=1e-4, start=0.0):
+def over_guides(coefficient=0.2, pulley=1.5, give=1e-4, start=0.0, rounded=0.0):
     """Friction of two cables over the guides of three joints, having come to rest once."""
     values = {
         "coefficient": coefficient,
         "pulley_wrap_rad": pulley,
         "give_m": give,
-        "start": start,
+        "rounded": rounded,
+        "start_cable_1": start,
+        "start_cable_2": start,
     }
     friction = FRICTION.effect.transmission("arm", {k: np.array([v]) for k, v in values.items()})
     assert friction is not None
-    friction.begin(MECHANISM, rest(SPANS_M))
+    friction.begin(SimpleNamespace(cable_count=2), rest(SPANS_M))
     return friction
 
 
@@ -67,9 +71,10 @@ def test_in_slip_the_tension_grows_by_equation_2_over_every_guide_passed() -> No
     np.testing.assert_array_equal(slope, 0.0)  # however much further it is drawn
 
 
+@pytest.mark.parametrize("rounded", [0.0, 0.6])
 @pytest.mark.parametrize("start", [-1.0, 0.0, 0.3, 1.0])
-def test_drawn_in_and_let_out_the_losses_are_opposite(start: float) -> None:
-    friction = over_guides(start=start)
+def test_drawn_in_and_let_out_the_losses_are_opposite(start: float, rounded: float) -> None:
+    friction = over_guides(start=start, rounded=rounded)
     there, _ = friction.tension_log_loss(drawn_in(0.01), BENDS_RAD)
     friction.settle(rest(drawn_in(0.01)))
     back, _ = friction.tension_log_loss(drawn_in(-0.01), BENDS_RAD)
@@ -86,8 +91,9 @@ def test_before_it_slips_a_guide_holds_the_share_that_the_past_left() -> None:
     np.testing.assert_array_equal(friction.tension_log_loss(SPANS_M, BENDS_RAD)[0], loss)
 
 
-def test_the_slope_is_the_derivative_by_the_cable_drawn_past() -> None:
-    friction = over_guides(start=0.2, pulley=0.0)
+@pytest.mark.parametrize("rounded", [0.0, 0.5])
+def test_the_slope_is_the_derivative_by_the_cable_drawn_past(rounded: float) -> None:
+    friction = over_guides(start=0.2, pulley=0.0, rounded=rounded)
     spans = drawn_in(2e-5)  # it gives by 1e-4: everything sticks
     loss, slope = friction.tension_log_loss(spans, BENDS_RAD)
     for cable, joint in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 1)):
@@ -95,7 +101,7 @@ def test_the_slope_is_the_derivative_by_the_cable_drawn_past() -> None:
         moved[0, cable, joint] += 1e-9
         more, _ = friction.tension_log_loss(moved, BENDS_RAD)
         expected = np.einsum("mjk,mk->mj", slope[0], (drawn_m(moved) - drawn_m(spans))[0])
-        np.testing.assert_allclose((more - loss)[0], expected, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose((more - loss)[0], expected, rtol=1e-4, atol=1e-12)
 
 
 def test_a_cable_is_drawn_past_a_guide_by_what_has_shrunk_beyond_it() -> None:

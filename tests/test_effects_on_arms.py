@@ -58,11 +58,11 @@ def test_size_zero_leaves_the_arm_as_it_is(nothing: EffectEntry) -> None:
 
 def test_a_payload_is_its_weight_at_its_place() -> None:
     """J'T of the loaded arm balances the nominal weight and a point weight at that place."""
-    mass, beyond = 0.7, 0.02
-    _, rest = rest_of(entry("payload", "segment_3", mass_kg=mass, moment_kg_m=mass * beyond))
+    mass, beyond = 0.7, 0.15
+    _, rest = rest_of(entry("payload", "segment_3", mass_kg=mass, beyond_middle=beyond))
     missing = unbalanced_n_m(MECHANISM, rest, PUSH)
     pose = kinematics.chain(MECHANISM, rest.joint_angles_rad)
-    at = pose.joint_m[:, 2] + (0.065 + beyond) * pose.rotation[:, 2, :, 0]
+    at = pose.joint_m[:, 2] + 0.13 * (0.5 + beyond) * pose.rotation[:, 2, :, 0]
     weight = np.array([0.0, 0.0, -9.81 * mass])
     for joint in range(8):
         lever = at - pose.joint_m[:, joint // 2]
@@ -70,11 +70,11 @@ def test_a_payload_is_its_weight_at_its_place() -> None:
         np.testing.assert_allclose(missing[:, joint], moment if joint < 6 else 0.0, atol=1e-6)
 
 
-def test_a_moment_without_a_mass_moves_the_centre() -> None:
-    moved = amended(MECHANISM, [entry("payload", "segment_1", moment_kg_m=0.01)])
-    np.testing.assert_allclose(moved.mass_kg, MECHANISM.mass_kg)
+def test_a_payload_moves_the_centre_of_its_segment() -> None:
+    moved = amended(MECHANISM, [entry("payload", "segment_1", mass_kg=0.5, beyond_middle=0.5)])
+    np.testing.assert_allclose(moved.mass_kg, [1.0, 0.5, 0.5, 0.5])
     np.testing.assert_allclose(
-        moved.centre_of_mass_m - MECHANISM.centre_of_mass_m, [0.01 / 0.5, 0, 0, 0]
+        moved.centre_of_mass_m - MECHANISM.centre_of_mass_m, [0.065 / 2.0, 0, 0, 0]
     )
 
 

@@ -16,9 +16,9 @@ from cablesense_sim.quasi_static import QuasiStaticArm
 FRICTION = entry("joint_friction", "joint_2", torque_n_m=0.15)
 
 
-def dry(entry_: EffectEntry = FRICTION, **values: float):
+def dry(entry_: EffectEntry = FRICTION, start: float = 0.0, **values: float):
     """Its friction, having come to rest straight."""
-    numbers = {**entry_.values, **values}
+    numbers = {**entry_.values, "start_pitch": start, "start_yaw": start, **values}
     friction = entry_.effect.transmission(
         entry_.place, {name: np.array([v]) for name, v in numbers.items()}
     )
@@ -65,18 +65,21 @@ def test_never_more_than_the_limit_and_never_a_gift_of_energy(
     assert work >= -stored - 1e-9
 
 
-def test_the_slope_is_the_derivative() -> None:
-    friction = dry(entry("joint_friction", torque_n_m=0.4), start=0.3)
+@pytest.mark.parametrize("rounded", [0.0, 0.7])
+def test_the_slope_is_the_derivative(rounded: float) -> None:
+    friction = dry(start=0.3, rounded=rounded)
     angles = np.linspace(-1e-4, 1e-4, 8)[None]
     torque, slope = friction.joint_torque_n_m(angles)
     more, _ = friction.joint_torque_n_m(angles + 1e-8)
-    np.testing.assert_allclose((more - torque) / 1e-8, slope, rtol=1e-6)
+    np.testing.assert_allclose((more - torque) / 1e-8, slope, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("place", "where"), [("joint_2", [2, 3]), ("arm", list(range(8)))])
-def test_a_slipping_joint_carries_its_limit_of_the_load(place: str, where: list[int]) -> None:
+@pytest.mark.parametrize("numbers", [[2], [1, 2, 3, 4]])
+def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> None:
     """Between J'T and the load's torque lies the limit, against the motion, and nothing else."""
-    arm = QuasiStaticArm([MECHANISM], [[small(entry("joint_friction", place), torque_n_m=0.15)]])
+    dry_joints = [entry("joint_friction", f"joint_{n}", torque_n_m=0.15) for n in numbers]
+    where = [axis for n in numbers for axis in (2 * n - 2, 2 * n - 1)]
+    arm = QuasiStaticArm([MECHANISM], [dry_joints])
     before = None
     for load in up_and_down(segment=4):
         tensions = arm.step(0.0, np.zeros((1, 12)), load)[0]
@@ -120,7 +123,7 @@ def test_how_fast_it_goes_does_not_matter() -> None:
 
 def test_what_the_past_left_is_there_from_the_first_row() -> None:
     first = [
-        readings(course(STRAIGHT, push(1, [0.0, 0.0, 0.0])), small(FRICTION, start=start))[0]
+        readings(course(STRAIGHT, push(1, [0.0, 0.0, 0.0])), small(FRICTION, start_yaw=start))[0]
         for start in (-1.0, 0.0, 1.0)
     ]
     assert np.abs(first[0] - first[2]).max() > 0.1

@@ -14,8 +14,8 @@ from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_e
 from cablesense_sim.quasi_static import QuasiStaticArm, stack
 
 KINDS = [
-    entry("capstan_friction", coefficient=0.1, pulley_wrap_rad=1.5, start=0.2),
-    entry("joint_friction", torque_n_m=0.1, start=-0.4),
+    entry("capstan_friction", coefficient=0.1, pulley_wrap_rad=1.5, start_cable_3=0.2),
+    entry("joint_friction", "joint_2", torque_n_m=0.1, start_yaw=-0.4),
     entry("cable_creep", "segment_3", share=0.3, time_s=2.0),
 ]
 

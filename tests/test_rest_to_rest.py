@@ -19,10 +19,14 @@ KINDS = {
     "joint_friction": {"torque_n_m": 0.15},
     "cable_creep": {"share": 0.3, "time_s": 5.0},
 }
+PLACES = {"joint_friction": "joint_2"}
 
 
 def with_effects(*names: str):
-    listed = [{"effect": name, "parameters": KINDS[name]} for name in names]
+    listed = [
+        {"effect": name, "at": PLACES.get(name, "arm"), "parameters": KINDS[name]}
+        for name in names
+    ]
     return variant({"effects": listed}, "cdsm_lab")
 
 

@@ -50,6 +50,14 @@ def dataset(
     noise: Annotated[
         bool, typer.Option(help="Apply the arm file's sensor noise and step, or read exactly.")
     ] = True,
+    randomise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT,…|all",
+            help="Draw samples on arms with these effects, of other sizes and in other places; "
+            "cablesense info --effects lists them.",
+        ),
+    ] = None,
     tare_samples: Annotated[
         int, typer.Option(help="Unloaded readings averaged into each sample's tare.")
     ] = 50,
@@ -96,6 +104,7 @@ def dataset(
         "force_high_n": force_high_n,
         "no_contact_fraction": no_contact_fraction,
         "max_contacts": max_contacts,
+        "randomise": randomise,
     }
     drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None})
     description = open_arm(arm)

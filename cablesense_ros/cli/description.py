@@ -66,7 +66,11 @@ def describe_arm(name: str) -> Description:
                 "at": entry.place,
                 "parameters": {
                     parameter.name: {"value": entry.values[parameter.name], "unit": parameter.unit}
-                    for parameter in entry.effect.parameters
+                    for parameter in (
+                        *entry.effect.parameters,
+                        *entry.effect.history(arm.segment_count, arm.cable_count),
+                    )
+                    if parameter.name in entry.values
                 },
             }
             for entry in entries_of(arm)

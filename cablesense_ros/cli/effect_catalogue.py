@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from cablesense_sim.effects.effect import Effect
+from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 
 Description = dict[str, Any]
@@ -34,19 +34,23 @@ def _said(effect: Effect) -> Description:
         "places_of_four_segments_and_twelve_cables": list(
             effect.places(_FOUR_SEGMENTS, _TWELVE_CABLES)
         ),
-        "parameters": [
-            {
-                "name": parameter.name,
-                "unit": parameter.unit,
-                "low": parameter.low,
-                "high": parameter.high,
-                "typical": parameter.typical,
-                "default": parameter.default,
-                "role": parameter.role,
-                "about": parameter.about,
-            }
-            for parameter in effect.parameters
+        "parameters": [_numbers(parameter) for parameter in effect.parameters],
+        "history_of_four_segments_and_twelve_cables": [
+            _numbers(parameter) for parameter in effect.history(_FOUR_SEGMENTS, _TWELVE_CABLES)
         ],
+    }
+
+
+def _numbers(parameter: Parameter) -> Description:
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "low": parameter.low,
+        "high": parameter.high,
+        "typical": parameter.typical,
+        "default": parameter.default,
+        "role": parameter.role,
+        "about": parameter.about,
     }
 
 
@@ -72,7 +76,7 @@ def _table(effect: Description) -> Table:
     for heading in ("from", "to", "typical"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("what", ratio=1)
-    for p in effect["parameters"]:
+    for p in (*effect["parameters"], *effect["history_of_four_segments_and_twelve_cables"][:1]):
         table.add_row(
             p["name"],
             "" if p["unit"] == "1" else p["unit"],

@@ -41,6 +41,13 @@ def train(
             help="Strongest contact force, N.", show_default="200; 60 for several contacts"
         ),
     ] = None,
+    randomise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT,…|all",
+            help="Fresh samples: on arms with these effects, of other sizes and in other places.",
+        ),
+    ] = None,
     epochs: Annotated[
         int | None,
         typer.Option(help="At most so many epochs.", show_default="the network's own"),
@@ -90,6 +97,7 @@ def train(
         "pose": pose,
         "pose_range_deg": pose_range_deg,
         "force_high_n": force_high_n,
+        "randomise": randomise,
     }
     training = {
         "epochs": settings.epochs,

@@ -21,7 +21,7 @@ CHUNK_SAMPLES = 2048
 MAX_SAMPLES = 2**30
 """The length of the sequence."""
 
-_DESIGN, _NOISE, _REDRAW = 0, 1, 2
+_DESIGN, _NOISE, _REDRAW, _ARM = 0, 1, 2, 3
 
 
 def unit_points(dimensions: int, seed: int, chunk: int) -> NDArray[np.float64]:
@@ -41,6 +41,11 @@ def noise_stream(seed: int, chunk: int) -> np.random.Generator:
 def redraw_stream(seed: int, chunk: int) -> np.random.Generator:
     """The random stream that replaces a chunk's points beyond the arm."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_REDRAW, chunk)))
+
+
+def arm_stream(seed: int, chunk: int, block: int) -> np.random.Generator:
+    """The random stream of the arm that a block of a chunk is drawn on, and of its course."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ARM, chunk, block)))
 
 
 def chunk_sizes(samples: int) -> list[int]:

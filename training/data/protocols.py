@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_training.data.design import MAX_SAMPLES
+from cablesense_training.data.drawn_arm import effect_names
 from cablesense_training.data.errors import DatasetError
 
 Pose = Literal["straight", "random"]
@@ -64,6 +65,8 @@ class Protocol(ABC):
             sample.
         force_low_n, force_high_n: magnitudes are uniform in this range.
         no_contact_fraction: share of contact-free samples; None stands for 1/(N+1).
+        randomise: names of effects, with commas between them, or `all`: samples are drawn on arms
+            that have these effects, each arm in other sizes and places. None: on the arm itself.
     """
 
     kind: ClassVar[str]
@@ -76,6 +79,7 @@ class Protocol(ABC):
     force_low_n: float = 0.0
     force_high_n: float = 200.0
     no_contact_fraction: float | None = None
+    randomise: str | None = None
 
     def __post_init__(self) -> None:
         _within("samples", self.samples, 1, MAX_SAMPLES, whole=True)
@@ -94,10 +98,18 @@ class Protocol(ABC):
             )
         if self.no_contact_fraction is not None:
             _within("no_contact_fraction", self.no_contact_fraction, 0.0, 1.0)
+        if self.randomise is not None:
+            effect_names(self.randomise)
 
     def options(self) -> dict[str, Any]:
-        """Kind and options as plain values; `protocol_from_options` is the inverse."""
-        return {"kind": self.kind, **asdict(self)}
+        """Kind and options as plain values; `protocol_from_options` is the inverse.
+
+        An arm that is not randomised goes without saying, as it did before there was a choice.
+        """
+        said = {"kind": self.kind, **asdict(self)}
+        if self.randomise is None:
+            del said["randomise"]
+        return said
 
     def contact_free_share(self, segment_count: int) -> float:
         """Share of contact-free samples on an arm of that many segments."""

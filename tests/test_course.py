@@ -1,0 +1,131 @@
+"""Samples on arms with effects: amended files, drawn arms, and the past in between."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_variants import variant
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.effects.chains import amended
+from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.data import Dataset, DatasetError, SingleContact, read_dataset
+from cablesense_training.data.course import Course
+from cablesense_training.data.production import dataset_command
+from cablesense_training.data.writing import write_dataset
+
+NOMINAL = Mechanism.from_arm(open_arm("cdsm_lab"))
+GENTLE = {"samples": 96, "pose": "random", "force_high_n": 25.0, "noise": False}
+
+
+def listing(*effects: tuple[str, str, dict[str, float]]):
+    listed = [{"effect": name, "at": at, "parameters": p} for name, at, p in effects]
+    return variant({"effects": listed}, "cdsm_lab")
+
+
+def drawn(arm, **options) -> Dataset:
+    return Dataset.from_protocol(arm, SingleContact(**{**GENTLE, **options}), seed=4)
+
+
+def test_an_amended_arms_samples_are_its_rests_with_its_own_tare() -> None:
+    arm = listing(
+        ("payload", "segment_3", {"mass_kg": 0.5}),
+        ("routing_geometry", "segment_2", {"plates_angle_rad": 0.03}),
+        ("sensor_gain", "cable_5", {"gain": 0.1}),
+        ("contact_offset", "segment_2", {"offset_m": 0.02}),
+    )
+    data = drawn(arm)
+    mechanism = amended(NOMINAL, entries_of(arm))
+    held = held_lengths_m(NOMINAL, data.command_rad)
+    gain = 1.0 + 0.1 * (np.arange(12) == 4)
+    unloaded = solve_equilibrium(mechanism, data.command_rad, held_m=held).tensions_n
+    loaded = solve_equilibrium(mechanism, data.command_rad, data.forces_n, held_m=held).tensions_n
+    np.testing.assert_allclose(data.unloaded_n, gain * unloaded, atol=1e-6)
+    np.testing.assert_allclose(data.tension_difference_n, gain * (loaded - unloaded), atol=1e-6)
+    np.testing.assert_array_equal(data.slack_cables, (loaded <= 0.0).sum(axis=1))
+
+
+def test_an_offset_vanishes_in_the_tare_and_slack_is_still_seen() -> None:
+    plain = drawn(open_arm("cdsm_lab"), force_high_n=200.0)
+    offset = drawn(listing(("sensor_offset", "cable_5", {"offset_n": 9.0})), force_high_n=200.0)
+    np.testing.assert_allclose(offset.tension_difference_n, plain.tension_difference_n, atol=1e-6)
+    np.testing.assert_array_equal(offset.slack_cables, plain.slack_cables)
+    assert plain.slack_cables.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("capstan_friction", "arm", {"coefficient": 0.15}),
+        ("joint_friction", "joint_2", {"torque_n_m": 0.2}),
+        ("cable_creep", "arm", {"share": 0.3}),
+    ],
+)
+def test_the_past_shows_in_the_samples(name: str, place: str, values: dict[str, float]) -> None:
+    plain, marked = drawn(open_arm("cdsm_lab")), drawn(listing((name, place, values)))
+    np.testing.assert_array_equal(marked.command_rad, plain.command_rad)
+    np.testing.assert_array_equal(marked.magnitudes_n, plain.magnitudes_n)
+    off = np.abs(marked.tension_difference_n - plain.tension_difference_n)
+    assert off.max() > 0.1
+    assert np.isfinite(off).all()
+
+
+def test_half_the_samples_come_from_above_their_force() -> None:
+    course = Course.drawn(4000, np.random.default_rng(0))
+    loads = course.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
+    commands = course.commands_rad(np.ones((4000, 8)))[:, :, 0]
+    assert len(course.time_s) == len(loads) == len(commands)
+    assert (np.diff(course.time_s) >= 0.0).all()
+    np.testing.assert_allclose(loads[-1], 1.0)
+    np.testing.assert_array_equal(loads[:5], 0.0)
+    np.testing.assert_array_equal(commands[4:], 1.0)  # there, and at rest, before the tare
+    assert (loads.max(axis=0) > 1.001).mean() == pytest.approx(0.5, abs=0.05)
+    assert loads.max() <= 1.4
+    assert commands[0].min() < -0.9
+
+
+@pytest.mark.parametrize("randomise", ["payload,sensor_gain", "joint_friction"])
+def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
+    arm = open_arm("cdsm_lab")
+    plain, marked = drawn(arm), drawn(arm, randomise=randomise)
+    off = np.abs(marked.tension_difference_n - plain.tension_difference_n)
+    first, second = off[:64].max(axis=0), off[64:].max(axis=0)
+    assert first.max() > 1e-3
+    assert second.max() > 1e-3
+    assert np.abs(first - second).max() > 1e-3
+    again = drawn(arm, randomise=randomise)
+    assert again.tension_difference_n.tobytes() == marked.tension_difference_n.tobytes()
+
+
+def test_all_effects_at_once_can_be_drawn_on() -> None:
+    data = drawn(open_arm("cdsm_lab"), randomise="all", samples=64, noise=True)
+    assert np.isfinite(data.tension_difference_n).all()
+
+
+def test_a_file_says_what_was_randomised_and_one_without_says_nothing(tmp_path: Path) -> None:
+    arm = open_arm("cdsm_lab")
+    for randomise in (None, "payload,sensor_gain"):
+        data = drawn(arm, randomise=randomise, samples=8)
+        path = tmp_path / "data.parquet"
+        write_dataset(path, data)
+        assert read_dataset(path, arm).protocol == data.protocol
+        command = dataset_command("cdsm_lab", data.protocol, 0)
+        assert ("--randomise payload,sensor_gain" in command) == (randomise is not None)
+        assert ("randomise" in data.protocol.options()) == (randomise is not None)
+
+
+def test_an_unknown_effect_is_refused_before_anything_is_drawn() -> None:
+    with pytest.raises(DatasetError, match="'rust' is no effect"):
+        SingleContact(randomise="rust")
+
+
+@pytest.mark.slow
+def test_worker_processes_draw_the_same_arms() -> None:
+    """Takes seconds: workers are new processes."""
+    arm, protocol = open_arm("cdsm_lab"), SingleContact(samples=2100, randomise="payload")
+    one, two = (Dataset.from_protocol(arm, protocol, 1, workers=n) for n in (1, 2))
+    assert one.tension_difference_n.tobytes() == two.tension_difference_n.tobytes()
