@@ -129,13 +129,21 @@ class ClosedForm(nn.Module):
         reading_variance_n2: variance of one tension difference, N².
         pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
             command as the pose.
+        held_by: the arm whose cable lengths the actuators hold at a command, where that is not
+            `mechanism`: an arm whose holes are elsewhere than its controller believes.
     """
 
     compliance_m_n: Tensor
     pretension_n: Tensor
+    excess_straight_m: Tensor
+    spring_n_m_rad: Tensor
 
     def __init__(
-        self, mechanism: Mechanism, reading_variance_n2: float, pose_corrections: int
+        self,
+        mechanism: Mechanism,
+        reading_variance_n2: float,
+        pose_corrections: int,
+        held_by: Mechanism | None = None,
     ) -> None:
         super().__init__()
         self.kinematics = CompactKinematics(mechanism)
@@ -145,6 +153,15 @@ class ClosedForm(nn.Module):
         compliance = 1.0 / mechanism.stiffness_n_m
         self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
         self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))
+        self.held_by = None if held_by is None else CompactKinematics(held_by)
+        if self.held_by is not None:
+            straight = torch.zeros(1, mechanism.joint_count, 1, dtype=torch.float64)
+            excess = self._excess_m(straight, self.kinematics(straight))
+            self.register_buffer("excess_straight_m", excess)
+        self.springy = bool(mechanism.joint_stiffness_n_m_rad.any())
+        if self.springy:
+            spring = np.tile(mechanism.joint_stiffness_n_m_rad, 2)[:, None]
+            self.register_buffer("spring_n_m_rad", torch.as_tensor(spring))
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
         """See `Candidates`."""
@@ -172,7 +189,7 @@ class ClosedForm(nn.Module):
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
         weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
-        stretch = (tension - self.pretension_n) * self.compliance_m_n
+        stretch = (tension - self._at_command_n(angles, commanded)) * self.compliance_m_n
         pose = commanded
         inverse_gram = _gram_inverse(commanded.jacobian_t_m, weight)
         for step in range(self.pose_corrections):
@@ -186,6 +203,8 @@ class ClosedForm(nn.Module):
             pose = self.kinematics(angles)
         lever, weight_torque = self.kinematics.levers(pose, normal_cross)
         torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
+        if self.springy:
+            torque = torque + self.spring_n_m_rad * angles
         return Balance(
             lever=lever,
             precision=inverse_gram * (1.0 / self.reading_variance_n2),
@@ -203,18 +222,37 @@ class ClosedForm(nn.Module):
         """
         pose = commanded
         stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
-        tension = self.pretension_n + stretched
+        at_command = self._at_command_n(angles, commanded)
+        tension = at_command + stretched
         for _ in range(max(1, self.pose_corrections)):
             _, weight_torque = self.kinematics.levers(pose, normal_cross)
             stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
             inverse_gram = _gram_inverse(pose.jacobian_t_m, stiffness)
-            angles = angles + inverse_gram @ (weight_torque - pose.jacobian_t_m @ tension)
+            unbalanced = weight_torque - pose.jacobian_t_m @ tension
+            if self.springy:
+                unbalanced = unbalanced - self.spring_n_m_rad * angles
+            angles = angles + inverse_gram @ unbalanced
             pose = self.kinematics(angles)
             stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
-            tension = self.pretension_n + stretched / self.compliance_m_n
+            tension = at_command + stretched / self.compliance_m_n
         taken = pose if self.pose_corrections else commanded
         _, weight_torque = self.kinematics.levers(taken, normal_cross)
-        return tension, taken.jacobian_t_m @ tension - weight_torque
+        unbalanced = taken.jacobian_t_m @ tension - weight_torque
+        if self.springy and self.pose_corrections:
+            unbalanced = unbalanced + self.spring_n_m_rad * angles
+        return tension, unbalanced
+
+    def _at_command_n(self, angles: Tensor, commanded: Pose) -> Tensor:
+        """Tensions (M, 1) or (B, M, 1) if the arm stood where it is commanded."""
+        if self.held_by is None:
+            return self.pretension_n
+        excess = self._excess_m(angles, commanded) - self.excess_straight_m
+        return self.pretension_n + excess / self.compliance_m_n
+
+    def _excess_m(self, angles: Tensor, commanded: Pose) -> Tensor:
+        """(B, M, 1) by which cables of this arm are longer than of the one that holds them."""
+        assert self.held_by is not None
+        return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
 
     def _least_squares(self, balance: Balance) -> Candidates:
         """Generalised least squares of the torques on every segment's two force components."""

@@ -161,20 +161,23 @@ def _span_map(mechanism: Mechanism, rotation: Matrix) -> Matrix:
     A cable that does not pass a joint has span 1 there, which no derivative and no difference
     sees.
     """
-    o, y, z = mechanism.plate_offset_m, mechanism.hole_y_m, mechanism.hole_z_m
-    after = np.stack([np.full_like(y, o), y, z])
-    before = np.stack([np.full_like(y, -o), y, z])
-    squared = -2.0 * np.einsum("km,ijkl,lm->ijm", before, rotation, after)
-    squared[0, 0] += (after**2).sum(0) + (before**2).sum(0)
-    by_pitch = 0.5 * np.einsum("ai,ijm->ajm", _DERIVATIVE, squared)
-    by_yaw = 0.5 * np.einsum("bj,ijm->ibm", _DERIVATIVE, squared)
-    absent = np.zeros_like(squared)
-    absent[0, 0] = 1.0
-    parts = np.stack([squared, by_pitch, by_yaw]).reshape(3, 9, -1)
-    otherwise = np.stack([absent, 0.0 * absent, 0.0 * absent]).reshape(3, 9, -1)
     n, m = mechanism.segment_count, mechanism.cable_count
+    holes = [
+        [np.broadcast_to(axis, (m, n)) for axis in plates] for plates in mechanism.plate_holes_m
+    ]
     whole = np.zeros((3, n, m, n, 9))
     for joint, passes in enumerate(mechanism.passes_joint.T):
+        (y, z), (v, w) = ([axis[:, joint] for axis in plates] for plates in holes)
+        o = np.full_like(y, mechanism.plate_offset_m)
+        after, before = np.stack([o, v, w]), np.stack([-o, y, z])
+        squared = -2.0 * np.einsum("km,ijkl,lm->ijm", before, rotation, after)
+        squared[0, 0] += (after**2).sum(0) + (before**2).sum(0)
+        by_pitch = 0.5 * np.einsum("ai,ijm->ajm", _DERIVATIVE, squared)
+        by_yaw = 0.5 * np.einsum("bj,ijm->ibm", _DERIVATIVE, squared)
+        absent = np.zeros_like(squared)
+        absent[0, 0] = 1.0
+        parts = np.stack([squared, by_pitch, by_yaw]).reshape(3, 9, -1)
+        otherwise = np.stack([absent, 0.0 * absent, 0.0 * absent]).reshape(3, 9, -1)
         whole[:, joint, :, joint] = np.where(passes, parts, otherwise).transpose(0, 2, 1)
     return whole.reshape(3 * n * m, 9 * n)
 

@@ -17,12 +17,12 @@ from torch.nn import functional
 
 from cablesense_sim.arm import Arm
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.networks.layers import one_hot_of_argmax
 from cablesense_training.networks.output import SingleContactOutput
 from cablesense_training.networks.single_contact import SingleContactNetwork
 from cablesense_training.networks.spread import StatedSpread
-from cablesense_training.physics.closed_form import ClosedForm, Weighed, pose_corrections_for
+from cablesense_training.physics.arm_statics import exact_statics, statics
+from cablesense_training.physics.closed_form import ClosedForm, Weighed
 from cablesense_training.physics.second_order import SecondOrderClosedForm
 
 LARGEST_CORRECTION = 1.0
@@ -68,12 +68,7 @@ class CorrectedClosedForm(SingleContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        mechanism = Mechanism.from_arm(arm)
-        variance = difference_variance_n2(arm.sensors, tare_samples)
-        corrections = pose_corrections_for(mechanism)
-        if corrections <= 1:
-            return cls(mechanism, SecondOrderClosedForm(mechanism, variance))
-        return cls(mechanism, ClosedForm(mechanism, variance, corrections))
+        return cls(Mechanism.from_arm(arm), statics(arm, tare_samples))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
@@ -141,9 +136,8 @@ class PlainClosedForm(CorrectedClosedForm):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
         """The closed form of an arm that is taken to stand where it is commanded."""
-        mechanism = Mechanism.from_arm(arm)
-        variance = difference_variance_n2(arm.sensors, tare_samples)
-        network = cls(mechanism, ClosedForm(mechanism, variance, pose_corrections=0))
+        closed_form = exact_statics(arm, tare_samples, pose_corrections=0)
+        network = cls(Mechanism.from_arm(arm), closed_form)
         network.requires_grad_(False)
         return network
 

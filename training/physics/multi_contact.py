@@ -14,13 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.arm import Arm
-from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.networks.layers import perceptron
 from cablesense_training.networks.multi_contact import MultiContactNetwork
 from cablesense_training.networks.output import MultiContactOutput
 from cablesense_training.networks.spread import StatedSpread
-from cablesense_training.physics.closed_form import ClosedForm, inverse, pose_corrections_for
+from cablesense_training.physics.arm_statics import exact_statics
+from cablesense_training.physics.closed_form import ClosedForm, inverse
 
 UNTOUCHED_PRECISION = 1e6
 """Information, 1/N², that an untouched segment's force is zero: it cannot exceed a millinewton."""
@@ -33,27 +32,23 @@ class MultiContactClosedForm(MultiContactNetwork):
     """Contacts and magnitudes for tension differences (B, M) and joint commands (B, 2N), float64.
 
     Args:
-        mechanism: the arm.
-        reading_variance_n2: variance of one tension difference, N².
-        pose_corrections: Gauss-Newton steps of the closed form, see `ClosedForm`.
+        closed_form: statics of the arm.
     """
 
     pose_aware: ClassVar[bool] = True
 
     def __init__(
         self,
-        mechanism: Mechanism,
-        reading_variance_n2: float,
-        pose_corrections: int,
+        closed_form: ClosedForm,
         width: int = 32,
     ) -> None:
-        segments = mechanism.segment_count
-        super().__init__(mechanism.cable_count, segments)
+        segments = closed_form.kinematics.segment_count
+        super().__init__(closed_form.kinematics.cable_count, segments)
         self.spread = StatedSpread(segments)
-        self.closed_form = ClosedForm(mechanism, reading_variance_n2, pose_corrections)
+        self.closed_form = closed_form
         self.trust = nn.Parameter(torch.full((segments,), 0.5))
         self.bias = nn.Parameter(torch.full((segments,), -6.0))
-        self.widen = perceptron(2 * segments + mechanism.cable_count, (width,))
+        self.widen = perceptron(2 * segments + closed_form.kinematics.cable_count, (width,))
         self.log_widen = nn.Linear(width, segments)
         nn.init.zeros_(self.log_widen.weight)
         nn.init.zeros_(self.log_widen.bias)
@@ -62,9 +57,7 @@ class MultiContactClosedForm(MultiContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> MultiContactClosedForm:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        mechanism = Mechanism.from_arm(arm)
-        variance = difference_variance_n2(arm.sensors, tare_samples)
-        return cls(mechanism, variance, pose_corrections_for(mechanism))
+        return cls(exact_statics(arm, tare_samples))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
