@@ -1,0 +1,175 @@
+"""The arm as the diagnosis sees it is the arm that everybody else simulates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arm_variants import variant
+from gap_recordings import LAB, small_recording
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cablesense_gap.arm_simulator import ArmSimulator, entries_from
+from cablesense_gap.simulator import Term
+from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.replay import replay_arm
+
+FEW = np.r_[0:10, 20:40, 310:330]
+"""Rest, a load cycle with its steps, and some of a sweep."""
+RECORDING = small_recording(peak_n=20.0).rows(FEW)
+RECORDING = replace(RECORDING, time_s=0.2 * np.arange(len(FEW)))
+REMEMBER = {"cable_creep", "capstan_friction", "joint_friction"}
+
+GAIN = Term("sensor_gain", "cable_2", "gain")
+OFFSET_N = Term("sensor_offset", "cable_2", "offset_n")
+SHARE = Term("sensor_crosstalk", "cable_1_into_cable_2", "share")
+LAG_S = Term("sensor_lag", "cable_2", "time_constant_s")
+MASS_KG = Term("payload", "segment_2", "mass_kg")
+FRICTION = Term("joint_friction", "joint_1", "torque_n_m")
+
+
+def simulator(arm=LAB, recording=RECORDING):
+    return ArmSimulator(arm, recording)
+
+
+def replayed(*listed, recording=RECORDING):
+    effects = [{"effect": e, "at": at, "parameters": numbers} for e, at, numbers in listed]
+    arm = variant({"effects": effects}, "cdsm_lab")
+    return replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+
+
+def test_without_effects_it_is_the_nominal_arm():
+    assert_allclose(simulator().predict([{}])[0], replayed(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {MASS_KG: 0.4},
+        {GAIN: 0.1},
+        {FRICTION: 0.05},
+        {Term("cable_tolerance", "cable_7", "pretension_n"): 0.3, MASS_KG: 0.2},
+        {Term("capstan_friction", "arm", "coefficient"): 0.1, OFFSET_N: 2.0},
+    ],
+    ids=lambda terms: "+".join(term.effect for term in terms),
+)
+def test_an_assignment_predicts_what_the_amended_file_replays(terms):
+    listed = [(t.effect, t.place, {t.parameter: value}) for t, value in terms.items()]
+    assert_allclose(simulator().predict([terms])[0], replayed(*listed), atol=1e-6)
+
+
+def test_variants_are_predicted_side_by_side():
+    variants = [{FRICTION: torque, MASS_KG: 0.2} for torque in (0.0, 0.05, 0.1)]
+    together = simulator().predict(variants)
+    assert together.shape == (3, len(RECORDING), 12)
+    for p, one in enumerate(variants):
+        assert_allclose(together[p], simulator().predict([one])[0], atol=1e-3)
+
+
+def test_a_tension_leaks_is_late_is_scaled_and_shifted_in_this_order():
+    """Whatever the order in which effects were found."""
+    entries = entries_from({OFFSET_N: 1.0, GAIN: 0.1, LAG_S: 1.0, SHARE: 0.1})
+    found = [entry.effect.name for entry in entries]
+    assert found == ["sensor_crosstalk", "sensor_lag", "sensor_gain", "sensor_offset"]
+    ideal = simulator().predict([{}])[0]
+    read = simulator().predict([{OFFSET_N: 3.0, GAIN: 0.1, SHARE: 0.2}])[0]
+    assert_allclose(read[:, 1], 1.1 * (ideal[:, 1] + 0.2 * ideal[:, 0]) + 3.0, atol=1e-6)
+    assert_allclose(read[:, 2:], ideal[:, 2:], atol=1e-6)
+
+
+def test_the_zero_that_a_workshop_leaves_is_not_scaled():
+    zero_n = Term("cable_tolerance", "cable_2", "zero_n")
+    ideal = simulator().predict([{}])[0][:, 1]
+    read = simulator().predict([{zero_n: 0.2, GAIN: 0.1}])[0][:, 1]
+    assert_allclose(read, 1.1 * ideal + 0.2, atol=1e-6)
+
+
+def test_the_arm_comes_before_its_sensors():
+    named = [e.effect.name for e in entries_from({GAIN: 0.1, MASS_KG: 0.1, FRICTION: 0.1})]
+    assert named[-1] == "sensor_gain"
+
+
+def test_numbers_that_are_not_given_are_the_defaults():
+    (entry,) = entries_from({Term("cable_creep", "arm", "share"): 0.2})
+    defaults = {p.name: p.default for p in known_effects()["cable_creep"].parameters}
+    assert entry.values == {**defaults, "share": 0.2}
+
+
+def test_one_effect_in_two_places_is_two_entries():
+    other = Term("payload", "segment_3", "mass_kg")
+    entries = entries_from({MASS_KG: 0.1, GAIN: 0.1, other: 0.2})
+    payloads = [(e.place, e.values["mass_kg"]) for e in entries if e.effect.name == "payload"]
+    assert payloads == [("segment_2", 0.1), ("segment_3", 0.2)]
+
+
+def test_what_the_arm_file_lists_already_stays():
+    listed = ("payload", "segment_2", {"mass_kg": 0.4})
+    arm = variant(
+        {"effects": [{"effect": listed[0], "at": listed[1], "parameters": listed[2]}]}, "cdsm_lab"
+    )
+    assert_allclose(simulator(arm).predict([{}])[0], replayed(listed), atol=1e-6)
+    both = simulator(arm).predict([{GAIN: 0.1}])[0]
+    assert_allclose(both, replayed(listed, ("sensor_gain", "cable_2", {"gain": 0.1})), atol=1e-6)
+
+
+def test_every_known_effect_is_a_candidate_or_a_tolerance():
+    arm = simulator()
+    names = [c.effect for c in (*arm.candidates, *arm.tolerances)]
+    assert sorted(names) == sorted(known_effects())
+    assert all(known_effects()[c.effect].tolerance for c in arm.tolerances)
+    assert not any(known_effects()[c.effect].tolerance for c in arm.candidates)
+
+
+def test_effects_that_remember_say_so():
+    assert {c.effect for c in simulator().candidates if c.remembers} == REMEMBER
+
+
+def test_every_place_of_every_candidate_can_be_simulated():
+    short = RECORDING.rows(slice(0, 2))
+    arm = simulator(recording=short)
+    for candidate in (*arm.candidates, *arm.tolerances):
+        for place in (candidate.places[0], candidate.places[-1]):
+            terms = zip(candidate.terms(place), candidate.parameters, strict=True)
+            numbers = {term: parameter.default for term, parameter in terms}
+            assert np.isfinite(arm.predict([numbers])).all(), (candidate.effect, place)
+
+
+def test_the_floor_is_noise_and_step_of_the_sensors():
+    sensors = LAB.sensors
+    expected = np.hypot(sensors.noise_std_n, sensors.step_n / np.sqrt(12.0))
+    assert simulator().floor == pytest.approx(expected)
+
+
+def pushed(force_n):
+    """Three rows, the last two with a force to the side of the tip."""
+    return replace(
+        RECORDING.rows(slice(0, 3)),
+        load_segment=np.array([0, 4, 4]),
+        load_n=np.outer([0.0, 1.0, 1.0], [0.0, force_n, 0.0]),
+    )
+
+
+def test_where_the_arm_finds_no_rest_there_are_no_numbers():
+    assert np.isnan(simulator(recording=pushed(5e4)).predict([{}])).all()
+
+
+def test_a_variant_that_finds_no_rest_leaves_the_others_theirs():
+    change = Term("cable_stiffness", "arm", "change")
+    found = simulator(recording=pushed(300.0)).predict([{change: 0.0}, {change: -0.8}])
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1]).all()
+
+
+def test_a_second_question_is_answered_as_the_first():
+    arm = simulator()
+    first = arm.predict([{MASS_KG: 0.3}])
+    arm.predict([{MASS_KG: -0.2}])
+    assert_allclose(arm.predict([{MASS_KG: 0.3}]), first, atol=1e-6)
+
+
+def test_a_recording_is_not_changed_by_simulating_it():
+    before = RECORDING.tensions_n.copy(), RECORDING.command_rad.copy()
+    simulator().predict([{FRICTION: 0.05, OFFSET_N: 2.0}])
+    assert_array_equal(RECORDING.tensions_n, before[0])
+    assert_array_equal(RECORDING.command_rad, before[1])
