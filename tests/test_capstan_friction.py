@@ -15,15 +15,18 @@ from effect_arms import (
     small,
     up_and_down,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
 from cablesense_sim.effects.entry import side_by_side
-from cablesense_sim.effects.transmission import Rest, drawn_m
+from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import replay_arm
 
 SPANS_M = np.array([[[0.03, 0.03, 0.03], [0.03, 0.03, 0.0]]])
+PASSES = SPANS_M > 0.0
 BENDS_RAD = np.array(
     [
         [
@@ -36,18 +39,20 @@ BENT = bent(3, most_deg=6.0)
 FRICTION = entry("capstan_friction", coefficient=0.15)
 
 
-def over_guides(coefficient=0.2, pulley=1.5, give=1e-4, start=0.0, rounded=0.0):
+def over_guides(coefficient=0.2, pulley=1.5, give=1e-4, start=0.0, rounded=0.0, run=0.0):
     """Friction of two cables over the guides of three joints, having come to rest once."""
     values = {
         "coefficient": coefficient,
         "pulley_wrap_rad": pulley,
         "give_m": give,
         "rounded": rounded,
+        "run_share": run,
         "start_cable_1": start,
         "start_cable_2": start,
     }
     friction = FRICTION.effect.transmission("arm", {k: np.array([v]) for k, v in values.items()})
     assert friction is not None
+    friction.hold(np.zeros((1, 2)))  # taut: all spans are longer than that
     friction.begin(SimpleNamespace(cable_count=2), rest(SPANS_M))
     return friction
 
@@ -64,50 +69,62 @@ def drawn_in(by_m: float) -> np.ndarray:
     return spans
 
 
-def test_in_slip_the_tension_grows_by_equation_2_over_every_guide_passed() -> None:
-    loss, slope = over_guides().tension_log_loss(drawn_in(0.01), BENDS_RAD)
-    wrap = 1.5 + np.array([[0.1, 0.3 + 0.3, 0.7 + 0.2], [0.2, 0.4 + 0.1, 0.8 + 0.0]])
-    np.testing.assert_allclose(np.exp(loss[0]), np.exp(0.2 * wrap))
-    np.testing.assert_array_equal(slope, 0.0)  # however much further it is drawn
+def test_in_slip_the_tension_falls_by_equation_2_over_every_guide_passed() -> None:
+    kept = over_guides().kept_tension(drawn_in(0.01), BENDS_RAD)
+    wrap = 1.5 + np.array([[0.1, 0.3 + 0.3, 0.7 + 0.2], [0.2, 0.4 + 0.1, 0.0]])
+    np.testing.assert_allclose(kept.spans[PASSES], np.exp(-0.2 * wrap)[PASSES[0]])
+    np.testing.assert_array_equal(kept.spans_by_m[PASSES], 0.0)  # however far it is drawn
 
 
 @pytest.mark.parametrize("rounded", [0.0, 0.6])
 @pytest.mark.parametrize("start", [-1.0, 0.0, 0.3, 1.0])
 def test_drawn_in_and_let_out_the_losses_are_opposite(start: float, rounded: float) -> None:
     friction = over_guides(start=start, rounded=rounded)
-    there, _ = friction.tension_log_loss(drawn_in(0.01), BENDS_RAD)
+    there = friction.kept_tension(drawn_in(0.01), BENDS_RAD).spans
     friction.settle(rest(drawn_in(0.01)))
-    back, _ = friction.tension_log_loss(drawn_in(-0.01), BENDS_RAD)
-    np.testing.assert_allclose(back, -there)
+    back = friction.kept_tension(drawn_in(-0.01), BENDS_RAD).spans
+    np.testing.assert_allclose((back * there)[PASSES], 1.0)
 
 
 def test_before_it_slips_a_guide_holds_the_share_that_the_past_left() -> None:
     friction = over_guides(start=0.25)
-    loss, _ = friction.tension_log_loss(SPANS_M, BENDS_RAD)
-    full, _ = over_guides(start=1.0).tension_log_loss(SPANS_M, BENDS_RAD)
-    np.testing.assert_allclose(loss, 0.25 * full)
+    kept = friction.kept_tension(SPANS_M, BENDS_RAD).spans
+    full = over_guides(start=1.0).kept_tension(SPANS_M, BENDS_RAD).spans
+    np.testing.assert_allclose(np.log(kept), 0.25 * np.log(full))
     for _ in range(5):  # rest, as often as one looks
         friction.settle(rest(SPANS_M))
-    np.testing.assert_array_equal(friction.tension_log_loss(SPANS_M, BENDS_RAD)[0], loss)
+    np.testing.assert_array_equal(friction.kept_tension(SPANS_M, BENDS_RAD).spans, kept)
+
+
+@given(st.lists(st.floats(-5e-4, 5e-4), min_size=1, max_size=12), st.floats(-1.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_tensions_across_the_guides_are_never_further_apart_than_in_slip(
+    path: list[float], start: float
+) -> None:
+    friction = over_guides(start=start, rounded=0.5)
+    most = -np.log(over_guides(start=1.0).kept_tension(SPANS_M, BENDS_RAD).spans)
+    for by_m in path:
+        kept = friction.kept_tension(drawn_in(by_m), BENDS_RAD).spans
+        assert (np.abs(np.log(kept)) <= most + 1e-12).all()
+        friction.settle(rest(drawn_in(by_m)))
 
 
 @pytest.mark.parametrize("rounded", [0.0, 0.5])
-def test_the_slope_is_the_derivative_by_the_cable_drawn_past(rounded: float) -> None:
-    friction = over_guides(start=0.2, pulley=0.0, rounded=rounded)
+@pytest.mark.parametrize("run", [0.0, 0.4, 1.0])
+def test_slopes_are_the_derivatives_by_the_spans(rounded: float, run: float) -> None:
+    friction = over_guides(start=0.2, rounded=rounded, run=run)
     spans = drawn_in(2e-5)  # it gives by 1e-4: everything sticks
-    loss, slope = friction.tension_log_loss(spans, BENDS_RAD)
+    kept = friction.kept_tension(spans, BENDS_RAD)
     for cable, joint in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 1)):
         moved = spans.copy()
         moved[0, cable, joint] += 1e-9
-        more, _ = friction.tension_log_loss(moved, BENDS_RAD)
-        expected = np.einsum("mjk,mk->mj", slope[0], (drawn_m(moved) - drawn_m(spans))[0])
-        np.testing.assert_allclose((more - loss)[0], expected, rtol=1e-4, atol=1e-12)
-
-
-def test_a_cable_is_drawn_past_a_guide_by_what_has_shrunk_beyond_it() -> None:
-    moved = drawn_m(drawn_in(0.01)) - drawn_m(SPANS_M)
-    np.testing.assert_allclose(moved[0, 0], [0.01, 0.01, 0.005], atol=1e-8)
-    np.testing.assert_allclose(moved[0, 1], [0.01, 0.005, 0.0], atol=1e-8)
+        more = friction.kept_tension(moved, BENDS_RAD)
+        by_m = (more.spans - kept.spans)[0, cable] / 1e-9
+        np.testing.assert_allclose(by_m, kept.spans_by_m[0, cable, :, joint], rtol=1e-4, atol=1e-3)
+        mean_by_m = (more.mean - kept.mean)[0, cable] / 1e-9
+        np.testing.assert_allclose(
+            mean_by_m, kept.mean_by_m[0, cable, joint], rtol=1e-4, atol=1e-3
+        )
 
 
 def test_no_friction_changes_nothing() -> None:

@@ -4,10 +4,13 @@ import json
 
 import pytest
 import typer
+import yaml
+from arm_variants import variant
 from typer.testing import CliRunner
 
 from cablesense_ros.cli.train import train
 from cablesense_training.errors import TrainingError
+from cablesense_training.inference.estimator import Estimator
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
@@ -57,3 +60,30 @@ def test_nothing_is_written_when_a_network_is_unknown(tmp_path):
 def test_help_explains_the_options(word):
     result = _run("--help")
     assert word in result.output
+
+
+def test_an_amended_arm_is_trained_for_as_any_other(tmp_path):
+    listed = [
+        {"effect": "payload", "at": "segment_4", "parameters": {"mass_kg": 0.3}},
+        {
+            "effect": "routing_geometry",
+            "at": "segment_2",
+            "parameters": {"plates_angle_rad": 0.02},
+        },
+        {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}},
+    ]
+    path, out = tmp_path / "amended.yaml", tmp_path / "model.onnx"
+    arm = variant({"effects": listed}, "cdsm_lab")
+    path.write_text(yaml.safe_dump(arm.model_dump()), encoding="utf-8")
+    small = ["--samples", "300", "--epochs", "1", "--threads", "1", "--json"]
+    result = _run("--arm", str(path), *small, "--out", str(out))
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["single"]["contact_accuracy"] > 0.7
+    assert Estimator.load(out, arm).arm_identity == arm.identity
+
+
+def test_samples_on_arms_drawn_at_random_stand_in_the_command(tmp_path):
+    out = tmp_path / "model.onnx"
+    result = _run(*SMALL, "--randomise", "payload,sensor_gain", "--json", "--out", str(out))
+    assert result.exit_code == 0, result.output
+    assert "--randomise payload,sensor_gain" in Estimator.load(out).metadata.command

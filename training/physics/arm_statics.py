@@ -33,8 +33,9 @@ def exact_statics(arm: Arm, tare_samples: int, pose_corrections: int | None = No
             pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
     return ClosedForm(
         mechanism,
-        _variance_n2(arm, tare_samples),
+        difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
+        unexplained_variance_n2(arm),
         nominal if _holds_other_lengths(mechanism, nominal) else None,
     )
 
@@ -46,7 +47,8 @@ def statics(arm: Arm, tare_samples: int) -> ClosedForm | SecondOrderClosedForm:
     plain = not mechanism.joint_stiffness_n_m_rad.any()
     plain = plain and not _holds_other_lengths(mechanism, nominal)
     if plain and pose_corrections_for(mechanism) <= 1:
-        return SecondOrderClosedForm(mechanism, _variance_n2(arm, tare_samples))
+        variance = difference_variance_n2(arm.sensors, tare_samples)
+        return SecondOrderClosedForm(mechanism, variance, unexplained_variance_n2(arm))
     return exact_statics(arm, tare_samples)
 
 
@@ -57,10 +59,6 @@ def _holds_other_lengths(mechanism: Mechanism, nominal: Mechanism) -> bool:
         and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
         and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
     )
-
-
-def _variance_n2(arm: Arm, tare_samples: int) -> float:
-    return difference_variance_n2(arm.sensors, tare_samples) + unexplained_variance_n2(arm)
 
 
 def unexplained_variance_n2(arm: Arm) -> float:

@@ -129,6 +129,8 @@ class ClosedForm(nn.Module):
         reading_variance_n2: variance of one tension difference, N².
         pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
             command as the pose.
+        unexplained_n2: what effects that no statics carries add to that variance; a slack cable
+            is told by the sensor's own.
         held_by: the arm whose cable lengths the actuators hold at a command, where that is not
             `mechanism`: an arm whose holes are elsewhere than its controller believes.
     """
@@ -143,13 +145,15 @@ class ClosedForm(nn.Module):
         mechanism: Mechanism,
         reading_variance_n2: float,
         pose_corrections: int,
+        unexplained_n2: float = 0.0,
         held_by: Mechanism | None = None,
     ) -> None:
         super().__init__()
         self.kinematics = CompactKinematics(mechanism)
-        self.reading_variance_n2 = max(reading_variance_n2, 1e-12)
+        told_n2 = max(reading_variance_n2, 1e-12)
+        self.reading_variance_n2 = told_n2 + unexplained_n2
         self.pose_corrections = pose_corrections
-        self.slack_below_n = 4.0 * self.reading_variance_n2**0.5
+        self.slack_below_n = 4.0 * told_n2**0.5
         compliance = 1.0 / mechanism.stiffness_n_m
         self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
         self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))

@@ -61,6 +61,7 @@ class SecondOrderClosedForm(nn.Module):
     Args:
         mechanism: the arm; stiff, see `pose_corrections_for`.
         reading_variance_n2: variance of one tension difference, N².
+        unexplained_n2: what effects add to that, see `ClosedForm`.
     """
 
     offsets: Tensor
@@ -68,9 +69,13 @@ class SecondOrderClosedForm(nn.Module):
     left_factor: Tensor
     right_factor: Tensor
 
-    def __init__(self, mechanism: Mechanism, reading_variance_n2: float) -> None:
+    def __init__(
+        self, mechanism: Mechanism, reading_variance_n2: float, unexplained_n2: float = 0.0
+    ) -> None:
         super().__init__()
-        self.exact = ClosedForm(mechanism, reading_variance_n2, pose_corrections=1)
+        self.exact = ClosedForm(
+            mechanism, reading_variance_n2, pose_corrections=1, unexplained_n2=unexplained_n2
+        )
         joints, segments = mechanism.joint_count, mechanism.segment_count
         forward = STEP_RAD * torch.eye(joints, dtype=torch.float64)
         self.register_buffer("offsets", torch.cat([forward, -forward])[:, :, None])
