@@ -57,6 +57,8 @@ class Candidate:
 class Simulator(Protocol):
     """A mechanism that is put through the course of one recording.
 
+    It is pickled where several processes share the search.
+
     Attributes:
         candidates: effects to choose among.
         tolerances: effects that a careful workshop leaves; each parameter's `typical` is its

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
 
 from cablesense_gap.diagnosis.course import Course, prepare
+from cablesense_gap.diagnosis.hypothesis import Hypothesis
+from cablesense_gap.diagnosis.refining import refine
 from cablesense_gap.simulator import Array, Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -105,3 +108,17 @@ def course_of(simulator: Sums, truth: Assignment | Array, seed: int = 0, folds: 
 def amount(effect: str, place: str) -> Term:
     """The one number of a linear effect."""
     return Term(effect, place, "amount")
+
+
+def explanation(*effects: str, left: float = 1.0) -> Hypothesis:
+    """These effects, each with one size, leaving so much (root mean square) in every trial."""
+    fitted = refine(course_of(Sums({}), {}), {}, [[]])
+    assert fitted is not None
+    return replace(
+        fitted,
+        effects=effects,
+        values={amount(name, "a"): 1.0 for name in effects},
+        deviations={amount(name, "a"): 0.1 for name in effects},
+        squares=left**2 * fitted.count,
+        sizes=len(effects),
+    )

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
+from gap_course import explanation
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.belief import UNKNOWN, Belief, beliefs, bundled_calibration
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.simulator import Term
 
 FLOOR = 0.1
-GRID = np.zeros((20, 1))
 NAMES = ("a", "b", "c", "d")
 BUNDLED = bundled_calibration()
 
@@ -23,17 +23,13 @@ left = st.floats(0.05, 20.0)
 
 def leaving(rmse: float, *effects: str) -> Hypothesis:
     """An explanation that leaves so much on held-out trials."""
-    return Hypothesis(
-        effects=effects,
-        values={Term(name, "x", "amount"): 1.0 for name in effects},
-        deviations={Term(name, "x", "amount"): 0.1 for name in effects},
-        tolerances={},
-        prediction=GRID,
-        columns=np.zeros((len(effects), *GRID.shape)),
-        held_out=GRID,
-        squares=np.full(10, 2.0 * rmse**2),
-        count=np.full(10, 2.0),
-    )
+    nothing = explanation_of(effects)
+    return replace(nothing, squares=rmse**2 * nothing.count)
+
+
+@cache
+def explanation_of(effects: tuple[str, ...]) -> Hypothesis:
+    return explanation(*effects)
 
 
 def judged(none: float, **others: float) -> dict[tuple[str, ...], float]:

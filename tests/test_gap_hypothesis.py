@@ -6,21 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gap_course import explanation
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
+from cablesense_gap.diagnosis.hypothesis import excess
 from cablesense_gap.simulator import Term
 
-NOTHING = np.zeros((4, 2))
-ONE = Hypothesis(
-    effects=("gain",),
-    values={Term("gain", "b", "x"): 1.0, Term("gain", "a", "x"): 2.0, Term("gain", "b", "y"): 3.0},
-    deviations={},
-    tolerances={},
-    prediction=NOTHING,
-    columns=NOTHING[None],
-    held_out=NOTHING,
+PLACES = "b", "a", "b"
+ONE = replace(
+    explanation("gain"),
+    values={Term("gain", place, f"x{k}"): 1.0 for k, place in enumerate(PLACES)},
     squares=np.array([4.0, 14.0]),
     count=np.array([4.0, 4.0]),
 )

@@ -20,7 +20,7 @@ def placed(effects, truth, *, beside=NOTHING, seed=0):
     simulator = Sums(effects)
     course = course_of(simulator, truth, seed)
     offered = blocks(course, simulator.candidates[0])[0]
-    return place(course, course.readings - course.nominal, beside, offered)
+    return place(course, course.readings - course.nominal, beside, offered)[0]
 
 
 def places(found):
@@ -81,7 +81,19 @@ def test_what_other_effects_explain_is_not_counted_twice():
 
 def test_without_a_place_there_is_nothing():
     course = course_of(Sums(SPREAD), {})
-    assert place(course, course.readings, NOTHING, []) is None
+    assert place(course, course.readings, NOTHING, []) == []
+
+
+def test_a_place_that_explains_nearly_as_much_follows():
+    """Two signals that are all but parallel, and a third that is not."""
+    signals = np.array([SIGNALS[0], SIGNALS[0] + 0.03 * SIGNALS[1], SIGNALS[2]])
+    simulator = Sums(linear("gain", "abc", signals))
+    course = course_of(simulator, {amount("gain", "a"): 1.0})
+    offered = blocks(course, simulator.candidates[0])[0]
+    best, second = place(course, course.readings, NOTHING, offered)
+    assert places(best) == {"a"}
+    assert places(second) == {"b"}
+    assert second.mean_square >= best.mean_square
 
 
 def test_what_holds_in_one_trial_alone_is_no_place():
