@@ -19,7 +19,8 @@ def amended_arm(
     arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]
 ) -> Arm:
     """The arm with effects beside those that it lists already; numbers stay in their ranges."""
-    listed = [*arm.effects, *_listed(values), *_listed(tolerances)]
+    counts = arm.segment_count, arm.cable_count
+    listed = [*arm.effects, *_listed(values, *counts), *_listed(tolerances, *counts)]
     return arm.model_copy(update={"name": _amended_name(arm.name), "effects": listed})
 
 
@@ -27,11 +28,15 @@ def _amended_name(name: str) -> str:
     return name if name.endswith("_amended") else f"{name[:50]}_amended"
 
 
-def _listed(values: Mapping[Term, float]) -> list[ListedEffect]:
+def _listed(
+    values: Mapping[Term, float], segment_count: int, cable_count: int
+) -> list[ListedEffect]:
     """One entry for each effect and place, in the order in which they were found."""
     found = []
     for (name, place), terms in groupby(values, key=lambda term: (term.effect, term.place)):
-        ranges = {p.name: (p.low, p.high) for p in known_effects()[name].parameters}
+        effect = known_effects()[name]
+        every = (*effect.parameters, *effect.history(segment_count, cable_count))
+        ranges = {p.name: (p.low, p.high) for p in every}
         numbers = {
             term.parameter: float(np.clip(values[term], *ranges[term.parameter]))
             for term in terms

@@ -79,4 +79,5 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     places = effect.places(segment_count, cable_count)
     defaults = {p.name: np.array([p.default]) for p in effect.parameters}
     remembers = isinstance(effect.transmission(places[0], defaults), Transmission)
-    return Candidate(effect.name, places, effect.parameters, remembers)
+    numbers = (*effect.parameters, *effect.history(segment_count, cable_count))
+    return Candidate(effect.name, places, numbers, remembers)

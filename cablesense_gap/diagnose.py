@@ -28,7 +28,7 @@ from cablesense_sim.arm import Arm
 
 Array = NDArray[np.float64]
 
-SLACK_N = 0.5
+SLACK_N = 2.5
 MOST_SLACK = 2
 """With more cables slack the arm has two places to rest in, and which is chance."""
 
@@ -113,7 +113,10 @@ def diagnose(
 
 
 def course_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Course:
-    """The recording as the search works on it."""
+    """The recording as the search works on it.
+
+    Rows do not count where the arm has more than one place to rest in, or is about to.
+    """
     used = (nominal < SLACK_N).sum(-1) <= MOST_SLACK
     return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
 

@@ -41,7 +41,8 @@ def where(values: Mapping[Term, float], regimes: tuple[str, ...]) -> Where:
     """The places by kind; an effect of the whole arm names none."""
     named: dict[str, set[int]] = {"cable": set(), "segment": set(), "joint": set()}
     for term in values:
-        for kind, number in re.findall(r"(cable|segment|joint)_(\d+)", term.place):
+        place = term.place.split("_into_")[0]  # of a leak, the channel that it comes from
+        for kind, number in re.findall(r"(cable|segment|joint)_(\d+)", place):
             named[kind].add(int(number))
     listed = {
         kind: tuple(f"{kind}_{n}" for n in sorted(numbers)) for kind, numbers in named.items()

@@ -5,12 +5,11 @@ that sticks on its guide keeps what it carried, a cable that creeps is longer th
 arms of the same kind, with other numbers, go side by side, which is what a fit needs.
 
 Each rest is found by Newton's method on the balance of joint torques, which with friction is no
-longer the slope of a potential. With loss e_j = exp(-loss) in span j,
+longer the slope of a potential. With e_j of the actuator's tension kept in span j,
 
-    T_j = e_j T_0,    T_0 = k max(0, s) / sum_j w_j e_j,
+    T_j = e_j T_0,    T_0 = k max(0, s) / e,
 
-where s is the stretch of the whole cable and w_j the share of its length before span j and after
-the one ahead of it: the stretch of an elastic cable is the mean of its tension.
+where s is the stretch of the whole cable and e the mean of what is kept where it stretches.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from cablesense_sim import kinematics
 from cablesense_sim.effects.chains import memories
 from cablesense_sim.effects.entry import EffectEntry
-from cablesense_sim.effects.transmission import Rest
+from cablesense_sim.effects.transmission import Kept, Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import descent_step, load_hessian
@@ -96,7 +95,6 @@ class QuasiStaticArm:
         straight = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, straight).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
-        self._weights = _length_shares(self._mechanism)
         self._angles_rad: Array | None = None
         self._last: tuple[Array, Array, _Pose] | None = None
 
@@ -116,9 +114,11 @@ class QuasiStaticArm:
         Raises:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
-        if self._angles_rad is None:
-            self._begin(time_s, held_m, forces_n)
         rest_m = self._straight_m + held_m
+        if self._angles_rad is None:
+            for memory in self._memories:
+                memory.hold(rest_m)
+            self._begin(time_s, held_m, forces_n)
         for memory in self._memories:
             longer = memory.lengthening_m(time_s)
             if longer is not None:
@@ -126,6 +126,8 @@ class QuasiStaticArm:
         arms = kinematics.load_arms(
             self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         )
+        for memory in self._memories:
+            memory.hold(rest_m)
         pose = self._next(rest_m, arms)
         self._require_room(pose.angles_rad)
         self._angles_rad = pose.angles_rad
@@ -180,9 +182,10 @@ class QuasiStaticArm:
         angles = self._angles_rad
         last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
         for share in np.linspace(0.0, 1.0, _SMALL_STEPS + 1)[1:]:
-            pose = self._search(
-                angles, last_m + share * (rest_m - last_m), last_arms + share * (arms - last_arms)
-            )
+            on_the_way_m = last_m + share * (rest_m - last_m)
+            for memory in self._memories:
+                memory.hold(on_the_way_m)
+            pose = self._search(angles, on_the_way_m, last_arms + share * (arms - last_arms))
             angles = pose.angles_rad
         return pose
 
@@ -257,19 +260,19 @@ class QuasiStaticArm:
         mechanism = self._mechanism
         span, pose = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
         bends = _bends_rad(mechanism, angles, span.length_m)
-        kept, kept_by_span = self._kept(span.length_m, bends)
-        mean = (self._weights * kept).sum(-1)
+        kept = self._kept(span.length_m, bends)
         stretch = np.maximum(span.length_m.sum(-1) - rest_m, 0.0)
-        stiffness = mechanism.stiffness_n_m * (stretch > 0.0) / mean
+        stiffness = mechanism.stiffness_n_m * (stretch > 0.0) / kept.mean
         tension = stiffness * stretch
-        along = kept * tension[..., None]
+        along = kept.spans * tension[..., None]
         torque = np.empty_like(angles)
         torque[..., 0::2] = (along * span.by_pitch).sum(-2)
         torque[..., 1::2] = (along * span.by_yaw).sum(-2)
         torque -= kinematics.axis_torques_n_m(pose, arms)
-        mean_by_span = (self._weights[..., None] * kept_by_span).sum(-2)
-        by_span = (kept * stiffness[..., None])[..., None] + tension[..., None, None] * (
-            kept_by_span - (kept / mean[..., None])[..., None] * mean_by_span[..., None, :]
+        tension_by_m = stiffness[..., None] - (tension / kept.mean)[..., None] * kept.mean_by_m
+        by_span = (
+            kept.spans[..., None] * tension_by_m[..., None, :]
+            + tension[..., None, None] * kept.spans_by_m
         )
         slope = self._slope(span, along, by_span) - load_hessian(pose, arms)
         spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
@@ -283,20 +286,20 @@ class QuasiStaticArm:
                 slope[..., diagonal, diagonal] += resisted[1]
         return _Pose(angles, span, bends, tension, torque, slope)
 
-    def _kept(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
-        """Share of the actuator's tension in each span, and its slope by each span's length."""
-        losses = [
-            loss
-            for memory in self._memories
-            if (loss := memory.tension_log_loss(spans_m, bends_rad)) is not None
-        ]
-        if not losses:
-            return np.ones_like(spans_m), np.zeros((*spans_m.shape, spans_m.shape[-1]))
-        kept = np.exp(-sum(loss for loss, _ in losses))
-        by_drawn = sum(slope for _, slope in losses)
+    def _kept(self, spans_m: Array, bends_rad: Array) -> Kept:
+        """What friction of all kinds leaves of the tension along the cables."""
         count = spans_m.shape[-1]
-        drawn_by_span = np.tril(np.ones((count, count)), -1).T + 0.5 * np.eye(count)
-        return kept, kept[..., None] * (by_drawn @ drawn_by_span)
+        kept = Kept(
+            np.ones_like(spans_m),
+            np.zeros((*spans_m.shape, count)),
+            np.ones(spans_m.shape[:-1]),
+            np.zeros_like(spans_m),
+        )
+        for memory in self._memories:
+            other = memory.kept_tension(spans_m, bends_rad)
+            if other is not None:
+                kept = _both(kept, other)
+        return kept
 
     def _slope(self, span: kinematics.Spans, along: Array, by_span: Array) -> Array:
         """Derivative (P, 2N, 2N) of the cables' torques by the joint angles."""
@@ -317,6 +320,16 @@ class QuasiStaticArm:
         return slope
 
 
+def _both(a: Kept, b: Kept) -> Kept:
+    """One friction after another: what they leave multiplies."""
+    return Kept(
+        a.spans * b.spans,
+        a.spans_by_m * b.spans[..., None] + a.spans[..., None] * b.spans_by_m,
+        a.mean * b.mean,
+        a.mean_by_m * b.mean[..., None] + a.mean[..., None] * b.mean_by_m,
+    )
+
+
 def _step_rad(pose: _Pose) -> Array:
     """Newton's step; where that leads uphill, with too many cables slack, a step that descends."""
     step = -np.linalg.solve(pose.slope_n_m, pose.torque_n_m[..., None])[..., 0]
@@ -328,14 +341,6 @@ def _step_rad(pose: _Pose) -> Array:
         step[uphill] = descent_step(symmetric, pose.torque_n_m[uphill], stable=none)
     longest = np.abs(step).max(-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
-
-
-def _length_shares(mechanism: Mechanism) -> Array:
-    """(M, N) share of a cable's length that lies before each span and after the one ahead."""
-    ahead = np.concatenate([[mechanism.run_m], mechanism.segment_length_m[:-1]])
-    lengths = mechanism.passes_joint * ahead
-    lengths[:, 0] = np.maximum(lengths[:, 0], 1e-9)
-    return np.asarray(lengths / lengths.sum(-1, keepdims=True))
 
 
 def _bends_rad(mechanism: Mechanism, angles_rad: Array, spans_m: Array) -> Array:

@@ -3,7 +3,7 @@
 The weights fall with a power of what is left beyond the sensors' floor, and by a factor for every
 effect that a hypothesis names:
 
-    log w = -κ log(excess) - π_k,    k effects,
+    log w = -κ log(excess) - π_k - ν n,    k effects of n sizes in all,
 
 and an effect that nobody listed is the hypothesis that something removes all but a share φ of the
 gap. The few numbers in it are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their
@@ -32,6 +32,7 @@ class Calibration:
         power: κ.
         one: π_1, of naming an effect.
         two: π_2, of naming two.
+        size: ν.
         unknown: π of naming none that is listed.
         share: φ, what remains of the gap if the cause were known, whatever it is.
         floor_share: excess that no hypothesis can do without, as a share of the floor.
@@ -40,6 +41,7 @@ class Calibration:
     power: float
     one: float
     two: float
+    size: float
     unknown: float
     share: float
     floor_share: float
@@ -69,7 +71,8 @@ def beliefs(
     """
     left = np.array([h.held_out_rmse for h in hypotheses])
     counts = np.array([len(h.effects) for h in hypotheses])
-    weights = log_weights(left, counts, floor, calibration)
+    sizes = np.array([h.sizes for h in hypotheses])
+    weights = log_weights(left, counts, sizes, floor, calibration)
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     found = [
@@ -81,13 +84,17 @@ def beliefs(
 
 
 def log_weights(
-    held_out_rmse: np.ndarray, counts: np.ndarray, floor: float, calibration: Calibration
+    held_out_rmse: np.ndarray,
+    counts: np.ndarray,
+    sizes: np.ndarray,
+    floor: float,
+    calibration: Calibration,
 ) -> np.ndarray:
     """Of each hypothesis, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
     c = calibration
     least = c.floor_share * floor
     left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
     none = left[np.flatnonzero(counts == 0)[0]]
-    penalty = np.array([0.0, c.one, c.two])[counts]
+    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
     unknown = -c.power * np.log(np.hypot(c.share * none, least)) - c.unknown
     return np.append(-c.power * np.log(left) - penalty, unknown)

@@ -28,6 +28,8 @@ class Hypothesis:
         held_out: (R, C) each trial predicted by a fit without its fold.
         squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
+        sizes: how many of the values are sizes.
+        strangeness: how far the values lie from what was expected, in squared deviations.
     """
 
     effects: tuple[str, ...]
@@ -39,6 +41,8 @@ class Hypothesis:
     held_out: Array
     squares: Array
     count: Array
+    sizes: int
+    strangeness: float
 
     @property
     def held_out_rmse(self) -> float:

@@ -25,6 +25,7 @@ _WORTH = 1.12
 """A further place must make what is left smaller by this factor."""
 
 _LOOKED_AT = 6
+_NEARLY = 1.5
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,17 @@ class Placed:
 
 def place(
     course: Course, residual: Array, beside: Array, offered: Sequence[Block]
-) -> Placed | None:
-    """The best places for one effect, at least one; None where none is offered.
+) -> list[Placed]:
+    """The best places for one effect, at least one, if any is offered.
+
+    Where that is a single place, the second best single place follows if it explains nearly as
+    much: a search from there may yet end better.
 
     `residual` (R, C) is what is to be explained, `beside` (B, R, C) are scaled columns of effects
     already found, which are fitted along with the tolerances.
     """
     if not offered:
-        return None
+        return []
     columns = np.concatenate([course.tolerance_columns, beside, *(b.columns for b in offered)])
     data = products(columns, residual, course.trial, course.used)
     base = len(course.tolerance_columns) + len(beside)
@@ -67,14 +71,13 @@ def place(
     best = min(paths, key=lambda path: path[1])
     if len(paths) == 2 and paths[0][0] and paths[0][1] < _WORTH * paths[1][1]:
         best = paths[0]
-    chosen, left = best
-    coefficients, squares = search.fit(chosen)
-    return Placed(
-        tuple(offered[k] for k in chosen),
-        coefficients,
-        squares,
-        float(squares.sum() / data.count.sum()),
-    )
+    found = [best]
+    if len(best[0]) == 1:
+        others = [search.grow([k], most=1) for k in range(len(offered)) if k != best[0][0]]
+        found += sorted(others, key=lambda path: path[1])[:1]
+    return [
+        search.placed(chosen, offered) for chosen, left in found if left <= _NEARLY * best[1]
+    ]
 
 
 class _Search:
@@ -91,11 +94,11 @@ class _Search:
         self._gram, self._moment = data.gram.sum(0), data.moment.sum(0)
         self._weight = weight(data.mean_square, course.floor)
 
-    def grow(self, among: Sequence[int]) -> tuple[list[int], float]:
+    def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
         """Blocks added one by one, and the excess that is left."""
         chosen: list[int] = []
         left = self._left(chosen)
-        while len(chosen) < len(among):
+        while len(chosen) < min(len(among), most):
             rest = [k for k in among if k not in chosen]
             ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
             tried = {k: self._left([*chosen, k]) for k in ranked}
@@ -106,15 +109,20 @@ class _Search:
             left = tried[best]
         return chosen, left
 
-    def fit(self, chosen: Sequence[int]) -> tuple[Array, Array]:
-        """Coefficients of the chosen blocks and squares (T,) left in held-out trials."""
+    def placed(self, chosen: Sequence[int], offered: Sequence[Block]) -> Placed:
+        """The chosen blocks with their coefficients and what they leave."""
         at = self._columns(chosen)
         part, precision = self._data.columns(at), self._precision[at]
         none = np.zeros(len(at))
         weight_ = weight(self._mean_square(part, precision, self._weight), self._course.floor)
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
         squares = held_out_squares(part, precision, none, weight_, self._course.fold)
-        return found[len(self._base) :], squares
+        return Placed(
+            tuple(offered[k] for k in chosen),
+            found[len(self._base) :],
+            squares,
+            float(squares.sum() / part.count.sum()),
+        )
 
     def _left(self, chosen: Sequence[int]) -> float:
         at = self._columns(chosen)

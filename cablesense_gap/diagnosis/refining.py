@@ -23,7 +23,12 @@ from cablesense_gap.diagnosis.evidence import (
     weight,
 )
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.diagnosis.scaled import from_scaled, is_logarithmic, prior_precision
+from cablesense_gap.diagnosis.scaled import (
+    from_scaled,
+    is_logarithmic,
+    prior_precision,
+    to_scaled,
+)
 from cablesense_gap.simulator import Array, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -44,12 +49,14 @@ def refine(
     parameters: Mapping[Term, Parameter],
     starts: Sequence[Sequence[float]],
     most_steps: int = 8,
+    most_left: float = np.inf,
 ) -> Hypothesis | None:
     """The most probable numbers from the best of some scaled starts on.
 
-    None where nothing there can be simulated.
+    None where nothing there can be simulated, or where several starts all leave a mean square of
+    more than `most_left`.
     """
-    return _Refining(course, parameters).run(np.array(starts, dtype=float), most_steps)
+    return _Refining(course, parameters).run(np.array(starts, float), most_steps, most_left)
 
 
 class _Refining:
@@ -62,10 +69,15 @@ class _Refining:
         self._low = np.array([_scaled_bound(p, p.low) for p in self._parameters])
         self._high = np.array([_scaled_bound(p, p.high) for p in self._parameters])
 
-    def run(self, starts: Array, most_steps: int) -> Hypothesis | None:
-        point = self._best(np.clip(starts, self._low, self._high))
+    def run(self, starts: Array, most_steps: int, most_left: float) -> Hypothesis | None:
+        point, left = self._best(np.clip(starts, self._low, self._high))
+        if left > most_left:
+            return None
         shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         self._expected = np.where(shape, point, 0.0)
+        self._expected_before = np.array(
+            [to_scaled(p, p.default) if p.role == "shape" else 0.0 for p in self._parameters]
+        )
         linear = self._linear(point)
         if not np.isfinite(linear.prediction).all():
             return None
@@ -89,14 +101,15 @@ class _Refining:
                 break
         return self._hypothesis(point, linear, mean_square)
 
-    def _best(self, starts: Array) -> Array:
-        """The start that leaves least, with the tolerances at their best."""
+    def _best(self, starts: Array) -> tuple[Array, float]:
+        """The start that leaves least, with the tolerances at their best, and that mean square."""
         if len(starts) == 1:
-            return starts[0]
+            return starts[0], 0.0
         self._expected = starts[0]
         predicted = self._course.simulator.predict([self._assignment(s) for s in starts])
         left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
-        return np.asarray(starts[int(np.argmin(left))])
+        best = int(np.argmin(left))
+        return starts[best], left[best]
 
     def _linear(self, point: Array) -> _Linear:
         moved = []
@@ -209,6 +222,8 @@ class _Refining:
             held_out=held_out,
             squares=_squares(course, course.readings - held_out),
             count=data.count,
+            sizes=sum(p.role == "size" for p in self._parameters),
+            strangeness=float(self._prior @ (point - self._expected_before) ** 2),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -23,16 +23,22 @@ _PROMISING = 3.0
 _MOST_PAIRS = 4
 _MOST_DEAR_PAIRS = 1
 _RESOLVED = 0.04
-_STEPS, _STEPS_OF_PAIRS = 8, 5
+_STEPS, _STEPS_OF_PAIRS = 7, 4
+_ALIKE = 1.02
+_HOPELESS = 2.5
 _SCALES = (0.4, 1.0, 2.5)
 
 
 @dataclass(frozen=True)
 class Look:
-    """A first look at one candidate: its best places, linear about the nominal mechanism."""
+    """A first look at one candidate: its best places, linear about the nominal mechanism.
+
+    A fit is not worth while if its starts leave a mean square of more than `most_left`.
+    """
 
     candidate: Candidate
     placed: Placed
+    most_left: float = np.inf
 
 
 def search(
@@ -56,9 +62,7 @@ def search(
         ):
             tell(candidate.effect, 0.4 * k / len(candidates))
             offered[candidate.effect] = candidate, every
-            look = _look(course, candidate, every, residual, nothing)
-            if look is not None:
-                looks.append(look)
+            looks += _looks(course, candidate, every, residual, nothing)
         looks.sort(key=lambda look: look.placed.mean_square)
         promising = list(_promising(looks, course.floor))
         singles: list[Hypothesis] = []
@@ -66,7 +70,7 @@ def search(
             tell("fitting single effects", 0.4 + 0.3 * k / len(promising))
             if fitted is not None:
                 singles.append(fitted)
-        singles.sort(key=lambda h: h.held_out_rmse)
+        singles = _best_of_each(singles)
         found = [none, *singles]
         if singles and not _is_resolved(singles[0], none, course.floor):
             tell("fitting pairs of effects", 0.7)
@@ -79,6 +83,17 @@ def search(
     return found
 
 
+def _best_of_each(fitted: list[Hypothesis]) -> list[Hypothesis]:
+    """One hypothesis for each effect, the best first; among equals the least far-fetched."""
+    best: dict[tuple[str, ...], Hypothesis] = {}
+    for hypothesis in sorted(fitted, key=lambda h: h.held_out_rmse):
+        known = best.setdefault(hypothesis.effects, hypothesis)
+        alike = hypothesis.held_out_rmse <= _ALIKE * known.held_out_rmse
+        if alike and hypothesis.strangeness < known.strangeness:
+            best[hypothesis.effects] = hypothesis
+    return list(best.values())
+
+
 def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
     """Whether one effect leaves so little that a second has nothing to do."""
     gap = excess(none.held_out_rmse**2, floor)
@@ -87,24 +102,28 @@ def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
 
 
 def _promising(looks: list[Look], floor: float) -> Iterator[Look]:
+    """Looks that a fit may yet bring to the front; those of effects that remember most of all."""
     if looks:
         best = excess(looks[0].placed.mean_square, floor)
-        for look in looks[:_MOST_SINGLES]:
-            if excess(look.placed.mean_square, floor) <= _PROMISING * best:
-                yield look
+        for rank, look in enumerate(looks):
+            dear = look.candidate.remembers
+            if (rank < _MOST_SINGLES or dear) and (
+                excess(look.placed.mean_square, floor) <= _PROMISING * best
+            ):
+                yield replace(look, most_left=(_HOPELESS * best) ** 2 + floor**2)
 
 
-def _look(
+def _looks(
     course: Course,
     candidate: Candidate,
     offered: list[tuple[Block, ...]],
     residual: Array,
     beside: Array,
-) -> Look | None:
-    placed = [p for some in offered if some and (p := place(course, residual, beside, some))]
-    if not placed:
-        return None
-    return Look(candidate, min(placed, key=lambda p: p.mean_square))
+) -> list[Look]:
+    """The best places with the best of the starting shapes, and perhaps the second best."""
+    placed = [p for some in offered if (p := place(course, residual, beside, some))]
+    best = min(placed, key=lambda p: p[0].mean_square, default=[])
+    return [Look(candidate, each) for each in best]
 
 
 def _pairs(
@@ -119,9 +138,8 @@ def _pairs(
         for candidate, every in offered.values():
             if candidate.effect in first.effects:
                 continue
-            look = _look(course, candidate, every, residual, first.columns)
-            if look is not None:
-                looks.append((first, look))
+            found = _looks(course, candidate, every, residual, first.columns)
+            looks += [(first, look) for look in found[:1]]
     looks.sort(key=lambda pair: pair[1].placed.mean_square)
     names: set[frozenset[str]] = set()
     dear = 0
@@ -151,11 +169,12 @@ def _fit(course: Course, first: Hypothesis | None, look: Look) -> Hypothesis | N
     coefficients = iter(look.placed.coefficients)
     for block in look.placed.blocks:
         change = {name: next(coefficients) for name in block.probed}
+        sizes = [change[p.name] for p in look.candidate.parameters if p.role == "size"]
         for term, parameter, begin in zip(
             block.terms, look.candidate.parameters, block.start, strict=True
         ):
             parameters[term] = parameter
-            start.append(change[parameter.name] if parameter.role == "size" else begin)
+            start.append(_begin(parameter, begin, change, sizes[0]))
     starts = [start]
     if look.candidate.remembers and first is None:
         sizes = [p.role == "size" for p in list(parameters.values())[found:]]
@@ -170,7 +189,15 @@ def _fit(course: Course, first: Hypothesis | None, look: Look) -> Hypothesis | N
             for scale in _SCALES
             for shapes in _shape_starts(look.candidate)
         ]
-    return refine(course, parameters, starts, _STEPS if first is None else _STEPS_OF_PAIRS)
+    steps = _STEPS if first is None else _STEPS_OF_PAIRS
+    return refine(course, parameters, starts, steps, look.most_left)
+
+
+def _begin(parameter: Parameter, begin: float, change: dict[str, float], size: float) -> float:
+    """Sizes as the first look has them; shapes from what it adds beside a size of one."""
+    if parameter.role == "size":
+        return change[parameter.name]
+    return begin + change.get(parameter.name, 0.0) / max(abs(size), 0.3)
 
 
 def _shape_starts(candidate: Candidate) -> list[dict[str, float]]:

@@ -26,8 +26,6 @@ class BaseTilt(Effect):
         Parameter("pitch_rad", "rad", -0.6, 0.6, 0.05, "of the base about its y axis"),
     )
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         tilt = Rotation.from_euler("yx", [values["pitch_rad"], values["roll_rad"]])
         return replace(mechanism, gravity_m_s2=tilt.inv().apply(mechanism.gravity_m_s2))

@@ -28,9 +28,7 @@ class CableStiffness(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return (WHOLE_ARM, *segments(segment_count))
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = np.ones(mechanism.cable_count, dtype=bool)
         if place != WHOLE_ARM:
             here = mechanism.cable_segment == int(place.rsplit("_", 1)[1])

@@ -31,9 +31,7 @@ class CableTolerance(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return cables(cable_count)
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.cable_count)
         tensioned = mechanism.pretension_n + here * values["pretension_n"]
         mechanism = replace(mechanism, pretension_n=tensioned)

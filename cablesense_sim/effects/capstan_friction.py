@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Array, Effect, Parameter, Values
-from cablesense_sim.effects.transmission import Rest, Transmission, drawn_m
+from cablesense_sim.effects.dry_contact import DryContact
+from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables
+from cablesense_sim.effects.transmission import Kept, Rest, Transmission
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
@@ -37,7 +38,7 @@ class CapstanFriction(Effect):
             0.0,
             "shape",
             (0.5,),
-            (0.0, 0.5, 3.0),
+            (0.0, 1.0),
         ),
         Parameter(
             "give_m",
@@ -52,57 +53,108 @@ class CapstanFriction(Effect):
             (1e-5, 1e-4),
         ),
         Parameter(
-            "start", "1", -1.0, 1.0, 0.5, "share of the holding that the past left", role="shape"
+            "run_share",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "share of the cable's give that lies beyond the actuator's pulley",
+            role="shape",
+            trials=(0.0, 1.0),
+        ),
+        Parameter(
+            "rounded",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "share of the contact that slips little by little",
+            role="shape",
+            trials=(0.0, 1.0),
         ),
     )
+
+    def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(
+                f"start_{cable}",
+                "1",
+                -1.0,
+                1.0,
+                0.5,
+                f"share of what its guides hold that the past left on {cable}",
+                role="shape",
+            )
+            for cable in cables(cable_count)
+        )
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Capstan(values)
 
 
 class _Capstan(Transmission):
-    """Guides 0 (the actuator's pulley) and 1 to N (both guides of a joint as one)."""
+    """Guides 0 (the actuator's pulley), 1 to N before the joints, and N + 1 to 2N after them."""
 
     def __init__(self, values: Values) -> None:
         self._coefficient = values["coefficient"][:, None, None]
-        self._pulley_rad = values["pulley_wrap_rad"][:, None]
+        self._pulley_rad = values["pulley_wrap_rad"][:, None, None]
         self._give_m = values["give_m"][:, None, None]
-        self._start = values["start"][:, None, None]
+        self._rounded = values["rounded"][:, None, None]
+        self._run = values["run_share"][:, None, None]
+        self._before = 1.0 - values["run_share"][:, None]
+        self._values = values
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
-        self._drawn_m = _drawn_with_pulley_m(rest.spans_m)
-        self._share = np.broadcast_to(self._start, self._drawn_m.shape)
+        none = np.zeros_like(self._values["coefficient"])
+        names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
+        start = np.stack([self._values.get(name, none) for name in names], axis=-1)
+        drawn = self._drawn_m(rest.spans_m)
+        self._contact = DryContact(self._give_m, self._rounded, start[..., None], drawn)
 
-    def tension_log_loss(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
-        free = self._free_share(spans_m)
-        share = np.clip(free, -1.0, 1.0)
-        sticks = np.abs(free) < 1.0
-        before, after = bends_rad[..., 0], bends_rad[..., 1]
-        held = share[..., 1:] * (before + after)
-        earlier = np.cumsum(held, axis=-1) - held
-        pulley = (self._pulley_rad * share[..., 0])[..., None]
-        loss = self._coefficient * (pulley + earlier + share[..., 1:] * before)
+    def hold(self, rest_m: Array) -> None:
+        self._rest_m = rest_m
+
+    def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept:
+        share, by_drawn = self._contact.share(self._drawn_m(spans_m))
+        kept = np.exp(-self._up_to_span(share, bends_rad))
+        # a span's length draws at the guides on its actuator's side, and a loss counts those
+        at_pulley, at_guides = by_drawn.copy(), by_drawn.copy()
+        at_pulley[..., 1:], at_guides[..., 0] = 0.0, 0.0
         count = spans_m.shape[-1]
-        wrap = np.where(
-            np.tri(count, k=-1, dtype=bool),
-            (before + after)[..., None, :],
-            np.eye(count) * before[..., None, :],
+        nearer = np.minimum.outer(np.arange(count), np.arange(count))
+        loss_by_m = -self._up_to_span(at_guides, bends_rad)[..., nearer]
+        loss_by_m -= self._before[..., None, None] * self._up_to_span(at_pulley, bends_rad)[..., nearer]
+        pulley = (self._coefficient * self._pulley_rad)[..., 0]
+        run = self._run[..., 0] * np.exp(-pulley * share[..., 0])
+        by_pulley = (run * pulley * by_drawn[..., 0])[..., None] * self._before[..., None]
+        return Kept(
+            kept,
+            -kept[..., None] * loss_by_m,
+            self._before + run,
+            np.broadcast_to(by_pulley, spans_m.shape),
         )
-        slope = wrap * (sticks[..., 1:] / self._give_m)[..., None, :]
-        pull = (self._pulley_rad * sticks[..., 0])[..., None, None] / self._give_m[..., None]
-        slope[..., 0] += np.broadcast_to(pull, slope.shape)[..., 0]
-        return loss, self._coefficient[..., None] * slope
 
     def settle(self, rest: Rest) -> None:
-        self._share = np.clip(self._free_share(rest.spans_m), -1.0, 1.0)
-        self._drawn_m = _drawn_with_pulley_m(rest.spans_m)
+        self._contact.settle(self._drawn_m(rest.spans_m))
 
-    def _free_share(self, spans_m: Array) -> Array:
-        moved = _drawn_with_pulley_m(spans_m) - self._drawn_m
-        return np.asarray(self._share + moved / self._give_m)
+    def _up_to_span(self, of_guide: Array, bends_rad: Array) -> Array:
+        """(P, M, N) sum over the guides on each span's actuator's side, of wrap times a number."""
+        count = bends_rad.shape[-2]
+        before = np.cumsum(bends_rad[..., 0] * of_guide[..., 1 : count + 1], axis=-1)
+        after = bends_rad[..., 1] * of_guide[..., count + 1 :]
+        passed = np.cumsum(after, axis=-1) - after
+        pulley = self._pulley_rad * of_guide[..., :1]
+        return np.asarray(self._coefficient * (pulley + before + passed))
 
+    def _drawn_m(self, spans_m: Array) -> Array:
+        """(P, M, 1 + 2N) how far each cable lies drawn towards its actuator at every guide.
 
-def _drawn_with_pulley_m(spans_m: Array) -> Array:
-    """(P, M, 1 + N): at the pulley the whole cable is drawn past."""
-    total = -spans_m.sum(axis=-1, keepdims=True)
-    return np.concatenate([total, drawn_m(spans_m)], axis=-1)
+        The far end is fixed, so what has shrunk beyond a guide has passed it; at the pulley so
+        has what the run is stretched by.
+        """
+        with_own = np.flip(np.cumsum(np.flip(spans_m, -1), -1), -1)
+        beyond = with_own - spans_m
+        whole = with_own[..., :1]
+        slackness = np.minimum(self._rest_m[..., None] - whole, 0.0)
+        passed = whole + self._run * slackness
+        return -np.concatenate([passed, with_own, beyond], axis=-1)

@@ -26,8 +26,6 @@ class ContactOffset(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return (WHOLE_ARM, *segments(segment_count))
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         moved = chosen(place, mechanism.segment_count) * values["offset_m"]
         return replace(mechanism, contact_m=mechanism.contact_m + moved)

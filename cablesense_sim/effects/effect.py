@@ -75,9 +75,11 @@ class Effect:
         """Where it can sit: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
         return (WHOLE_ARM,)
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
+        """Further shapes, zero where nothing is said: what the past left in each cable or joint."""
+        return ()
+
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         """The mechanism as the effect leaves it."""
         return mechanism
 

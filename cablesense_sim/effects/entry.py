@@ -39,18 +39,20 @@ def checked_entry(
     if place not in places:
         several = ", ".join(places[:6]) + (", …" if len(places) > 6 else "")
         raise EffectError(f"effect {name} cannot be at {place!r}; valid: {several}")
-    names = [parameter.name for parameter in effect.parameters]
+    history = effect.history(segment_count, cable_count)
+    parameters = (*effect.parameters, *(p for p in history if p.name in given))
+    names = [parameter.name for parameter in (*effect.parameters, *history)]
     for key in given:
         if key not in names:
             raise EffectError(f"effect {name} has no parameter {key!r}; it has {', '.join(names)}")
-    for parameter in effect.parameters:
+    for parameter in parameters:
         value = given.get(parameter.name, parameter.default)
         if not parameter.low <= value <= parameter.high:
             raise EffectError(
                 f"effect {name} at {place}: {parameter.name} = {value:g} {parameter.unit} must be "
                 f"from {parameter.low:g} to {parameter.high:g}"
             )
-    values = {p.name: float(given.get(p.name, p.default)) for p in effect.parameters}
+    values = {p.name: float(given.get(p.name, p.default)) for p in parameters}
     return EffectEntry(effect, place, values)
 
 

@@ -19,16 +19,12 @@ class JointElasticity(Effect):
     acts_on = "arm"
     about = "joints that spring back (a sheath, a hose, a bundle through the middle)"
     source = "Spong, Modeling and control of elastic joint robots, ASME JDSMC 1987"
-    parameters = (
-        Parameter("stiffness_n_m_rad", "N·m/rad", -20.0, 200.0, 5.0, "of each axis"),
-    )
+    parameters = (Parameter("stiffness_n_m_rad", "N·m/rad", -20.0, 200.0, 5.0, "of each axis"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return (WHOLE_ARM, *joints(segment_count))
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         spring = chosen(place, mechanism.segment_count) * values["stiffness_n_m_rad"]
         return replace(
             mechanism, joint_stiffness_n_m_rad=mechanism.joint_stiffness_n_m_rad + spring

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cablesense_sim.effects.dry_contact import DryContact
 from cablesense_sim.effects.effect import (
     WHOLE_ARM,
     Array,
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 class JointFriction(Effect):
     """Coulomb friction in both axes of a joint, which gives a little before it breaks away.
 
-    The torque grows evenly with the turn since the last reversal up to its limit, and then stays;
-    it lasts at rest.
+    The torque grows with the turn since the last reversal up to its limit, and then stays; it
+    lasts at rest.
     """
 
     name = "joint_friction"
@@ -46,11 +47,32 @@ class JointFriction(Effect):
             (3e-4,),
             (1e-4, 1e-3),
         ),
-        Parameter("start", "1", -1.0, 1.0, 0.5, "share of the torque at first", role="shape"),
+        Parameter(
+            "rounded",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "share of the contact that slips little by little",
+            role="shape",
+            trials=(0.0, 1.0),
+        ),
+        Parameter(
+            "start_pitch",
+            "1",
+            -1.0,
+            1.0,
+            0.5,
+            "share of the torque at first, about y",
+            role="shape",
+        ),
+        Parameter(
+            "start_yaw", "1", -1.0, 1.0, 0.5, "share of the torque at first, about z", role="shape"
+        ),
     )
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *joints(segment_count))
+        return joints(segment_count)
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _DryJoints(place, values)
@@ -58,26 +80,22 @@ class JointFriction(Effect):
 
 class _DryJoints(Transmission):
     def __init__(self, place: str, values: Values) -> None:
-        self._place = place
-        self._limit_n_m = values["torque_n_m"][:, None]
-        self._give_rad = values["give_rad"][:, None]
-        self._start = values["start"][:, None]
+        self._place, self._values = place, values
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
         here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
-        self._limit_n_m = self._limit_n_m * here
-        self._angles_rad = rest.angles_rad
-        self._share = np.broadcast_to(self._start, rest.angles_rad.shape)
+        self._limit_n_m = self._values["torque_n_m"][:, None] * here
+        start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
+        self._contact = DryContact(
+            self._values["give_rad"][:, None],
+            self._values["rounded"][:, None],
+            np.tile(start, mechanism.segment_count),
+            rest.angles_rad,
+        )
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
-        free = self._free_share(angles_rad)
-        share = np.clip(free, -1.0, 1.0)
-        sticks = np.abs(free) < 1.0
-        return self._limit_n_m * share, self._limit_n_m * sticks / self._give_rad
+        share, slope = self._contact.share(angles_rad)
+        return self._limit_n_m * share, self._limit_n_m * slope
 
     def settle(self, rest: Rest) -> None:
-        self._share = np.clip(self._free_share(rest.angles_rad), -1.0, 1.0)
-        self._angles_rad = rest.angles_rad
-
-    def _free_share(self, angles_rad: Array) -> Array:
-        return np.asarray(self._share + (angles_rad - self._angles_rad) / self._give_rad)
+        self._contact.settle(rest.angles_rad)

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 class Payload(Effect):
-    """A point mass on a segment's axis; its place is counted from the middle of the segment.
-
-    The two numbers are the mass and its first moment about the middle, in which tensions are
-    nearly linear: a tool, a camera, a hose.
-    """
+    """A point mass on a segment's axis: a tool, a camera, a hose."""
 
     name = "payload"
     acts_on = "arm"
@@ -28,20 +24,24 @@ class Payload(Effect):
     parameters = (
         Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
         Parameter(
-            "moment_kg_m", "kg·m", -1.0, 1.0, 0.01, "mass times its distance beyond the middle"
+            "beyond_middle",
+            "1",
+            -0.5,
+            0.5,
+            0.3,
+            "its distance beyond the segment's middle, as a share of the segment's length",
+            role="shape",
         ),
     )
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return segments(segment_count)
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.segment_count)
         mass = mechanism.mass_kg + here * values["mass_kg"]
         moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * (
-            values["mass_kg"] * 0.5 * mechanism.segment_length_m + values["moment_kg_m"]
+            values["mass_kg"] * (0.5 + values["beyond_middle"]) * mechanism.segment_length_m
         )
         heavy = np.maximum(mass, 1e-9)
         return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)

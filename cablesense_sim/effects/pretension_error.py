@@ -31,9 +31,7 @@ class PretensionError(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return (WHOLE_ARM, *cables(cable_count))
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         error = chosen(place, mechanism.cable_count) * values["error_n"]
         pretension = np.maximum(mechanism.pretension_n + error, 0.1)
         return replace(mechanism, pretension_n=pretension)

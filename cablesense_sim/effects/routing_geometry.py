@@ -32,9 +32,7 @@ class RoutingGeometry(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return segments(segment_count)
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         own = mechanism.cable_segment == int(place.rsplit("_", 1)[1])
         carried = chosen(place, mechanism.segment_count)
         if values["cables_radius_m"] or values["cables_angle_rad"]:

@@ -28,9 +28,7 @@ class SegmentTolerance(Effect):
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return segments(segment_count)
 
-    def amend(
-        self, mechanism: Mechanism, place: str, values: Mapping[str, float]
-    ) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.segment_count)
         return replace(
             mechanism,

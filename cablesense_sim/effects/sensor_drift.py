@@ -23,31 +23,34 @@ class SensorDrift(Effect):
     acts_on = "sensor"
     about = "a zero that wanders with time on some sensors"
     source = "IEEE Std 1293-2018, annex on bias instability and random walk"
-    parameters = tuple(
-        Parameter(
-            f"rise_{k + 1}_n",
-            "N",
-            -20.0,
-            20.0,
-            0.7,
-            f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
-        )
-        for k in range(_INTERVALS)
+    parameters = (
+        Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning"),
+        *(
+            Parameter(
+                f"rise_{k + 1}_n",
+                "N",
+                -20.0,
+                20.0,
+                0.7,
+                f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
+            )
+            for k in range(_INTERVALS)
+        ),
     )
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return cables(cable_count)
 
     def sensing(self, place: str, values: Values) -> Sensing:
-        rises = np.stack([values[p.name] for p in self.parameters], axis=-1)
-        return _Wandering(place, rises)
+        rises = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)
+        return _Wandering(place, values["start_n"], rises)
 
 
 class _Wandering(Sensing):
-    def __init__(self, place: str, rises_n: Array) -> None:
-        self._place, self._rises_n = place, rises_n
+    def __init__(self, place: str, start_n: Array, rises_n: Array) -> None:
+        self._place, self._start_n, self._rises_n = place, start_n, rises_n
 
     def step(self, time_s: float, tensions_n: Array) -> Array:
         done = np.clip(time_s / INTERVAL_S - np.arange(_INTERVALS), 0.0, 1.0)
-        drift = (self._rises_n @ done)[:, None]
+        drift = (self._start_n + self._rises_n @ done)[:, None]
         return tensions_n + drift * chosen(self._place, tensions_n.shape[-1])

@@ -13,9 +13,7 @@ class SensorGain(Effect):
     acts_on = "sensor"
     about = "a wrong scale on some tension sensors"
     source = "JCGM 200:2012 (VIM) 4.12, sensitivity of a measuring system"
-    parameters = (
-        Parameter("gain", "1", -0.5, 0.5, 0.05, "share by which readings are too high"),
-    )
+    parameters = (Parameter("gain", "1", -0.5, 0.5, 0.05, "share by which readings are too high"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return cables(cable_count)

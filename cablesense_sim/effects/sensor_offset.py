@@ -13,9 +13,7 @@ class SensorOffset(Effect):
     acts_on = "sensor"
     about = "a constant zero error on some sensors"
     source = "JCGM 200:2012 (VIM) 4.28, zero error of a measuring instrument"
-    parameters = (
-        Parameter("offset_n", "N", -50.0, 50.0, 2.0, "what is read without a tension"),
-    )
+    parameters = (Parameter("offset_n", "N", -50.0, 50.0, 2.0, "what is read without a tension"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         return cables(cable_count)

@@ -31,6 +31,22 @@ class Rest(NamedTuple):
     tensions_n: Array
 
 
+class Kept(NamedTuple):
+    """Tension in each span of a cable, and its mean over the cable's stretch, by the actuator's.
+
+    Attributes:
+        spans: (P, M, N).
+        spans_by_m: (P, M, N, N) derivative by the lengths of the cable's spans.
+        mean: (P, M).
+        mean_by_m: (P, M, N).
+    """
+
+    spans: Array
+    spans_by_m: Array
+    mean: Array
+    mean_by_m: Array
+
+
 class Transmission:
     """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
 
@@ -45,12 +61,11 @@ class Transmission:
         """(P, M) by which the cables are longer than when they were tensioned."""
         return None
 
-    def tension_log_loss(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array] | None:
-        """Logarithm of the tension at the actuator over that in each span, and its slope.
+    def hold(self, rest_m: Array) -> None:
+        """Hear the spans' lengths (P, M) at which the cables are just slack, before a search."""
 
-        The loss is (P, M, N), its derivative by how far the cable is drawn past each joint's
-        guides (`drawn_m`) (P, M, N, N): span, guide.
-        """
+    def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept | None:
+        """What friction leaves of the tension along the cables."""
         return None
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array] | None:
@@ -59,13 +74,3 @@ class Transmission:
 
     def settle(self, rest: Rest) -> None:
         """Take the rest that was reached."""
-
-
-def drawn_m(spans_m: Array) -> Array:
-    """How far each cable lies drawn towards its actuator at each joint's guides, (P, M, N).
-
-    The far end is fixed, so what has shrunk beyond a guide has passed it. The middle of a joint's
-    own span stands for its two guides.
-    """
-    beyond = np.flip(np.cumsum(np.flip(spans_m, -1), -1), -1)
-    return np.asarray(0.5 * spans_m - beyond)

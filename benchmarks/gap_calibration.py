@@ -1,0 +1,116 @@
+"""The numbers of the belief formula, fitted to simulated cases of seeds used for nothing else.
+
+    python benchmarks/gap_calibration.py FOLDER [FOLDER ...] [--write]
+
+Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. What
+the search leaves unexplained in each case is kept beside the recording, as `case_….search.json`;
+then the six numbers are sought that give the true answers the highest mean log probability.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from rich.progress import track
+from scipy.optimize import minimize
+
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.diagnose import course_of
+from cablesense_gap.diagnosis import belief
+from cablesense_gap.diagnosis.belief import Calibration, log_weights
+from cablesense_gap.diagnosis.searching import search
+from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.scoring.answers import read_answers
+from cablesense_sim.arm_files import open_arm
+
+ARM = "cdsm_lab"
+TARGET = Path(belief.__file__).with_name("calibration.json")
+START = Calibration(3.0, 1.5, 2.5, 0.1, 0.5, 0.4, 0.2)
+WIDTHS = (2.0, 1.5, 2.0, 0.3, 1.5, 0.7, 0.7)
+"""How far each number may be from its start, before the cases speak; the last two as logarithms."""
+
+
+def main() -> None:
+    """Searches where that has not been done, fits, prints; keeps the numbers with `--write`."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--write", action="store_true", help=f"write {TARGET.name}")
+    options = parser.parse_args()
+    cases = []
+    for folder in options.folders:
+        truth = {a.recording: a.effects for a in read_answers(folder / "answers" / "answers.csv")}
+        paths = sorted(folder.glob("case_???.csv"))
+        with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+            found = list(track(pool.map(_searched, paths), total=len(paths)))
+        cases += [(case, tuple(truth[p.stem])) for case, p in zip(found, paths, strict=True)]
+    best = minimize(_cost, np.zeros(len(WIDTHS)), args=(cases,), method="Nelder-Mead",
+                    options={"maxiter": 4000, "xatol": 1e-3, "fatol": 1e-5})  # fmt: skip
+    calibration = _calibration(best.x)
+    named = [_most_probable(case, calibration) for case, _ in cases]
+    right = np.mean([n[0] == truth for n, (_, truth) in zip(named, cases, strict=True)])
+    print(f"{len(cases)} cases, {right:.0%} right, mean probability of what is named "
+          f"{np.mean([p for _, p in named]):.2f}")  # fmt: skip
+    print(json.dumps(asdict(calibration), indent=1))
+    if options.write:
+        TARGET.write_text(json.dumps(asdict(calibration), indent=1) + "\n")
+
+
+def _searched(path: Path) -> dict[str, object]:
+    kept = path.with_suffix(".search.json")
+    if not kept.exists():
+        arm = open_arm(ARM)
+        recording = read_recording(path, arm)
+        simulator = ArmSimulator(arm, recording)
+        course = course_of(recording, simulator, simulator.predict([{}])[0])
+        hypotheses = search(course)
+        content = {
+            "floor": course.floor,
+            "effects": [h.effects for h in hypotheses],
+            "left": [h.held_out_rmse for h in hypotheses],
+            "sizes": [h.sizes for h in hypotheses],
+        }
+        kept.write_text(json.dumps(content))
+    return dict(json.loads(kept.read_text()))
+
+
+def _calibration(offsets: np.ndarray) -> Calibration:
+    values = np.array(list(asdict(START).values()))
+    moved = offsets * np.array(WIDTHS)
+    additive = values[:5] + moved[:5]
+    return Calibration(*additive.tolist(), *(values[5:] * np.exp(moved[5:])).tolist())
+
+
+def _probabilities(case: dict, calibration: Calibration) -> dict[tuple[str, ...], float]:
+    effects = [tuple(e) or ("none",) for e in case["effects"]]
+    counts = np.array([0 if e == ("none",) else len(e) for e in effects])
+    weights = log_weights(
+        np.array(case["left"]), counts, np.array(case["sizes"]), case["floor"], calibration
+    )
+    shares = np.exp(weights - weights.max())
+    return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
+
+
+def _most_probable(case: dict, calibration: Calibration) -> tuple[tuple[str, ...], float]:
+    return max(_probabilities(case, calibration).items(), key=lambda item: item[1])
+
+
+def _cost(offsets: np.ndarray, cases: list) -> float:
+    calibration = _calibration(offsets)
+    if calibration.power <= 0.0:
+        return 1e6
+    told = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
+    return float(-np.log(np.maximum(told, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))
+
+
+if __name__ == "__main__":
+    main()
