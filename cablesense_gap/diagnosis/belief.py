@@ -96,5 +96,6 @@ def log_weights(
     left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
     none = left[np.flatnonzero(counts == 0)[0]]
     penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
-    unknown = -c.power * np.log(np.hypot(c.share * none, least)) - c.unknown
+    resolved = np.hypot(excess(0.0, floor), least)
+    unknown = -c.power * np.log(max(c.share * none, resolved)) - c.unknown
     return np.append(-c.power * np.log(left) - penalty, unknown)

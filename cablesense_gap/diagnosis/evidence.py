@@ -53,7 +53,8 @@ def products(columns: Array, residual: Array, trial: Indices, used: NDArray[np.b
     parts = []
     for t in range(int(trial.max()) + 1):
         rows = (trial == t) & used
-        x, y = columns[:, rows].reshape(len(columns), -1), residual[rows].ravel()
+        y = residual[rows].ravel()
+        x = columns[:, rows].reshape(len(columns), y.size)
         parts.append((x @ x.T, x @ y, y @ y, y.size))
     gram, moment, square, count = (np.array(part) for part in zip(*parts, strict=True))
     return Products(gram, moment, square, count.astype(float))

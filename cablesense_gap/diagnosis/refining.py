@@ -33,7 +33,9 @@ from cablesense_gap.simulator import Array, Term
 from cablesense_sim.effects.effect import Parameter
 
 _STEP = 0.03
-_CLOSE = 2e-3
+_CLOSE = 5e-3
+_WORTH = 5e-3
+_MOST_DAMPING = 0.5
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,14 @@ class _Refining:
             before = self._cost(point, linear.prediction, mean_square)
             after = self._cost(tried, ahead.prediction, mean_square)
             if not after[0] < before[0]:
+                if damping > _MOST_DAMPING:
+                    break
                 damping *= 30.0
                 continue
             gained = (before[0] - after[0]) / before[0]
             point, linear, mean_square = tried, ahead, after[1]
             damping = max(damping / 10.0, 1e-6)
-            if gained < 1e-3:
+            if gained < _WORTH:
                 break
         return self._hypothesis(point, linear, mean_square)
 
@@ -136,10 +140,11 @@ class _Refining:
         tolerances = len(self._precision) - len(point)
         offset = np.concatenate([np.zeros(tolerances), point - self._expected])
         gram = data.gram.sum(0)
+        own = np.where(np.arange(len(gram)) < tolerances, 0.0, gram.diagonal())
         free = np.ones(len(self._precision), dtype=bool)
         step = np.zeros(len(self._precision))
         for _ in range(3):  # numbers that leave their range stay at its end, the others go on
-            damped = gram + damping * np.diag(np.where(np.arange(len(gram)) < tolerances, 0, gram.diagonal()))
+            damped = gram + damping * np.diag(own)
             step = np.zeros(len(self._precision))
             at = np.flatnonzero(free)
             step[at] = solve(
@@ -193,8 +198,8 @@ class _Refining:
         weight_ = weight(mean_square, course.floor)
         tolerances = len(self._precision) - len(point)
         # at a bound the one-step refits of the folds may not move either
-        held = np.concatenate([np.zeros(tolerances, dtype=bool), (point <= self._low) | (point >= self._high)])
-        at = np.flatnonzero(~held)
+        inside = (point > self._low) & (point < self._high)
+        at = np.flatnonzero(np.concatenate([np.ones(tolerances, dtype=bool), inside]))
         offset = np.concatenate([np.zeros(tolerances), point - self._expected])[at]
         part, precision = data.columns(at), self._precision[at]
         gram, moment = part.gram.sum(0), part.moment.sum(0)
@@ -248,11 +253,12 @@ def _spread(
 ) -> Array:
     """Standard deviations (K,) that allow for residuals that hang together within a trial.
 
-    The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986).
+    The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors
+    count as one more, or what looks like a tolerance would be known better than the tolerance is.
     """
     bread = np.linalg.inv(weight_ * gram.sum(0) + np.diag(precision))
     scores = weight_ * (moment - gram @ found)
-    return np.sqrt(np.diagonal(bread @ (scores.T @ scores) @ bread))
+    return np.sqrt(np.diagonal(bread @ (scores.T @ scores + np.diag(precision)) @ bread))
 
 
 def _scaled_bound(parameter: Parameter, value: float) -> float:

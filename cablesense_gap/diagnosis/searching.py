@@ -18,12 +18,13 @@ from cablesense_gap.diagnosis.scaled import to_scaled
 from cablesense_gap.simulator import Array, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
-_MOST_SINGLES = 5
+_MOST_SINGLES = 4
 _PROMISING = 3.0
-_MOST_PAIRS = 4
+_MOST_PAIRS = 3
 _MOST_DEAR_PAIRS = 1
 _RESOLVED = 0.04
-_STEPS, _STEPS_OF_PAIRS = 7, 4
+_STEPS, _STEPS_OF_PAIRS, _STEPS_OF_DEAR_PAIRS = 6, 4, 2
+_BARELY = 1.25
 _ALIKE = 1.02
 _HOPELESS = 2.5
 _SCALES = (0.4, 1.0, 2.5)
@@ -64,7 +65,8 @@ def search(
             offered[candidate.effect] = candidate, every
             looks += _looks(course, candidate, every, residual, nothing)
         looks.sort(key=lambda look: look.placed.mean_square)
-        promising = list(_promising(looks, course.floor))
+        barely = none.held_out_rmse <= _BARELY * course.floor
+        promising = list(_promising(looks, course.floor, barely))
         singles: list[Hypothesis] = []
         for k, fitted in enumerate(crew.map(_fit_single, promising)):
             tell("fitting single effects", 0.4 + 0.3 * k / len(promising))
@@ -72,7 +74,7 @@ def search(
                 singles.append(fitted)
         singles = _best_of_each(singles)
         found = [none, *singles]
-        if singles and not _is_resolved(singles[0], none, course.floor):
+        if singles and not barely and not _is_resolved(singles[0], none, course.floor):
             tell("fitting pairs of effects", 0.7)
             pairs = list(_pairs(course, singles, offered))
             for k, fitted in enumerate(crew.map(_fit_pair, pairs)):
@@ -101,13 +103,13 @@ def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
     return left <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
 
-def _promising(looks: list[Look], floor: float) -> Iterator[Look]:
+def _promising(looks: list[Look], floor: float, barely: bool) -> Iterator[Look]:
     """Looks that a fit may yet bring to the front; those of effects that remember most of all."""
     if looks:
         best = excess(looks[0].placed.mean_square, floor)
         for rank, look in enumerate(looks):
             dear = look.candidate.remembers
-            if (rank < _MOST_SINGLES or dear) and (
+            if (rank < _MOST_SINGLES or (dear and not barely)) and (
                 excess(look.placed.mean_square, floor) <= _PROMISING * best
             ):
                 yield replace(look, most_left=(_HOPELESS * best) ** 2 + floor**2)
@@ -189,7 +191,10 @@ def _fit(course: Course, first: Hypothesis | None, look: Look) -> Hypothesis | N
             for scale in _SCALES
             for shapes in _shape_starts(look.candidate)
         ]
-    steps = _STEPS if first is None else _STEPS_OF_PAIRS
+    steps = _STEPS
+    if first is not None:
+        dear = any(_remembers(course, term) for term in parameters)
+        steps = _STEPS_OF_DEAR_PAIRS if dear else _STEPS_OF_PAIRS
     return refine(course, parameters, starts, steps, look.most_left)
 
 
@@ -198,6 +203,10 @@ def _begin(parameter: Parameter, begin: float, change: dict[str, float], size: f
     if parameter.role == "size":
         return change[parameter.name]
     return begin + change.get(parameter.name, 0.0) / max(abs(size), 0.3)
+
+
+def _remembers(course: Course, term: Term) -> bool:
+    return any(c.remembers for c in course.simulator.candidates if c.effect == term.effect)
 
 
 def _shape_starts(candidate: Candidate) -> list[dict[str, float]]:
