@@ -4,7 +4,7 @@
 
 Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. What
 the search leaves unexplained in each case is kept beside the recording, as `case_….search.json`;
-then the six numbers are sought that give the true answers the highest mean log probability.
+then the numbers are sought that give the true answers the highest mean log probability.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from cablesense_sim.arm_files import open_arm
 
 ARM = "cdsm_lab"
 TARGET = Path(belief.__file__).with_name("calibration.json")
-START = Calibration(3.0, 1.5, 2.5, 0.1, 0.5, 0.4, 0.2)
-WIDTHS = (2.0, 1.5, 2.0, 0.3, 1.5, 0.7, 0.7)
-"""How far each number may be from its start, before the cases speak; the last two as logarithms."""
+START = Calibration(4.0, 1.5, 3.0, 0.1, 0.1, 1.0, 0.3, 0.2)
+WIDTHS = (2.0, 1.5, 2.0, 0.1, 0.1, 1.5, 0.7, 0.7)
+"""How far each may be from its start before the cases speak; the last two as logarithms."""
 
 
 def main() -> None:
@@ -78,6 +78,8 @@ def _searched(path: Path) -> dict[str, object]:
             "effects": [h.effects for h in hypotheses],
             "left": [h.held_out_rmse for h in hypotheses],
             "sizes": [h.sizes for h in hypotheses],
+            "strains": [h.strain for h in hypotheses],
+            "tolerances": len(course.tolerance_terms),
         }
         kept.write_text(json.dumps(content))
     return dict(json.loads(kept.read_text()))
@@ -86,15 +88,16 @@ def _searched(path: Path) -> dict[str, object]:
 def _calibration(offsets: np.ndarray) -> Calibration:
     values = np.array(list(asdict(START).values()))
     moved = offsets * np.array(WIDTHS)
-    additive = values[:5] + moved[:5]
-    return Calibration(*additive.tolist(), *(values[5:] * np.exp(moved[5:])).tolist())
+    additive = values[:6] + moved[:6]
+    return Calibration(*additive.tolist(), *(values[6:] * np.exp(moved[6:])).tolist())
 
 
 def _probabilities(case: dict, calibration: Calibration) -> dict[tuple[str, ...], float]:
     effects = [tuple(e) or ("none",) for e in case["effects"]]
     counts = np.array([0 if e == ("none",) else len(e) for e in effects])
+    numbers = (np.array(case[name]) for name in ("sizes", "strains"))
     weights = log_weights(
-        np.array(case["left"]), counts, np.array(case["sizes"]), case["floor"], calibration
+        np.array(case["left"]), counts, *numbers, case["tolerances"], case["floor"], calibration
     )
     shares = np.exp(weights - weights.max())
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
@@ -106,7 +109,7 @@ def _most_probable(case: dict, calibration: Calibration) -> tuple[tuple[str, ...
 
 def _cost(offsets: np.ndarray, cases: list) -> float:
     calibration = _calibration(offsets)
-    if calibration.power <= 0.0:
+    if min(calibration.power, calibration.size, calibration.strain) < 0.0:
         return 1e6
     told = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
     return float(-np.log(np.maximum(told, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))

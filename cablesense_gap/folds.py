@@ -13,8 +13,8 @@ FOLDS = 5
 def folds_of(recording: Recording) -> NDArray[np.int64]:
     """(T,) fold 0 to 4 of each trial, in the order of their numbers.
 
-    Trials of one kind, by the segment that is loaded and by whether the arm moves, are dealt to the
-    folds in turn, so that each fold leaves some of every kind to fit to.
+    Trials of one kind, by the segment that is loaded and by whether the arm moves, are dealt
+    to the folds in turn, so that each fold leaves some of every kind to fit to.
     """
     kinds: dict[tuple[int, bool], list[int]] = {}
     for t, number in enumerate(np.unique(recording.trial)):

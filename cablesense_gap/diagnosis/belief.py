@@ -3,7 +3,10 @@
 The weights fall with a power of what is left beyond the sensors' floor, and by a factor for every
 effect that a hypothesis names:
 
-    log w = -κ log(excess) - π_k - ν n,    k effects of n sizes in all,
+    log w = -κ log(excess) - τ s - π_k - ν n,    k effects of n sizes in all,
+
+with s the tolerances' sum of squares in standard deviations, which is about their number if they
+are what a workshop leaves,
 
 and an effect that nobody listed is the hypothesis that something removes all but a share φ of the
 gap. The few numbers in it are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their
@@ -33,6 +36,7 @@ class Calibration:
         one: π_1, of naming an effect.
         two: π_2, of naming two.
         size: ν.
+        strain: τ.
         unknown: π of naming none that is listed.
         share: φ, what remains of the gap if the cause were known, whatever it is.
         floor_share: excess that no hypothesis can do without, as a share of the floor.
@@ -42,6 +46,7 @@ class Calibration:
     one: float
     two: float
     size: float
+    strain: float
     unknown: float
     share: float
     floor_share: float
@@ -72,7 +77,9 @@ def beliefs(
     left = np.array([h.held_out_rmse for h in hypotheses])
     counts = np.array([len(h.effects) for h in hypotheses])
     sizes = np.array([h.sizes for h in hypotheses])
-    weights = log_weights(left, counts, sizes, floor, calibration)
+    strains = np.array([h.strain for h in hypotheses])
+    usual = float(len(hypotheses[0].tolerances))
+    weights = log_weights(left, counts, sizes, strains, usual, floor, calibration)
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     found = [
@@ -87,6 +94,8 @@ def log_weights(
     held_out_rmse: np.ndarray,
     counts: np.ndarray,
     sizes: np.ndarray,
+    strains: np.ndarray,
+    usual_strain: float,
     floor: float,
     calibration: Calibration,
 ) -> np.ndarray:
@@ -95,7 +104,8 @@ def log_weights(
     least = c.floor_share * floor
     left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
     none = left[np.flatnonzero(counts == 0)[0]]
-    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
+    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes + c.strain * strains
     resolved = np.hypot(excess(0.0, floor), least)
-    unknown = -c.power * np.log(max(c.share * none, resolved)) - c.unknown
+    unknown = -c.power * np.log(max(c.share * none, resolved))
+    unknown -= c.unknown + c.strain * usual_strain
     return np.append(-c.power * np.log(left) - penalty, unknown)

@@ -117,10 +117,9 @@ def _together(
     ]
     changes = iter(course.simulator.predict(variants) - course.nominal)
     for shape in combinations:
+        count = len(_probes(candidate, shape))
         yield [
-            _as_block(
-                candidate, place, shape, np.array([next(changes) for _ in _probes(candidate, shape)])
-            )
+            _as_block(candidate, place, shape, np.array([next(changes) for _ in range(count)]))
             for place in candidate.places
         ]
 
@@ -134,11 +133,13 @@ def _as_block(
         change if p.role == "size" else (change - changes[first]) / _step(p, shape)
         for p, change in zip(probed, changes, strict=True)
     ]
-    start = {p.name: 0.0 if p.role == "size" else shape[p.name] for p in candidate.parameters}
+    start = [
+        0.0 if p.role == "size" else to_scaled(p, shape[p.name]) for p in candidate.parameters
+    ]
     return Block(
         place,
         candidate.terms(place),
-        np.array([0.0 if p.role == "size" else to_scaled(p, start[p.name]) for p in candidate.parameters]),
+        np.array(start),
         np.array(columns),
         np.array([prior_precision(p) for p in probed]),
         tuple(p.name for p in probed),

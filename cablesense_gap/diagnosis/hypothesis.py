@@ -29,6 +29,7 @@ class Hypothesis:
         squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes.
+        strain: sum of the squares of the tolerances, each in standard deviations.
         strangeness: how far the values lie from what was expected, in squared deviations.
     """
 
@@ -42,6 +43,7 @@ class Hypothesis:
     squares: Array
     count: Array
     sizes: int
+    strain: float
     strangeness: float
 
     @property

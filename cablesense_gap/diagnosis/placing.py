@@ -37,12 +37,14 @@ class Placed:
         coefficients: (K,) of their columns, scaled.
         squares: (T,) left in each held-out trial.
         mean_square: of all that is left.
+        strain: sum of the squares of the tolerances beside them, in standard deviations.
     """
 
     blocks: tuple[Block, ...]
     coefficients: Array
     squares: Array
     mean_square: float
+    strain: float
 
 
 def place(
@@ -122,6 +124,7 @@ class _Search:
             found[len(self._base) :],
             squares,
             float(squares.sum() / part.count.sum()),
+            float((found[: len(self._course.tolerance_terms)] ** 2).sum()),
         )
 
     def _left(self, chosen: Sequence[int]) -> float:

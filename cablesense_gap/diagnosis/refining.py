@@ -228,6 +228,7 @@ class _Refining:
             squares=_squares(course, course.readings - held_out),
             count=data.count,
             sizes=sum(p.role == "size" for p in self._parameters),
+            strain=float((found[:tolerances] ** 2).sum()),
             strangeness=float(self._prior @ (point - self._expected_before) ** 2),
         )
 

@@ -64,7 +64,7 @@ def search(
             tell(candidate.effect, 0.4 * k / len(candidates))
             offered[candidate.effect] = candidate, every
             looks += _looks(course, candidate, every, residual, nothing)
-        looks.sort(key=lambda look: look.placed.mean_square)
+        looks.sort(key=lambda look: _forecast(look, course.floor))
         barely = none.held_out_rmse <= _BARELY * course.floor
         promising = list(_promising(looks, course.floor, barely))
         singles: list[Hypothesis] = []
@@ -103,10 +103,16 @@ def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
     return left <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
 
+def _forecast(look: Look, floor: float) -> float:
+    """Small where little is left and tolerances need not help; weighed as in the belief."""
+    left = excess(look.placed.mean_square, floor)
+    return 4.0 * float(np.log(left)) + 0.1 * look.placed.strain
+
+
 def _promising(looks: list[Look], floor: float, barely: bool) -> Iterator[Look]:
     """Looks that a fit may yet bring to the front; those of effects that remember most of all."""
     if looks:
-        best = excess(looks[0].placed.mean_square, floor)
+        best = min(excess(look.placed.mean_square, floor) for look in looks)
         for rank, look in enumerate(looks):
             dear = look.candidate.remembers
             if (rank < _MOST_SINGLES or (dear and not barely)) and (
@@ -142,7 +148,7 @@ def _pairs(
                 continue
             found = _looks(course, candidate, every, residual, first.columns)
             looks += [(first, look) for look in found[:1]]
-    looks.sort(key=lambda pair: pair[1].placed.mean_square)
+    looks.sort(key=lambda pair: _forecast(pair[1], course.floor))
     names: set[frozenset[str]] = set()
     dear = 0
     for first, look in looks:

@@ -123,7 +123,8 @@ class _Capstan(Transmission):
         count = spans_m.shape[-1]
         nearer = np.minimum.outer(np.arange(count), np.arange(count))
         loss_by_m = -self._up_to_span(at_guides, bends_rad)[..., nearer]
-        loss_by_m -= self._before[..., None, None] * self._up_to_span(at_pulley, bends_rad)[..., nearer]
+        by_pulley_m = self._up_to_span(at_pulley, bends_rad)[..., nearer]
+        loss_by_m -= self._before[..., None, None] * by_pulley_m
         pulley = (self._coefficient * self._pulley_rad)[..., 0]
         run = self._run[..., 0] * np.exp(-pulley * share[..., 0])
         by_pulley = (run * pulley * by_drawn[..., 0])[..., None] * self._before[..., None]

@@ -76,7 +76,7 @@ class Effect:
         return (WHOLE_ARM,)
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
-        """Further shapes, zero where nothing is said: what the past left in each cable or joint."""
+        """Further shapes, zero if not given: what the past left in each cable or joint."""
         return ()
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:

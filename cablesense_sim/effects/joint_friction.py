@@ -8,7 +8,6 @@ import numpy as np
 
 from cablesense_sim.effects.dry_contact import DryContact
 from cablesense_sim.effects.effect import (
-    WHOLE_ARM,
     Array,
     Effect,
     Parameter,

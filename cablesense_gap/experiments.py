@@ -1,0 +1,253 @@
+"""The experiment that would tell explanations apart, chosen among the blocks of the protocol.
+
+Each explanation is simulated with the numbers that were fitted to it, and the block is proposed
+where their predictions part most: after a constant of each channel and what tolerances could add
+are taken out, as these are fitted to every recording anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_gap.arm_simulator import ArmSimulator, entries_from
+from cablesense_gap.recordings.block import Block, rows_of
+from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.simulator import Term
+from cablesense_sim.arm import Arm
+from cablesense_sim.effects.registry import known_effects
+
+Array = NDArray[np.float64]
+Rival = Mapping[Term, float]
+
+SLOW_HZ = 2.5
+"""Rate at which blocks are simulated where the past counts: two samples a level and more."""
+FINALISTS = 3
+SEPARATES_FLOORS = 1.0
+HIDDEN_FLOORS = 0.1
+ABOUT_AS_FAR = 0.9
+LEFT_BY_WORKSHOP = 2.0
+"""Standard deviations to which each tolerance may take a difference away."""
+_SLACK_N, _MOST_SLACK = 2.5, 2
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to record next.
+
+    Attributes:
+        text: for a person at the arm: what to do, and what it will show.
+        block: what to do, as the protocol says it; empty where nothing is needed.
+        separation_n: root mean square by which predictions part there.
+        over_floor: the same in noise floors.
+    """
+
+    text: str
+    block: str = ""
+    separation_n: float = 0.0
+    over_floor: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A block as the rivals predict it.
+
+    Attributes:
+        block: what is done.
+        simulator: put through it.
+        used: (R,) rows with one rest only.
+        apart_n: (R', M) first rival less each other, in the used rows.
+    """
+
+    block: Block
+    simulator: ArmSimulator
+    used: NDArray[np.bool_]
+    apart_n: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class _Parting:
+    """How far the first rival's prediction of a block is from that of the nearest other."""
+
+    trial: _Tried
+    by_cable_n: Array
+
+    @property
+    def rms_n(self) -> float:
+        return float(np.sqrt((self.by_cable_n**2).mean()))
+
+
+def next_experiment(
+    arm: Arm,
+    rivals: Sequence[Rival],
+    floor_n: float,
+    blocks: Sequence[Block] | None = None,
+) -> Experiment:
+    """What to record to tell the first rival from the others; fitted numbers each, `{}` for none.
+
+    A rival alone is told from the nominal arm, so that it can be confirmed. `blocks` are those of
+    the standard protocol unless others are offered.
+
+    Raises:
+        ValueError: no rival is given.
+        EquilibriumError: the nominal arm finds no rest.
+    """
+    if not rivals:
+        raise ValueError("no explanation is given; at least one is needed")
+    if len(rivals) == 1 and not rivals[0]:
+        return Experiment("No further experiment is needed.")
+    offered = standard_protocol(arm) if blocks is None else blocks
+    compared = [
+        _without_history(arm, rival) for rival in (rivals if rivals[1:] else [*rivals, {}])
+    ]
+    past_counts = any(
+        e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)
+    )
+    rate_hz = min(arm.sensors.rate_hz, SLOW_HZ) if past_counts else arm.sensors.rate_hz
+    tried = [_try(arm, block, compared, rate_hz) for block in offered]
+    best = _furthest([each for each in tried if each is not None], floor_n)
+    if best is None:
+        return Experiment("No block of the protocol can be simulated with these explanations.")
+    return Experiment(
+        text=_text(arm, rivals, best, floor_n),
+        block=best.trial.block.does,
+        separation_n=best.rms_n,
+        over_floor=best.rms_n / floor_n,
+    )
+
+
+def _furthest(trials: Sequence[_Tried], floor_n: float) -> _Parting | None:
+    """The block that tells most; what differs by a constant alone is looked at as it is."""
+    for free_constants in (True, False):
+        nothing = np.empty((0, 0))
+        first = [_parting(trial, nothing, free_constants) for trial in trials]
+        finalists = sorted(first, key=lambda p: -p.rms_n)[:FINALISTS]
+        final = [
+            _parting(p.trial, _tolerances(p.trial, free_constants), free_constants)
+            for p in finalists
+        ]
+        most_n = max((p.rms_n for p in final), default=0.0)
+        if most_n >= SEPARATES_FLOORS * floor_n:
+            break
+    # of blocks that tell about as much, the first is the simplest
+    far = [p.trial for p in final if p.rms_n >= ABOUT_AS_FAR * most_n]
+    earliest = next((each for each in trials if any(each is t for t in far)), None)
+    return next((p for p in final if p.trial is earliest), None)
+
+
+def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
+    """None where an explanation cannot be simulated, or the arm has more than one rest."""
+    simulator = ArmSimulator(arm, _recorded(arm, block, rate_hz))
+    predicted = [simulator.predict([rival])[0] for rival in rivals]
+    slack = [(p < _SLACK_N).sum(-1) > _MOST_SLACK for p in predicted]
+    used = ~np.any(slack, axis=0)
+    if not all(np.isfinite(p).all() for p in predicted) or not used.any():
+        return None
+    apart = tuple((predicted[0] - other)[used] for other in predicted[1:])
+    return _Tried(block, simulator, used, apart)
+
+
+def _parting(trial: _Tried, tolerances: Array, free_constants: bool) -> _Parting:
+    left = [_left(apart, tolerances, free_constants) for apart in trial.apart_n]
+    nearest = min(left, key=lambda each: float((each**2).sum()))
+    return _Parting(trial, np.sqrt((nearest**2).mean(0)))
+
+
+def _recorded(arm: Arm, block: Block, rate_hz: float) -> Recording:
+    rows = rows_of((block,), rate_hz)
+    nothing = np.zeros((len(rows.time_s), arm.cable_count))
+    return Recording("block", *rows, tensions_n=nothing)
+
+
+def _tolerances(trial: _Tried, free_constants: bool) -> Array:
+    """(K, R' M) what one standard deviation of each changes."""
+    simulator = trial.simulator
+    nominal = simulator.predict([{}])[0]
+    columns = []
+    for candidate in simulator.tolerances:
+        for place in candidate.places:
+            for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True):
+                change = simulator.predict([{term: parameter.typical}])[0] - nominal
+                columns.append(_without_mean(change[trial.used], free_constants).ravel())
+    found = np.array(columns)
+    return found[np.isfinite(found).all(1)]
+
+
+def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array:
+    """What constants, and tolerances as far as a workshop leaves them, do not take away."""
+    from scipy.optimize import lsq_linear
+
+    apart = _without_mean(difference_n, free_constants)
+    if not len(tolerances):
+        return apart
+    # on a triangle of the columns instead of all rows
+    rotated, triangle = np.linalg.qr(tolerances.T)
+    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-LEFT_BY_WORKSHOP, LEFT_BY_WORKSHOP))
+    return np.asarray(apart - (least.x @ tolerances).reshape(apart.shape))
+
+
+def _without_mean(values_n: Array, free_constants: bool) -> Array:
+    return values_n - values_n.mean(0) if free_constants else values_n
+
+
+def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
+    """Before a new experiment nobody knows what the past left."""
+    counts = arm.segment_count, arm.cable_count
+    past = {
+        name: {p.name for p in known_effects()[name].history(*counts)}
+        for name in {term.effect for term in rival}
+    }
+    return {
+        term: value for term, value in rival.items() if term.parameter not in past[term.effect]
+    }
+
+
+def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) -> str:
+    does, floors = parting.trial.block.does, parting.rms_n / floor_n
+    first, others = _name(rivals[0]), _listed(rivals[1:] or [{}])
+    if floors < HIDDEN_FLOORS:
+        return (
+            f"No block of the protocol tells {first} from {others}: with the numbers that were "
+            "fitted, they predict the same readings."
+        )
+    by = (
+        f"by {_short(parting.rms_n)} N, {_short(floors)} times the noise floor, "
+        f"most at {_cables(arm, parting.by_cable_n)}."
+    )
+    if not rivals[0]:
+        text = (
+            "Nothing more needs to be recorded. What may hide below the noise would show most "
+            f"here: {does} With the size that fits best, {others} would change the readings {by}"
+        )
+    elif len(rivals) == 1:
+        text = f"To confirm it: {does} There {first} must change the readings {by}"
+    else:
+        text = f"To tell {first} from {others}: {does} There their predictions part {by}"
+    if floors < SEPARATES_FLOORS:
+        times = int(np.ceil((SEPARATES_FLOORS / floors) ** 2))
+        text += f" Nothing in the protocol shows more: do it {times} times."
+    return text
+
+
+def _cables(arm: Arm, by_cable_n: Array) -> str:
+    most = [k for k in np.argsort(-by_cable_n)[:2] if by_cable_n[k] > 0.5 * by_cable_n.max()]
+    numbers = [arm.cable_names[k].removeprefix("cable_") for k in sorted(most)]
+    return f"cable {numbers[0]}" if len(numbers) == 1 else f"cables {' and '.join(numbers)}"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _listed(rivals: Sequence[Rival]) -> str:
+    names = [_name(rival) for rival in rivals]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def _name(rival: Rival) -> str:
+    effects = sorted({term.effect for term in rival})
+    return " + ".join(name.replace("_", " ") for name in effects) or "the nominal arm"
