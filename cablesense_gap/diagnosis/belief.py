@@ -3,10 +3,10 @@
 The weights fall with a power of what is left beyond the sensors' floor, and by a factor for every
 effect that a hypothesis names:
 
-    log w = -κ log(excess) - τ s - π_k - ν n,    k effects of n sizes in all,
+    log w = -κ log(excess) - τ log(s / m) - π_k - ν n,    k effects of n sizes in all,
 
-with s the tolerances' sum of squares in standard deviations, which is about their number if they
-are what a workshop leaves,
+with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
+what a careful workshop leaves should not have to be many deviations off,
 
 and an effect that nobody listed is the hypothesis that something removes all but a share φ of the
 gap. The few numbers in it are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their
@@ -78,7 +78,7 @@ def beliefs(
     counts = np.array([len(h.effects) for h in hypotheses])
     sizes = np.array([h.sizes for h in hypotheses])
     strains = np.array([h.strain for h in hypotheses])
-    usual = float(len(hypotheses[0].tolerances))
+    usual = max(float(len(hypotheses[0].tolerances)), 1.0)
     weights = log_weights(left, counts, sizes, strains, usual, floor, calibration)
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
@@ -104,8 +104,9 @@ def log_weights(
     least = c.floor_share * floor
     left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
     none = left[np.flatnonzero(counts == 0)[0]]
-    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes + c.strain * strains
+    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
+    penalty += c.strain * np.log(np.maximum(strains / usual_strain, 1.0))
     resolved = np.hypot(excess(0.0, floor), least)
     unknown = -c.power * np.log(max(c.share * none, resolved))
-    unknown -= c.unknown + c.strain * usual_strain
+    unknown -= c.unknown
     return np.append(-c.power * np.log(left) - penalty, unknown)

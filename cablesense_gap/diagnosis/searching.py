@@ -20,8 +20,8 @@ from cablesense_sim.effects.effect import Parameter
 
 _MOST_SINGLES = 4
 _PROMISING = 3.0
-_MOST_PAIRS = 3
-_MOST_DEAR_PAIRS = 1
+_MOST_PAIRS = 8
+_MOST_DEAR_PAIRS = 2
 _RESOLVED = 0.04
 _STEPS, _STEPS_OF_PAIRS, _STEPS_OF_DEAR_PAIRS = 6, 4, 2
 _BARELY = 1.25
@@ -153,11 +153,12 @@ def _pairs(
     dear = 0
     for first, look in looks:
         named = frozenset((*first.effects, look.candidate.effect))
-        dear += look.candidate.remembers
-        if named in names or (look.candidate.remembers and dear > _MOST_DEAR_PAIRS):
+        remembers = look.candidate.remembers or any(_remembers(course, t) for t in first.values)
+        if named in names or (remembers and dear == _MOST_DEAR_PAIRS):
             continue
         if len(names) == _MOST_PAIRS:
             return
+        dear += remembers
         names.add(named)
         yield first, look
 

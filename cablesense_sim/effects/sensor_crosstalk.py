@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from cablesense_sim.effects.effect import Array, Effect, Parameter, Values
+from cablesense_sim.effects.effect import WHOLE_ARM, Array, Effect, Parameter, Values
 from cablesense_sim.effects.sensing import Sensing
 
 
 class SensorCrosstalk(Effect):
-    """Readings of one channel that carry a share of another's tension."""
+    """Readings of one channel that carry a share of another's tension.
+
+    Of the whole arm, every channel leaks into the two that are wired beside it.
+    """
 
     name = "sensor_crosstalk"
     acts_on = "sensor"
@@ -19,11 +22,25 @@ class SensorCrosstalk(Effect):
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         every = range(1, cable_count + 1)
-        return tuple(f"cable_{a}_into_cable_{b}" for a in every for b in every if a != b)
+        pairs = (f"cable_{a}_into_cable_{b}" for a in every for b in every if a != b)
+        return (WHOLE_ARM, *pairs)
 
     def sensing(self, place: str, values: Values) -> Sensing:
+        if place == WHOLE_ARM:
+            return _Neighbours(values["share"])
         source, target = (int(part.rsplit("_", 1)[1]) for part in place.split("_into_"))
         return _Leak(source - 1, target - 1, values["share"])
+
+
+class _Neighbours(Sensing):
+    def __init__(self, share: Array) -> None:
+        self._share = share[:, None]
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        readings = tensions_n.copy()
+        readings[:, 1:] += self._share * tensions_n[:, :-1]
+        readings[:, :-1] += self._share * tensions_n[:, 1:]
+        return readings
 
 
 class _Leak(Sensing):
