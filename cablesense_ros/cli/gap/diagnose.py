@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,14 @@ def diagnose(
         str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
     ] = "cdsm_lab",
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
+    retrain: Annotated[
+        bool,
+        typer.Option(
+            "--retrain",
+            help="Also train force estimators for both arms, and compare them on held-out loads; "
+            "takes minutes.",
+        ),
+    ] = False,
 ) -> None:
     """Tell where the gap lies, which effect makes it, and how far it shrinks with that effect.
 
@@ -34,6 +43,9 @@ def diagnose(
     from cablesense_gap.report.wording import headline
     from cablesense_sim.arm_files import open_arm
 
+    if retrain:  # what it needs is missed now rather than after the diagnosis
+        from cablesense_gap.retraining import estimator_errors
+
     nominal = open_arm(arm)
     recorded = read_recording(recording, nominal)
     console = Console()
@@ -45,6 +57,10 @@ def diagnose(
             progress.update(task, description=doing.replace("_", " "), completed=done)
 
         found = make(recorded, nominal, tell, workers)
+        if retrain:
+            errors = estimator_errors(recorded, nominal, found.amended, tell)
+            verdict = found.verdict.model_copy(update={"estimator": errors})
+            found = replace(found, verdict=verdict)
     write_diagnosis(out, recorded, nominal, found)
     console.print(headline(found.verdict), soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
