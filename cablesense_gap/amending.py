@@ -18,14 +18,14 @@ from cablesense_sim.effects.registry import known_effects
 def amended_arm(
     arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]
 ) -> Arm:
-    """The arm with effects beside those that it lists already; numbers stay in their ranges."""
+    """The arm with effects beside those that it lists already; numbers stay in their ranges.
+
+    It keeps its name: without its effects it is the nominal arm, and whatever was made for that
+    one fits it.
+    """
     counts = arm.segment_count, arm.cable_count
     listed = [*arm.effects, *_listed(values, *counts), *_listed(tolerances, *counts)]
-    return arm.model_copy(update={"name": _amended_name(arm.name), "effects": listed})
-
-
-def _amended_name(name: str) -> str:
-    return name if name.endswith("_amended") else f"{name[:50]}_amended"
+    return arm.model_copy(update={"effects": listed})
 
 
 def _listed(
@@ -51,9 +51,8 @@ def write_arm(path: Path, arm: Arm, heading: str) -> None:
     for effect in content["effects"]:
         if effect["at"] == WHOLE_ARM:
             del effect["at"]
-    content = _plain(content)
     lines = "".join(f"# {line}\n" for line in heading.splitlines())
-    text = lines + yaml.safe_dump(content, sort_keys=False, width=99)
+    text = lines + yaml.safe_dump(_plain(content), sort_keys=False, width=99)
     parse_arm(text, source=str(path))
     path.write_text(text, encoding="utf-8")
 

@@ -31,12 +31,14 @@ def gap_size(
         removed_fraction(before, after, floor_n) for before, after in zip(*sizes, strict=True)
     ]
     low, high = np.quantile(fractions, [0.025, 0.975])
-    whole = [float(np.sqrt(squares.sum() / count.sum())) for squares in per_trial]
+    whole_before, whole_after = (
+        float(np.sqrt(squares.sum() / count.sum())) for squares in per_trial
+    )
     return Gap(
-        before_n=whole[0],
-        after_n=whole[1],
+        before_n=whole_before,
+        after_n=whole_after,
         floor_n=floor_n,
-        removed_fraction=removed_fraction(*whole, floor_n),
+        removed_fraction=removed_fraction(whole_before, whole_after, floor_n),
         ci95=(float(low), float(high)),
         by_cable_n=tuple(float(v) for v in np.sqrt((before_n**2).mean(0))),
     )

@@ -67,9 +67,14 @@ class Simulator(Protocol):
             unit; those of different kinds are given in units of their noise, with a floor of 1.
     """
 
-    candidates: Sequence[Candidate]
-    tolerances: Sequence[Candidate]
-    floor: float
+    @property
+    def candidates(self) -> Sequence[Candidate]: ...  # noqa: D102
+
+    @property
+    def tolerances(self) -> Sequence[Candidate]: ...  # noqa: D102
+
+    @property
+    def floor(self) -> float: ...  # noqa: D102
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, R, C) of P variants, all with the same terms, without noise.

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.evidence import (
@@ -233,7 +234,9 @@ class _Refining:
         )
 
 
-def _held_out(course: Course, linear: _Linear, without: Array, at: Array) -> Array:
+def _held_out(
+    course: Course, linear: _Linear, without: Array, at: NDArray[np.int64]
+) -> Array:
     """(R, C) prediction of each trial by the fit without its fold."""
     columns = np.concatenate([course.tolerance_columns, linear.columns])[at]
     prediction = linear.prediction.copy()
@@ -246,7 +249,7 @@ def _held_out(course: Course, linear: _Linear, without: Array, at: Array) -> Arr
 def _squares(course: Course, residual: Array) -> Array:
     """(T,) sum of squares of a residual (R, C) in each trial, over the rows that count."""
     of_row = (residual**2).sum(-1) * course.used
-    return np.bincount(course.trial, of_row, minlength=len(course.fold))
+    return np.bincount(course.trial, of_row, minlength=len(course.fold)).astype(float)
 
 
 def _spread(
