@@ -19,6 +19,7 @@ def gap_size(
 
     The floor is that of the sensors; what a workshop leaves is in the amended arm's own file.
     """
+    trial = np.unique(trial, return_inverse=True)[1]  # a draw of empty trials has no size
     per_trial = [
         np.bincount(trial, (residual**2).sum(-1)) for residual in (before_n, after_n)
     ]
@@ -46,6 +47,7 @@ def gap_size(
 
 def rmse_interval_n(squares: Array, count: Array) -> tuple[float, float]:
     """95 % interval of the root mean square of squares (T,) of trials, by bootstrap over them."""
+    squares, count = squares[count > 0], count[count > 0]
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(count), (_DRAWS, len(count)))
     sizes = np.sqrt(squares[drawn].sum(-1) / count[drawn].sum(-1))

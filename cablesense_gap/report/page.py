@@ -18,6 +18,7 @@ from cablesense_gap.report.time_figure import time_figure
 from cablesense_gap.report.wording import (
     all_places,
     ambiguity,
+    effect_places,
     headline,
     place_words,
     regime_words,
@@ -104,10 +105,11 @@ def _parameters(verdict: Verdict) -> list[dict[str, str]]:
     for name, estimate in verdict.parameters.items():
         effect, *middle, parameter = name.split(".")
         value, interval = with_interval(estimate)
+        where = middle or effect_places(verdict, effect)
         rows.append(
             {
                 "effect": effect.replace("_", " "),
-                "place": " ".join(middle).replace("_", " "),
+                "place": " ".join(where).replace("_", " "),
                 "parameter": parameter,
                 "value": value,
                 "interval": interval,
