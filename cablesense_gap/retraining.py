@@ -15,7 +15,10 @@ trained on samples with friction instead trusts no reading any more, and misses 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from numpy.typing import NDArray
 
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnose import course_of
+from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.estimator_figures import answered_n, estimator_figures
 from cablesense_gap.fold_refits import found_values, without_fold
 from cablesense_gap.past_replayed import Answering, answers_with_past, arm_alone
@@ -60,11 +64,12 @@ def estimator_errors(
     nominal: Arm,
     amended: Arm,
     tell: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
 ) -> Errors:
     """Errors (`estimator_figures`) at the peaks of the recording's loads, before and after.
 
     Where the amended arm lists no effect beyond tolerances, after is as before. `tell` hears what
-    is under way and which share of it is behind.
+    is under way and which share of it is behind. Folds are shared out to `workers` processes.
 
     Raises:
         RetrainingError: the recording has no load with a tare before it.
@@ -81,19 +86,35 @@ def estimator_errors(
     before = estimator_figures(mechanism, loads, plain)
     if not found_values(nominal, amended):
         return Errors(before=before, after=before)
+    tell("training for the amended arm", 0.1)
     simulator = ArmSimulator(nominal, recording)
     course = course_of(recording, simulator, simulator.predict([{}])[0])
     fold_of_row = course.fold[loads.trial]
-    folds = np.unique(fold_of_row)
+    folds = [int(fold) for fold in np.unique(fold_of_row)]
     answers = np.zeros_like(plain)
-    for done, fold in enumerate(folds):
-        tell("training for the amended arm", (1 + done) / (1 + len(folds)))
-        arm = without_fold(course, int(fold), nominal, amended)
-        answer = _trained(arm_alone(arm), mechanism, recording)
-        own = fold_of_row == fold
-        answers[own] = answers_with_past(recording, arm, answer)[own]
+    answered = partial(_answered, course, recording, nominal, amended)
+    for done, (fold, own) in enumerate(zip(folds, _each(answered, folds, workers), strict=True)):
+        tell("training for the amended arm", (2 + done) / (2 + len(folds)))
+        answers[fold_of_row == fold] = own[fold_of_row == fold]
     tell("trained", 1.0)
     return Errors(before=before, after=estimator_figures(mechanism, loads, answers))
+
+
+def _each(answered: Callable[[int], Array], folds: list[int], workers: int) -> Iterator[Array]:
+    if workers == 1:
+        yield from map(answered, folds)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(answered, folds)
+
+
+def _answered(
+    course: Course, recording: Recording, nominal: Arm, amended: Arm, fold: int
+) -> Array:
+    """Forces (B, N, 3) on all loads, by an estimator for the arm fitted without a fold."""
+    arm = without_fold(course, fold, nominal, amended)
+    answer = _trained(arm_alone(arm), Mechanism.from_arm(nominal), recording)
+    return answers_with_past(recording, arm, answer)
 
 
 def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:

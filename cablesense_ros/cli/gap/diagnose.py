@@ -58,7 +58,7 @@ def diagnose(
 
         found = make(recorded, nominal, tell, workers)
         if retrain:
-            errors = estimator_errors(recorded, nominal, found.amended, tell)
+            errors = estimator_errors(recorded, nominal, found.amended, tell, workers)
             verdict = found.verdict.model_copy(update={"estimator": errors})
             found = replace(found, verdict=verdict)
     write_diagnosis(out, recorded, nominal, found)

@@ -1,0 +1,329 @@
+"""Time and memory of one diagnosis, and of `mujoco.sysid` on the same recording.
+
+    pip install absl-py colorama tabulate     # what mujoco.sysid imports and this project does not
+    python benchmarks/gap_speed.py [--seed 7] [--hidden cable_creep] [--write]
+
+The diagnosis runs as a user runs it, in a process of its own with two workers. `mujoco.sysid`
+fits one candidate after the other, each chosen and written down here by hand, since it neither
+chooses nor knows what does not fit into a MuJoCo model. It gets the cheapest simulation that
+MuJoCo offers: every distinct row once, as a rest, by steps so long that each is one of Newton's.
+Rows where the arm has more than one place to rest count in neither.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import mujoco
+import numpy as np
+from mujoco import sysid
+from numpy.typing import NDArray
+
+from cablesense_gap.diagnose import MOST_SLACK, SLACK_N
+from cablesense_gap.plant.nominal import read_nominal
+from cablesense_gap.plant.withhold import withhold
+from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.verdict import read_verdict
+from cablesense_sim.arm_files import find_arm, open_arm
+from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.model import build_spec
+
+Array = NDArray[np.float64]
+
+RESULTS = Path(__file__).parent / "results" / "gap_speed.json"
+ARM = "cdsm_lab"
+WORKERS = 2
+STEP_S = 0.02
+"""So long that inertia is next to nothing, and short enough that no cable overshoots its slack."""
+MOST_STEPS = 60
+AT_REST_RAD = 1e-7
+DIFF_STEP = 1e-3
+"""The default step of the differences stalls, as contacts and slack make them rough."""
+
+NOT_IN_A_MODEL = {
+    "capstan_friction": "frictionloss creeps at rest; a loop that holds has no attribute",
+    "joint_friction": "frictionloss creeps at rest; a loop that holds has no attribute",
+    "cable_creep": "tendons have no memory",
+    "actuator_backlash": "needs code of one's own between command and actuator",
+    "sensor_gain": "by sysid.apply_gain in a residual of one's own",
+    "sensor_offset": "by sysid.apply_bias in a residual of one's own",
+    "sensor_lag": "sysid.apply_delay delays, but does not smooth",
+    "sensor_drift": "no signal modifier",
+    "sensor_crosstalk": "no signal modifier",
+}
+
+Modifier = Callable[[Any, Any], None]
+
+
+def main() -> None:
+    """Makes the recording, diagnoses it, fits it, prints; keeps the figures with `--write`."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seed", type=int, default=7, help="of the plant")
+    parser.add_argument("--hidden", default="cable_creep", help="what is hidden in the recording")
+    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        answers = folder / "answers" / "answers.csv"
+        nominal = read_nominal(find_arm(ARM))
+        made = withhold(folder, answers, nominal, 1, options.seed, (options.hidden,), 1)
+        paths = list(made)
+        assert len(paths) == 1
+        recording = read_recording(folder / "case_001.csv", open_arm(ARM))
+        truth = next(csv.DictReader(answers.open()))
+        result = {
+            "command": "python " + " ".join(["benchmarks/gap_speed.py", *sys.argv[1:]]),
+            "rows": len(recording),
+            "hidden": {key: truth[key] for key in ("effects", "where", "form", "gap_n")},
+            "diagnosis": _diagnosed(folder / "case_001.csv", folder / "out"),
+            "mujoco_sysid": _fitted(recording),
+        }
+    print(json.dumps(result, indent=1))
+    if options.write:
+        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
+    """Wall seconds and peak memory of the verb, all of its processes together."""
+    command = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+    command += ["gap", "diagnose", str(recording), "--arm", ARM, "--out", str(out)]
+    began, peak_bytes = time.monotonic(), 0
+    with subprocess.Popen(
+        [*command, "--workers", str(WORKERS)], stdout=subprocess.DEVNULL
+    ) as running:
+        while running.poll() is None:
+            peak_bytes = max(peak_bytes, _resident_bytes(running.pid))
+            time.sleep(0.1)
+    seconds = time.monotonic() - began
+    if running.returncode:
+        raise SystemExit(f"the diagnosis ended with {running.returncode}")
+    verdict = read_verdict(out / "verdict.json")
+    return {
+        "workers": WORKERS,
+        "seconds": round(seconds, 1),
+        "peak_memory_mb": round(peak_bytes / 1e6),
+        "candidates": len(verdict.candidates),
+        "effects": list(verdict.effects),
+        "probability": round(verdict.probability, 3),
+        "gap_before_n": round(verdict.gap.before_n, 4),
+        "gap_after_n": round(verdict.gap.after_n, 4),
+        "gap_floor_n": round(verdict.gap.floor_n, 4),
+    }
+
+
+def _resident_bytes(pid: int) -> int:
+    """Of a process and all that it started; pages that they share count in each."""
+    total, open_pids = 0, [pid]
+    page = os.sysconf("SC_PAGE_SIZE")
+    while open_pids:
+        at = Path("/proc") / str(open_pids.pop())
+        try:
+            total += int((at / "statm").read_text().split()[1]) * page
+            for task in (at / "task").iterdir():
+                open_pids += [int(p) for p in (task / "children").read_text().split()]
+        except OSError:  # ended meanwhile
+            continue
+    return total
+
+
+def _fitted(recording: Recording) -> dict[str, Any]:
+    """Every candidate that a MuJoCo model can express, fitted by sysid to all rows."""
+    arm = open_arm(ARM)
+    mechanism = Mechanism.from_arm(arm)
+    rests = _Rests(recording, mechanism)
+    found = {}
+    began = time.monotonic()
+    for name, (parts, modifiers) in _candidates(mechanism).items():
+        start = time.monotonic()
+        rests.calls = 0
+        parameters = sysid.ParameterDict()
+        for part, modifier in modifiers.items():
+            low, high, first = parts
+            parameters.add(sysid.Parameter(part, first, low, high, modifier=modifier))
+        residual = rests.residual_of(build_spec(mechanism, arm.name))
+        _, fit = sysid.optimize(
+            parameters,
+            residual,
+            optimizer="scipy",
+            verbose=False,
+            diff_step=DIFF_STEP,
+            x_scale=parts[1] / 3.0,
+            max_iters=12,
+        )
+        left = residual(fit.x, parameters)[0][0]
+        found[name] = {
+            "parameters": len(modifiers),
+            "seconds": round(time.monotonic() - start, 1),
+            "simulations": rests.calls,
+            "residual_n": round(float(np.sqrt((left**2).mean())), 4),
+            "values": {k: round(float(v), 6) for k, v in zip(modifiers, fit.x, strict=True)},
+        }
+        print(f"sysid {name}: {found[name]}", file=sys.stderr)
+    return {
+        "simulated_rows": rests.count,
+        "residual_nominal_n": round(rests.nominal_n, 4),
+        "seconds": round(time.monotonic() - began, 1),
+        "optimizer": f"scipy, diff_step {DIFF_STEP}, threads 1",
+        "candidates": found,
+        "not_expressible": NOT_IN_A_MODEL,
+    }
+
+
+class _Rests:
+    """The recording's distinct rows, and a residual for sysid: each row a rest of the model."""
+
+    def __init__(self, recording: Recording, mechanism: Mechanism) -> None:
+        flat = np.concatenate(
+            [recording.command_rad, recording.forces_n.reshape(len(recording), -1)], axis=1
+        )
+        _, self._first, self._same = np.unique(
+            flat, axis=0, return_index=True, return_inverse=True
+        )
+        # neighbours in time rest near each other
+        order = np.argsort(self._first)
+        self._first, self._same = self._first[order], np.argsort(order)[self._same]
+        self.count = len(self._first)
+        self.calls = 0
+        self._forces_n = recording.forces_n[self._first]
+        self._held_m = held_lengths_m(mechanism, recording.command_rad[self._first])
+        self._measured = recording.tensions_n
+        self._run_m = mechanism.run_m
+        nominal = self._rests_n(build_spec(mechanism).compile())[self._same]
+        self._used = (nominal < SLACK_N).sum(-1) <= MOST_SLACK
+        self.nominal_n = float(np.sqrt(((nominal - self._measured)[self._used] ** 2).mean()))
+
+    def residual_of(self, spec: mujoco.MjSpec) -> Callable[..., tuple[list[Array], None, None]]:
+        """The function that `sysid.optimize` takes, in newtons; x is (K,) or (K, B)."""
+
+        def residual(x: Array, parameters: Any) -> tuple[list[Array], None, None]:
+            columns = []
+            for values in np.asarray(x).reshape(len(x), -1).T:
+                parameters.update_from_vector(values)
+                model = sysid.apply_param_modifiers(parameters, spec)
+                left = self._rests_n(model)[self._same] - self._measured
+                columns.append(left[self._used].ravel())
+            stacked = np.stack(columns, axis=-1)
+            return [stacked[:, 0] if np.ndim(x) == 1 else stacked], None, None
+
+        return residual
+
+    def _rests_n(self, model: mujoco.MjModel) -> Array:
+        """Tensions (D, M) of the distinct rows."""
+        self.calls += 1
+        model.opt.timestep = STEP_S
+        data = mujoco.MjData(model)
+        segments = range(1, self._forces_n.shape[1] + 1)
+        bodies = np.array([model.body(f"segment_{n}").id for n in segments])
+        sites = np.array([model.site(f"contact_{n}").id for n in segments])
+        tensions = np.empty((self.count, model.ntendon))
+        for row in range(self.count):
+            data.mocap_pos[:, 0] = -self._run_m + self._held_m[row]
+            for _ in range(MOST_STEPS):
+                before = data.qpos.copy()
+                arms = data.site_xpos[sites] - data.xipos[bodies]
+                data.xfrc_applied[bodies, :3] = self._forces_n[row]
+                data.xfrc_applied[bodies, 3:] = np.cross(arms, self._forces_n[row])
+                data.qvel[:] = 0.0
+                mujoco.mj_step(model, data)
+                if np.abs(data.qpos - before).max() < AT_REST_RAD:
+                    break
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_tendon(model, data)
+            stretch = data.ten_length - model.tendon_lengthspring[:, 1]
+            stiffness = model.tendon_stiffness.reshape(model.ntendon, -1)[:, 0]
+            tensions[row] = np.maximum(stiffness * stretch, 0.0)
+        return tensions
+
+
+def _candidates(
+    mechanism: Mechanism,
+) -> dict[str, tuple[tuple[float, float, float], dict[str, Modifier]]]:
+    """By the library's names: range and start of each parameter, and what writes it to a spec."""
+    segments, cables = range(mechanism.segment_count), range(mechanism.cable_count)
+    gravity = float(np.linalg.norm(mechanism.gravity_m_s2))
+    straight_m = mechanism.pretension_n / mechanism.stiffness_n_m
+
+    def mass(n: int) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            spec.body(f"segment_{n + 1}").mass = mechanism.mass_kg[n] + p.value[0]
+
+        return write
+
+    def tilt(axis: int) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            spec.option.gravity[axis] = gravity * np.sin(p.value[0])
+
+        return write
+
+    def stiffness(chosen: list[int]) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            for i in chosen:
+                k = mechanism.cable_stiffness_n_m[i] * (1.0 + p.value[0])
+                cable = spec.tendon(f"cable_{i + 1}")
+                rest = lengths[i] - mechanism.pretension_n[i] / k
+                cable.stiffness = [k, 0.0, 0.0]
+                cable.springlength = [0.0, rest]
+
+        return write
+
+    def pretension(i: int) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            rest = lengths[i] - straight_m[i] - p.value[0] / mechanism.stiffness_n_m[i]
+            spec.tendon(f"cable_{i + 1}").springlength = [0.0, rest]
+
+        return write
+
+    def elasticity(n: int) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            for axis in ("pitch", "yaw"):
+                spec.joint(f"joint_{n + 1}_{axis}").stiffness = [p.value[0], 0.0, 0.0]
+
+        return write
+
+    def contact(n: int) -> Modifier:
+        def write(spec: Any, p: Any) -> None:
+            spec.site(f"contact_{n + 1}").pos = [mechanism.contact_m[n] + p.value[0], 0.0, 0.0]
+
+        return write
+
+    plain = build_spec(mechanism).compile()
+    lengths = plain.tendon_lengthspring[:, 1] + straight_m
+    own = [[i for i in cables if mechanism.cable_segment[i] == n + 1] for n in segments]
+    return {
+        "payload": ((-0.4, 3.0, 0.1), {f"segment_{n + 1}": mass(n) for n in segments}),
+        "base_tilt": ((-0.5, 0.5, 0.01), {"pitch": tilt(0), "roll": tilt(1)}),
+        "cable_stiffness": (
+            (-0.8, 3.0, 0.05),
+            {f"segment_{n + 1}": stiffness(own[n]) for n in segments},
+        ),
+        "pretension_error": (
+            (-40.0, 100.0, 0.5),
+            {f"cable_{i + 1}": pretension(i) for i in cables},
+        ),
+        "joint_elasticity": (
+            (0.0, 100.0, 1.0),
+            {f"joint_{n + 1}": elasticity(n) for n in segments},
+        ),
+        "contact_offset": (
+            (-0.06, 0.06, 0.002),
+            {f"segment_{n + 1}": contact(n) for n in segments},
+        ),
+    }
+
+
+if __name__ == "__main__":
+    main()
