@@ -179,3 +179,9 @@ def test_a_long_recording_is_drawn_small_and_soon():
     )
     assert len(html) < 3_000_000
     assert f"{len(many):,} rows" in html
+
+
+def test_a_number_of_the_only_place_is_shown_with_that_place():
+    alone = {"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))}
+    page = report_page(inputs_of(PAYLOAD.model_copy(update={"parameters": alone})))
+    assert "<td>segment 2</td><td>mass_kg</td>" in page

@@ -157,9 +157,10 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
             f"the command bends a joint so far in {rows_named(bent)} that guide plates meet, at "
             f"{np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
         )
-    speed = np.abs(np.diff(command, axis=0)).max(axis=1) / np.diff(recording.time_s)
+    moved_rad = np.abs(np.diff(command, axis=0)).max(axis=1)
+    fast = moved_rad > FASTEST_RAD_S * np.diff(recording.time_s)
     # over a break between trials the arm had all the time it needed
-    jump = np.concatenate([[False], (speed > FASTEST_RAD_S) & (np.diff(recording.trial) == 0)])
+    jump = np.concatenate([[False], fast & (np.diff(recording.trial) == 0)])
     if jump.any():
         yield warn(
             "jump",

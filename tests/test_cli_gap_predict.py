@@ -1,0 +1,94 @@
+"""`cablesense gap predict`: what an arm's sensors would have read, from commands and loads alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_recordings import LAB, small_recording
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from cablesense_gap.amending import amended_arm, write_arm
+from cablesense_gap.recordings.csv_file import read_csv, write_csv
+from cablesense_gap.simulator import Term
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.cli.app import app
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.replay import replay_arm
+
+COURSE = small_recording(peak_n=20.0).rows(slice(0, 80))
+FOUND = {
+    Term("payload", "segment_2", "mass_kg"): 0.4,
+    Term("capstan_friction", "arm", "coefficient"): 0.05,
+    Term("sensor_gain", "cable_3", "gain"): 0.05,
+}
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["gap", "predict", *map(str, arguments)])
+
+
+@pytest.fixture
+def recording(tmp_path):
+    path = tmp_path / "new.csv"
+    noise_n = np.random.default_rng(0).normal(0.0, 5.0, COURSE.tensions_n.shape)
+    write_csv(path, replace(COURSE, tensions_n=COURSE.tensions_n + noise_n))
+    return path
+
+
+def test_the_nominal_arm_gives_the_nominal_prediction(recording, tmp_path):
+    out = tmp_path / "predicted.csv"
+    result = run(recording, "--arm", "cdsm_lab", "--out", out)
+    assert result.exit_code == 0, result.output
+    nominal = solve_equilibrium(Mechanism.from_arm(LAB), COURSE.command_rad, COURSE.forces_n)
+    assert_allclose(read_csv(out, LAB).tensions_n, nominal.tensions_n, atol=1e-3)
+
+
+def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
+    arm, out = tmp_path / "arm.yaml", tmp_path / "predicted.csv"
+    amended = amended_arm(LAB, FOUND, {})
+    write_arm(arm, amended, "made for this test")
+    result = run(recording, "--arm", arm, "--out", out)
+    assert result.exit_code == 0, result.output
+    wanted = replay_arm(amended, COURSE.time_s, COURSE.command_rad, COURSE.forces_n)
+    assert_allclose(read_csv(out, LAB).tensions_n, wanted, atol=1e-3)
+
+
+def test_the_rows_are_those_of_the_recording(recording, tmp_path):
+    out = tmp_path / "predicted.csv"
+    run(recording, "--out", out)
+    read, predicted = read_csv(recording, LAB), read_csv(out, LAB)
+    for name in ("time_s", "trial", "command_rad", "load_segment", "load_n"):
+        assert_allclose(getattr(predicted, name), getattr(read, name))
+    assert recording.read_text().splitlines()[0] == out.read_text().splitlines()[0]
+
+
+def test_what_was_read_does_not_matter(recording, tmp_path):
+    """Nothing of the readings may leak into the prediction of them."""
+    other = tmp_path / "other.csv"
+    write_csv(other, replace(COURSE, tensions_n=7.0 + 0.0 * COURSE.tensions_n))
+    found = []
+    for path in (recording, other):
+        out = tmp_path / f"{path.stem}_predicted.csv"
+        run(path, "--out", out)
+        found.append(out.read_text())
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("arm", "out", "says"),
+    [
+        ("cdsm_table2", "p.csv", "tension_1_n … tension_9_n"),
+        ("nonsense", "p.csv", "bundled arms are"),
+        ("cdsm_lab", "no/such/p.csv", "cannot be written"),
+    ],
+)
+def test_what_cannot_be_is_one_line(recording, tmp_path, arm, out, says):
+    result = run(recording, "--arm", arm, "--out", tmp_path / out)
+    assert isinstance(result.exception, CableSenseError)
+    assert says in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert not (tmp_path / out).exists()
