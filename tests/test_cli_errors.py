@@ -11,10 +11,13 @@ import time
 import pytest
 from typer.testing import CliRunner
 
+from cablesense_gap.recordings.columns import all_columns
 from cablesense_ros.cli.app import app
+from cablesense_sim.arm_files import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
-VERBS = ("demo", "dataset", "train", "evaluate", "info")
+VERBS = ("demo", "dataset", "train", "evaluate", "info", "gap")
+GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
 
 
 def run(*arguments, **options):
@@ -36,11 +39,24 @@ def test_every_verb_explains_itself(verb):
     assert len(result.output.splitlines()) > 8
 
 
+def test_help_of_the_diagnosis_names_every_verb():
+    result = CliRunner().invoke(app, ["gap", "--help"])
+    assert result.exit_code == 0
+    assert all(re.search(rf"\b{verb}\b", result.output) for verb in GAP_VERBS)
+
+
+@pytest.mark.parametrize("verb", GAP_VERBS)
+def test_every_verb_of_the_diagnosis_explains_itself(verb):
+    result = CliRunner().invoke(app, ["gap", verb, "--help"])
+    assert result.exit_code == 0
+    assert "Example" in result.output
+
+
 def test_help_loads_neither_ros_nor_torch_nor_the_page():
     code = (
         "import sys; from cablesense_ros.cli.app import app;"
-        "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib')"
-        " if m in sys.modules))"
+        "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib',"
+        " 'pandas', 'rosbags', 'jinja2', 'scipy') if m in sys.modules))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout.strip() == ""
@@ -62,6 +78,12 @@ def test_version_is_shown():
         (["demo", "--arm", "nonsense"], "bundled arms are cdsm"),
         (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
         (["demo", "--out", "/proc/none"], "give another --out"),
+        (["gap", "diagnose", "missing.csv", "--out", "d"], "missing.csv: no such"),
+        (["gap", "diagnose", "missing.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
+        (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
+        (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
+        (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
+        (["gap", "record", "--arm", "nonsense", "--out", "r.mcap"], "bundled arms are cdsm"),
     ],
 )
 def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, tmp_path):
@@ -141,7 +163,7 @@ def child_pids(pid):
         return [int(child) for child in children.read().split()]
 
 
-WITHOUT = """
+BLOCKED = """
 import sys
 missing = sys.argv.pop(1).split(',')
 class Absent:
@@ -149,15 +171,15 @@ class Absent:
         if name.split('.')[0] in missing:
             raise ModuleNotFoundError(f'No module named {name!r}', name=name)
 sys.meta_path.insert(0, Absent())
-from cablesense_ros.cli.app import main
-main()
 """
-"""The command in a process where the libraries named first are not installed."""
+"""The beginning of a program for which the libraries named first are not installed."""
+
+COMMAND_TEXT = "from cablesense_ros.cli.app import main\nmain()\n"
 
 
-def run_without(libraries, *arguments):
+def run_without(libraries, *arguments, program=COMMAND_TEXT):
     return subprocess.run(
-        [sys.executable, "-c", WITHOUT, libraries, *arguments],
+        [sys.executable, "-c", BLOCKED + program, libraries, *arguments],
         capture_output=True,
         text=True,
         timeout=60,
@@ -170,6 +192,30 @@ def test_a_library_that_is_not_installed_is_named_with_the_remedy():
     assert len(result.stderr.strip().splitlines()) == 1
     assert "package torch" in result.stderr
     assert "make setup" in result.stderr
+
+
+def test_a_diagnosis_says_which_library_it_lacks(tmp_path):
+    path = tmp_path / "recording.csv"
+    arm = open_arm("cdsm_lab")
+    names = all_columns(arm.joint_count, arm.cable_count)
+    path.write_text(f"{','.join(names)}\n{','.join('0' for _ in names)}\n")
+    result = run_without("pandas", "gap", "predict", str(path), "--out", str(tmp_path / "p.csv"))
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "package pandas" in result.stderr
+
+
+GAP_LIBRARIES = "pandas,rosbags,jinja2"
+
+
+def test_what_is_no_diagnosis_needs_none_of_its_libraries(tmp_path):
+    assert run_without(GAP_LIBRARIES, "--help").returncode == 0
+    assert run_without(GAP_LIBRARIES, "gap", "--help").returncode == 0
+    result = run_without(GAP_LIBRARIES, "info", "cdsm_lab", "--json")
+    assert result.returncode == 0, result.stderr
+    modules = "cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo.run"
+    loaded = run_without(GAP_LIBRARIES, program=f"import {modules}")
+    assert loaded.returncode == 0, loaded.stderr
 
 
 def test_evaluation_needs_no_library_for_files():

@@ -65,7 +65,7 @@ def main() -> None:
     except ModuleNotFoundError as error:
         print(
             f"cablesense: this needs the Python package {error.name}, which is not installed; in "
-            "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train]'",
+            "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train,gap]'",
             file=sys.stderr,
         )
         sys.exit(EXIT_WRONG_INPUT)
