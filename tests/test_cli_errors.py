@@ -79,7 +79,7 @@ def test_version_is_shown():
         (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
         (["demo", "--out", "/proc/none"], "give another --out"),
         (["gap", "diagnose", "missing.csv", "--out", "d"], "missing.csv: no such"),
-        (["gap", "diagnose", "missing.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
+        (["gap", "diagnose", "r.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
         (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
         (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
         (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),

@@ -1,4 +1,4 @@
-"""`cablesense gap predict`: what an arm's sensors would have read, from commands and loads alone."""
+"""`cablesense gap predict`: what sensors would have read, from commands and loads alone."""
 
 from __future__ import annotations
 
