@@ -100,7 +100,6 @@ def test_some_columns_have_the_products_of_these_columns():
     np.testing.assert_allclose(some.moment, expected.moment)
 
 
-@pytest.mark.xfail(reason="products cannot take empty columns")
 def test_without_columns_all_is_left():
     x, y, trial, used = drawn(5)
     data = products(x[:0], y, trial, used)

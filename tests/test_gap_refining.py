@@ -189,7 +189,6 @@ def test_intervals_of_a_nonlinear_effect_hold_the_truth():
     assert (coverage(fading("fading", ["x"]), truth, scatter(0.05)) >= COVERED).all()
 
 
-@pytest.mark.xfail(reason="the spread leaves out how open the tolerances are")
 def test_intervals_allow_for_tolerances_that_look_alike():
     """An offset is only known up to the zero that a workshop leaves of the same sensor."""
     alike = linear("gain", ["a"], np.ones((1, *SIGNALS[0].shape)))
