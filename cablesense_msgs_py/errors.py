@@ -16,7 +16,7 @@ turn it into one line and a node into one log message::
     ├── VerdictError        a verdict that cannot be               cablesense_gap.verdict
     ├── ScoreError          what cannot be scored                  cablesense_gap.scoring
     ├── ReportError         a report that cannot be written        cablesense_gap.report
-    ├── RetrainingError     loads that no estimator can be judged on  cablesense_gap.retraining
+    ├── RetrainingError     no loads to judge an estimator by      cablesense_gap.retraining
     ├── PlantError          a plant that cannot be built or run    cablesense_gap.plant
     ├── ParameterError      a node parameter out of place          cablesense_ros
     ├── SampleError         a sample that is of no use             cablesense_ros
