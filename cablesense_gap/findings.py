@@ -60,19 +60,18 @@ def estimates(
     deviations: Mapping[Term, float],
     candidates: tuple[Candidate, ...],
 ) -> dict[str, Estimate]:
-    """Numbers with units and intervals; the place is in the name where there are several."""
-    units = {(c.effect, p.name): p.unit for c in candidates for p in c.parameters}
-    places = {effect: {t.place for t in values if t.effect == effect} for effect in _names(values)}
+    """Numbers with units, and intervals within what is plausible.
+
+    The place is in the name where there are several, of one effect or of two.
+    """
+    known = {(c.effect, p.name): p for c in candidates for p in c.parameters}
+    single = len({(term.effect, term.place) for term in values}) == 1
     found = {}
     for term, value in values.items():
-        single = len(places[term.effect]) == 1
-        name = f"{term.effect}.{term.parameter}" if single else str(term)
-        half = deviations[term]
-        found[name] = Estimate(
-            value=value, unit=units[term.effect, term.parameter], ci95=(value - half, value + half)
+        parameter, half = known[term.effect, term.parameter], deviations[term]
+        found[f"{term.effect}.{term.parameter}" if single else str(term)] = Estimate(
+            value=value,
+            unit=parameter.unit,
+            ci95=(max(value - half, parameter.low), min(value + half, parameter.high)),
         )
     return found
-
-
-def _names(values: Mapping[Term, float]) -> set[str]:
-    return {term.effect for term in values}

@@ -70,6 +70,6 @@ def test_of_a_leak_the_channel_is_named_that_it_comes_from():
 def test_numbers_have_units_and_intervals_and_the_place_where_there_are_several():
     values = {amount("a", "heavy"): 2.0, amount("a"): 1.0, amount("b"): -1.0}
     found = estimates(values, dict.fromkeys(values, 0.5), (LEAK, HEAVY))
-    assert list(found) == ["heavy.amount", "leak.a.amount", "leak.b.amount"]
-    assert found["heavy.amount"].ci95 == pytest.approx((1.5, 2.5))
+    assert list(found) == ["heavy.a.amount", "leak.a.amount", "leak.b.amount"]
+    assert found["heavy.a.amount"].ci95 == pytest.approx((1.5, 2.5))
     assert found["leak.b.amount"].unit == "1"
