@@ -39,12 +39,21 @@ class ArmSimulator:
         self._replay = Replay(
             arm, recording.time_s, recording.command_rad, recording.forces_n
         )
+        self._nominal_n: Array | None = None
         self._shape = recording.tensions_n.shape
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """Readings (P, R, M), N."""
+        """Readings (P, R, M), N.
+
+        Samples that the real arm has borne and a variant cannot are predicted as the nominal arm
+        bears them: they speak against the variant, and do not hide the others.
+        """
+        if self._nominal_n is None and any(variants):
+            self._nominal_n = self.predict([{}])[0]
+        known = self._nominal_n
+        borne = known if known is not None and np.isfinite(known).all() else None
         try:
-            return self._replay.readings_n([self._entries(variant) for variant in variants])
+            return self._replay.readings_n([self._entries(v) for v in variants], borne)
         except EquilibriumError:
             if len(variants) == 1:
                 return np.full((1, *self._shape), np.nan)

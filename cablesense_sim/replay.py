@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.chains import actuations, amended, memories, sensings
 from cablesense_sim.effects.entry import EffectEntry, entries_of
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.equilibrium import (
+    Equilibrium,
+    EquilibriumError,
+    held_lengths_m,
+    solve_equilibrium,
+)
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
 
@@ -43,8 +48,13 @@ class Replay:
         )
         self._start_rad: Array | None = None
 
-    def readings_n(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
+    def readings_n(
+        self, variants: Sequence[Sequence[EffectEntry]], unborne_n: Array | None = None
+    ) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
+
+        Where `unborne_n` (R, M) is given, it stands for the tensions of samples that an arm
+        without memory cannot bear.
 
         Raises:
             EquilibriumError: an arm finds no rest.
@@ -62,7 +72,7 @@ class Replay:
             )
         else:
             tensions = np.stack(
-                [self._at_rest_n(m, held[p]) for p, m in enumerate(mechanisms)]
+                [self._at_rest_n(m, held[p], unborne_n) for p, m in enumerate(mechanisms)]
             )
         return self._sensed_n(variants, tensions)
 
@@ -73,22 +83,30 @@ class Replay:
                 held[:, row] = actuation.step(time, held[:, row])
         return held
 
-    def _at_rest_n(self, mechanism: Mechanism, held_m: Array) -> Array:
+    def _at_rest_n(
+        self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None
+    ) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
         first, same = self._first, self._same
         if not np.array_equal(held_m, held_m[first][same]):
             first = same = np.arange(len(held_m))
         start = self.command_rad[first] if self._start_rad is None else self._start_rad[first]
-        rest = solve_equilibrium(
-            mechanism,
-            self.command_rad[first],
-            self.forces_n[first],
-            held_m=held_m[first],
-            start_rad=start,
-        )
-        if self._start_rad is None:
+        cases = (self.command_rad[first], self.forces_n[first], held_m[first], start)
+        borne = np.ones(len(first), dtype=bool)
+        try:
+            rest = _rest(mechanism, *cases)
+        except EquilibriumError as error:
+            if unborne_n is None or not error.failed.size:
+                raise
+            borne[error.failed] = False
+            rest = _rest(mechanism, *(case[borne] for case in cases))
+        tensions = np.empty((len(first), mechanism.cable_count))
+        tensions[borne] = rest.tensions_n
+        if unborne_n is not None:
+            tensions[~borne] = unborne_n[first][~borne]
+        elif self._start_rad is None:
             self._start_rad = rest.joint_angles_rad[same]
-        return rest.tensions_n[same]
+        return np.asarray(tensions[same])
 
     def _sensed_n(self, variants: Sequence[Sequence[EffectEntry]], tensions: Array) -> Array:
         readings = tensions
@@ -96,6 +114,12 @@ class Replay:
             read = [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)]
             readings = np.stack(read, axis=1)
         return readings
+
+
+def _rest(
+    mechanism: Mechanism, command: Array, forces: Array, held_m: Array, start: Array
+) -> Equilibrium:
+    return solve_equilibrium(mechanism, command, forces, held_m=held_m, start_rad=start)
 
 
 def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> Array:
