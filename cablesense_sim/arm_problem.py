@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import reprlib
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -110,7 +110,10 @@ def _is_of_the_branch_meant(problem: Any) -> bool:
 def _keys_of(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     model = root
     for part in location:
+        if isinstance(part, int):  # an item of a list, whose type has been taken already
+            continue
         annotation = model.model_fields[str(part)].annotation
+        annotation = next(iter(get_args(annotation)), annotation)
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             break
         model = annotation
