@@ -88,6 +88,7 @@ def main() -> None:
             "hurt": len(worst),
             "cases": {},
         }
+        LOG.print(f"{len(worst)} of {options.count} are hurt: {', '.join(worst)}")
         for case in worst[: options.most]:
             result["cases"][case] = _case(hurt[case][1], arm, answers[case], options.workers)
             print(json.dumps({case: result["cases"][case]}, indent=1), flush=True)

@@ -87,6 +87,7 @@ def main() -> None:
         truth = next(csv.DictReader(answers.open()))
         result = {
             "command": "python " + " ".join(["benchmarks/gap_speed.py", *sys.argv[1:]]),
+            "load_average_before": [round(load, 1) for load in os.getloadavg()],
             "rows": len(recording),
             "hidden": {key: truth[key] for key in ("effects", "where", "form", "gap_n")},
             "diagnosis": _diagnosed(folder / "case_001.csv", folder / "out"),
