@@ -19,7 +19,10 @@ from cablesense_gap.recordings.protocol import standard_protocol
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import Arm
+from cablesense_sim.effects.entry import entries_of
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.replay import Replay
 
 Array = NDArray[np.float64]
 Rival = Mapping[Term, float]
@@ -94,7 +97,7 @@ def next_experiment(
 
     Raises:
         ValueError: no rival is given.
-        EquilibriumError: the nominal arm finds no rest.
+        EquilibriumError: the nominal arm finds no rest in the standard protocol.
     """
     if not rivals:
         raise ValueError("no explanation is given; at least one is needed")
@@ -141,14 +144,19 @@ def _furthest(trials: Sequence[_Tried], floor_n: float) -> _Parting | None:
 
 def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
     """None where an explanation cannot be simulated, or the arm has more than one rest."""
-    simulator = ArmSimulator(arm, _recorded(arm, block, rate_hz))
-    predicted = [simulator.predict([rival])[0] for rival in rivals]
+    recorded = _recorded(arm, block, rate_hz)
+    replay = Replay(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
+    listed = entries_of(arm)
+    try:
+        predicted = [replay.readings_n([[*listed, *entries_from(r)]])[0] for r in rivals]
+    except EquilibriumError:
+        return None
     slack = [(p < _SLACK_N).sum(-1) > _MOST_SLACK for p in predicted]
     used = ~np.any(slack, axis=0)
     if not all(np.isfinite(p).all() for p in predicted) or not used.any():
         return None
     apart = tuple((predicted[0] - other)[used] for other in predicted[1:])
-    return _Tried(block, simulator, used, apart)
+    return _Tried(block, ArmSimulator(arm, recorded), used, apart)
 
 
 def _parting(trial: _Tried, tolerances: Array, free_constants: bool) -> _Parting:

@@ -1,0 +1,111 @@
+"""The experiment that tells explanations apart, where physics says which one must."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from gap_recordings import LAB
+
+from cablesense_gap.experiments import Experiment, next_experiment
+from cablesense_gap.recordings.block import BlockKind
+from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_gap.simulator import Term
+from cablesense_sim.sensors import reading_variance_n2
+
+FLOOR_N = float(np.sqrt(reading_variance_n2(LAB.sensors)))
+BLOCKS = standard_protocol(LAB)
+
+CREEP = {Term("cable_creep", "arm", "share"): 0.3}
+PAYLOAD = {Term("payload", "segment_4", "mass_kg"): 0.4}
+SPRING = {Term("joint_elasticity", "joint_2", "stiffness_n_m_rad"): 10.0}
+CONTACT = {Term("contact_offset", "segment_3", "offset_m"): 0.03}
+GAIN = {Term("sensor_gain", "cable_5", "gain"): 0.08}
+OFFSET = {Term("sensor_offset", "cable_5", "offset_n"): 3.0}
+
+
+def first(kind: BlockKind, said: str = "") -> int:
+    return next(k for k, b in enumerate(BLOCKS) if b.kind is kind and said in b.does)
+
+
+REST = BLOCKS[first(BlockKind.REST)]
+LOADED = tuple(BLOCKS[first(BlockKind.LOAD_CYCLE, f"segment {n} to the left")] for n in (3, 4))
+HOLD = BLOCKS[first(BlockKind.HOLD)]
+SWEEP = BLOCKS[first(BlockKind.SWEEP, "joint_2_yaw")]
+FEW = (REST, *LOADED, SWEEP)
+
+
+@cache
+def asked(*rivals: int) -> Experiment:
+    every = ({}, PAYLOAD, SPRING, CONTACT, GAIN, OFFSET)
+    return next_experiment(LAB, [every[k] for k in rivals], FLOOR_N, FEW)
+
+
+def test_a_spring_in_a_joint_shows_when_that_joint_moves():
+    assert asked(2).block == SWEEP.does
+    assert asked(2).text.startswith(f"To confirm it: {SWEEP.does} There joint elasticity must")
+
+
+def test_a_contact_that_is_off_shows_under_loads_on_that_segment():
+    assert asked(3).block == LOADED[0].does
+
+
+def test_what_confirms_either_tells_them_apart():
+    found = asked(2, 3)
+    assert found.block in (SWEEP.does, LOADED[0].does)
+    assert found.over_floor > 5.0
+    assert found.text.startswith("To tell joint elasticity from contact offset: ")
+
+
+def test_sizes_are_said_as_they_are():
+    found = asked(2)
+    assert found.over_floor == pytest.approx(found.separation_n / FLOOR_N)
+    assert f"{found.over_floor:.0f} times the noise floor, most at cable" in found.text
+
+
+def test_the_nearest_of_several_rivals_counts():
+    found = next_experiment(LAB, [SPRING, CONTACT, PAYLOAD], FLOOR_N, [SWEEP])
+    alone = [next_experiment(LAB, [SPRING, r], FLOOR_N, [SWEEP]) for r in (CONTACT, PAYLOAD)]
+    assert found.separation_n == pytest.approx(min(each.separation_n for each in alone))
+    assert "from contact offset or payload" in found.text
+
+
+def test_a_constant_is_not_told_by_what_every_recording_is_fitted_to():
+    """An offset shows at rest already; a gain is told from it by loads alone."""
+    assert asked(5).block == REST.does
+    assert asked(4, 5).block in {block.does for block in LOADED}
+    assert asked(4, 5).text.endswith("most at cable 5.")
+
+
+def test_creep_shows_in_a_long_hold():
+    found = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
+    assert found.block == HOLD.does
+
+
+def test_an_effect_with_itself_is_told_by_nothing():
+    found = next_experiment(LAB, [PAYLOAD, PAYLOAD], FLOOR_N, LOADED)
+    assert found.text.startswith("No block of the protocol tells payload from payload")
+    assert found.separation_n == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_hides_below_the_floor_is_said_and_how_often_to_repeat():
+    slight = {Term("contact_offset", "segment_3", "offset_m"): 0.002}
+    found = next_experiment(LAB, [{}, slight], FLOOR_N, LOADED)
+    assert 0.1 < found.over_floor < 1.0
+    assert found.text.startswith("Nothing more needs to be recorded.")
+    assert f"do it {int(np.ceil(found.over_floor**-2))} times" in found.text
+
+
+def test_without_an_effect_nothing_is_needed():
+    assert next_experiment(LAB, [{}], FLOOR_N) == Experiment("No further experiment is needed.")
+
+
+def test_numbers_that_cannot_be_simulated_are_no_experiment():
+    heavy = {Term("payload", "segment_4", "mass_kg"): 500.0}
+    assert "can be simulated" in next_experiment(LAB, [heavy], FLOOR_N, LOADED).text
+
+
+def test_no_explanation_is_refused():
+    with pytest.raises(ValueError, match="no explanation is given"):
+        next_experiment(LAB, [], FLOOR_N)
