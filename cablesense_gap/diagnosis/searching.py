@@ -110,15 +110,19 @@ def _forecast(look: Look, floor: float) -> float:
 
 
 def _promising(looks: list[Look], floor: float, barely: bool) -> Iterator[Look]:
-    """Looks that a fit may yet bring to the front; those of effects that remember most of all."""
-    if looks:
-        best = min(excess(look.placed.mean_square, floor) for look in looks)
-        for rank, look in enumerate(looks):
-            dear = look.candidate.remembers
-            if (rank < _MOST_SINGLES or (dear and not barely)) and (
-                excess(look.placed.mean_square, floor) <= _PROMISING * best
-            ):
-                yield replace(look, most_left=(_HOPELESS * best) ** 2 + floor**2)
+    """Looks that a fit may yet bring to the front.
+
+    What is linear about the nominal mechanism is a poor guide to effects that remember: these are
+    tried beside the others, and do not crowd them out by what they promise.
+    """
+    plain = [look for look in looks if not look.candidate.remembers]
+    best = min((excess(look.placed.mean_square, floor) for look in plain or looks), default=0.0)
+    chosen = plain[:_MOST_SINGLES]
+    if not barely:
+        chosen += [look for look in looks if look.candidate.remembers]
+    for look in chosen:
+        if excess(look.placed.mean_square, floor) <= _PROMISING * best:
+            yield replace(look, most_left=(_HOPELESS * best) ** 2 + floor**2)
 
 
 def _looks(
