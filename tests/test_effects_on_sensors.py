@@ -47,7 +47,16 @@ def test_crosstalk_goes_one_way() -> None:
     leak = entry("sensor_crosstalk", "cable_7_into_cable_3", share=0.05)
     read = sensed([leak], tensions, times)[0]
     np.testing.assert_allclose(read, tensions + 0.05 * tensions[:, 6:7] * THIRD)
-    assert len(leak.effect.places(4, 12)) == 12 * 11
+    assert len(leak.effect.places(4, 12)) == 1 + 12 * 11
+
+
+def test_crosstalk_of_the_whole_arm_is_between_neighbours() -> None:
+    times = np.array([0.0])
+    tensions = np.zeros((1, 1, 12))
+    tensions[..., 6] = 40.0
+    read = sensed([entry("sensor_crosstalk", "arm", share=0.05)], tensions[0], times)[0]
+    np.testing.assert_allclose(read[0, [5, 6, 7]], [2.0, 40.0, 2.0])
+    np.testing.assert_allclose(np.delete(read[0], [5, 6, 7]), 0.0)
 
 
 def test_a_drift_rises_evenly_within_each_interval_and_then_stands() -> None:
