@@ -64,7 +64,7 @@ def search(
             tell(candidate.effect, 0.4 * k / len(candidates))
             offered[candidate.effect] = candidate, every
             looks += _looks(course, candidate, every, residual, nothing)
-        looks.sort(key=lambda look: _forecast(look, course.floor))
+        looks.sort(key=lambda look: _forecast(look, course.floor, len(course.tolerance_terms)))
         barely = none.held_out_rmse <= _BARELY * course.floor
         promising = list(_promising(looks, course.floor, barely))
         singles: list[Hypothesis] = []
@@ -103,10 +103,11 @@ def _is_resolved(best: Hypothesis, none: Hypothesis, floor: float) -> bool:
     return left <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
 
-def _forecast(look: Look, floor: float) -> float:
+def _forecast(look: Look, floor: float, tolerances: int) -> float:
     """Small where little is left and tolerances need not help; weighed as in the belief."""
     left = excess(look.placed.mean_square, floor)
-    return 4.0 * float(np.log(left)) + 0.1 * look.placed.strain
+    usual = max(tolerances, 1)
+    return 4.0 * float(np.log(left)) + 1.4 * float(np.log(max(look.placed.strain / usual, 1.0)))
 
 
 def _promising(looks: list[Look], floor: float, barely: bool) -> Iterator[Look]:
@@ -152,7 +153,7 @@ def _pairs(
                 continue
             found = _looks(course, candidate, every, residual, first.columns)
             looks += [(first, look) for look in found[:1]]
-    looks.sort(key=lambda pair: _forecast(pair[1], course.floor))
+    looks.sort(key=lambda pair: _forecast(pair[1], course.floor, len(course.tolerance_terms)))
     names: set[frozenset[str]] = set()
     dear = 0
     for first, look in looks:
