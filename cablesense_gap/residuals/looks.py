@@ -13,7 +13,7 @@ from cablesense_gap.residuals.cable_sets import MODES
 from cablesense_gap.residuals.decomposition import CABLE, LOOP, SET, Decomposition, decompose
 from cablesense_gap.residuals.periodic import periodic
 from cablesense_gap.residuals.row_groups import LEVEL
-from cablesense_gap.residuals.sudden import spikes, steps
+from cablesense_gap.residuals.sudden import jumps, steps
 from cablesense_sim.arm import Arm
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def _cables(parts: Decomposition) -> str:
             f"It is in all cables: {ranked[-1].rms_n:.2g} to {ranked[0].rms_n:.2g} N RMS, with a "
             f"noise floor of {parts.floor_n:.2g} N."
         )
-    numbers = [f"{p.member.replace('_', ' ')} ({p.rms_n:.2g} N RMS)" for p in ranked[:few]]
+    numbers = [f"{_plain(p.member)} ({p.rms_n:.2g} N RMS)" for p in ranked[:few]]
     share = square[:few].sum() / square.sum()
     return f"{share:.0%} of its square is in {_and(numbers)}."
 
@@ -94,10 +94,10 @@ def _modes(parts: Decomposition) -> Iterator[str]:
 def _goes_with(found: Discrepancy) -> Iterator[str]:
     group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
     if share >= GOES_WITH:
-        first = f", {found.foremost[0].replace('_', ' ')} first" if found.foremost else ""
+        first = f", most plainly with {_plain(found.foremost[0])}" if found.foremost else ""
         yield (
-            f"It goes with {_GROUPS.get(group, group)}{first}: that alone predicts {share:.0%} of "
-            "it where a flexible model was not fitted."
+            f"It goes with {_GROUPS.get(group, group)}: that alone predicts {share:.0%} of it "
+            f"where a flexible model was not fitted{first}."
         )
     elif found.explained_share < REPEATS:
         yield (
@@ -130,17 +130,17 @@ def _waves(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     if wave.unit == "rad":
         yield (
             f"It repeats every {np.rad2deg(wave.period):.2g} degrees of "
-            f"{wave.along.replace('_', ' ')}, as teeth or notches would make it."
+            f"{_plain(wave.along)}, as teeth or notches would make it."
         )
     else:
         yield (
-            f"It repeats every {1e3 * wave.period:.2g} mm of {wave.along.replace('_', ' ')}, as a "
-            "screw, a gear or a drum would make it."
+            f"It repeats every {1e3 * wave.period:.2g} mm of cable, most in {_plain(wave.along)}, "
+            "as a screw, a gear or a drum would make it."
         )
 
 
 def _sudden(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
-    names = [name.replace("_", " ") for name in arm.cable_names]
+    names = [_plain(name) for name in arm.cable_names]
     found = steps(recording, residual_n, floor_n)
     if found:
         listed = [
@@ -149,13 +149,19 @@ def _sudden(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -
         yield (
             f"It comes at once and stays: {_and(listed)}. Look for what slipped or was moved then."
         )
-    far = spikes(recording, residual_n, floor_n)
-    if far:
-        listed = [f"{s.count} in {names[s.channel]} (of about {s.size_n:.2g} N)" for s in far[:3]]
+    often = jumps(recording, residual_n, floor_n)
+    if often:
+        listed = [
+            f"{j.count} times in {names[j.channel]} (by {j.size_n:.2g} N)" for j in often[:3]
+        ]
         yield (
-            f"Single rows are far off: {_and(listed)}. Look at the sensor, its wiring and its "
-            "electronics before the arm."
+            f"It jumps while nothing moves: {_and(listed)}. Look at sensors, their wiring and "
+            "their electronics, and for what snaps or sticks."
         )
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _and(items: list[str]) -> str:
