@@ -54,6 +54,14 @@ def test_the_screw_of_a_cable():
     assert found.period == pytest.approx(0.004, rel=0.08)
 
 
+def test_screws_of_several_cables_that_are_alike():
+    turns = 2.0 * np.pi * LENGTH_M / 0.003
+    found = wave_in(np.sin(turns) * np.where(np.isin(np.arange(12), [1, 4, 9]), 1.0, 0.0))
+    assert found is not None
+    assert found.unit == "m"
+    assert found.period == pytest.approx(0.003, rel=0.08)
+
+
 def test_what_is_smooth_in_the_pose_is_no_wave():
     smooth = 30.0 * COMMAND[:, 0] + 200.0 * COMMAND[:, 1] * COMMAND[:, 4]
     assert wave_in(np.outer(smooth, rng.normal(size=12))) is None

@@ -1,4 +1,4 @@
-"""Steps that last and single rows that are far off."""
+"""Steps that last, and jumps while nothing is done."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.residuals.sudden import spikes, steps
+from cablesense_gap.residuals.sudden import jumps, steps
 
 SMALL = small_recording()
 FLOOR_N = 0.1
@@ -19,7 +19,7 @@ def noise() -> np.ndarray:
 
 def test_noise_has_neither():
     assert steps(SMALL, noise(), FLOOR_N) == ()
-    assert spikes(SMALL, noise(), FLOOR_N) == ()
+    assert jumps(SMALL, noise(), FLOOR_N) == ()
 
 
 def test_a_step_is_told_with_its_time_size_and_cable():
@@ -40,14 +40,27 @@ def test_a_step_at_the_very_end_is_not_told_from_chance():
     assert steps(SMALL, noise() + planted, FLOOR_N) == ()
 
 
-def test_rows_that_are_far_off_are_counted():
+def test_jumps_at_rest_are_counted():
+    """There and back twice within one load, and once more each for some rows."""
     planted = np.zeros((ROWS, 12))
-    planted[[29, 65, 101, 330], 4] = [9.0, -9.0, 9.0, 9.0]
-    (found,) = spikes(SMALL, noise() + planted, FLOOR_N)
-    assert (found.channel, found.count) == (4, 4)
+    planted[[30, 66], 4] = 9.0
+    planted[138:140, 4] = -9.0
+    (found,) = jumps(SMALL, noise() + planted, FLOOR_N)
+    assert (found.channel, found.count) == (4, 5)
     assert found.size_n == pytest.approx(9.0, abs=0.5)
 
 
-def test_what_is_late_after_a_load_is_no_spike():
-    changed = np.abs(np.diff(SMALL.load_n, axis=0, prepend=SMALL.load_n[:1])).max(1) > 0.0
-    assert spikes(SMALL, noise() + 5.0 * changed[:, None], FLOOR_N) == ()
+def test_what_comes_with_a_load_or_a_motion_is_no_jump():
+    load = np.linalg.norm(SMALL.load_n, axis=1)
+    moving = SMALL.trial == SMALL.trial.max()
+    wild = np.random.default_rng(1).normal(0.0, 5.0, (ROWS, 12)) * moving[:, None]
+    assert jumps(SMALL, noise() + load[:, None] + wild, FLOOR_N) == ()
+
+
+@pytest.mark.parametrize("keeps", [0.2, 0.5, 0.8])
+def test_what_is_late_after_a_load_is_no_jump(keeps):
+    load = np.linalg.norm(SMALL.load_n, axis=1)
+    late = np.zeros(ROWS)
+    for row in range(1, ROWS):
+        late[row] = keeps * (late[row - 1] + load[row] - load[row - 1])
+    assert jumps(SMALL, noise() - late[:, None], FLOOR_N) == ()

@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 FEWEST_ROWS = 100
 LEAST_SHARE = 0.25
-"""Of what is not smooth in the pose; a wave with another period than the true one has far less."""
+"""Of what is not smooth in the pose, beyond what a wave of any period explains."""
 ABOVE_FLOORS = 1.5
-_WAVES = np.arange(1.5, 20.0, 0.25)
+_WAVES = np.arange(2.5, 20.0, 0.2)
 """Periods that a range of motion may hold; slower waves cannot be told from what is smooth."""
 
 
@@ -33,10 +33,10 @@ class Wave:
     """What repeats.
 
     Attributes:
-        along: the joint angle or the cable, by its name.
+        along: the joint angle, or the cable that has most of it, by name.
         period: in `unit`.
         unit: `rad` or `m`.
-        share: of what is not smooth in the pose.
+        share: of what is not smooth in the pose, beyond what a wave of any period explains.
     """
 
     along: str
@@ -48,7 +48,7 @@ class Wave:
 def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Wave | None:
     """The wave that explains most of a residual (R, M) without load; None where none stands out.
 
-    A joint's wave is sought in all cables, a cable's in its own readings.
+    A wave is sought in the readings of all cables: what one does, the arm passes on to the others.
     """
     free = recording.load_segment == 0
     command, residual = recording.command_rad[free], residual_n[free]
@@ -59,32 +59,45 @@ def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) 
     rest = residual - smooth @ (smooth.T @ residual)
     if np.sqrt((rest**2).mean()) < ABOVE_FLOORS * floor_n:
         return None
-    held_m = held_lengths_m(Mechanism.from_arm(arm), command)
     total = float((rest**2).sum())
     found = [
-        _best(name, "rad", angle, rest, smooth, total)
+        _of_joint(name, angle, rest, smooth, total)
         for name, angle in zip(arm.joint_names, command.T, strict=True)
+        if np.ptp(angle) > 0.0
     ]
-    found += [
-        _best(name, "m", length, rest[:, [c]], smooth, total)
-        for c, (name, length) in enumerate(zip(arm.cable_names, held_m.T, strict=True))
-    ]
+    held_m = held_lengths_m(Mechanism.from_arm(arm), command)
+    found.append(_of_cables(arm.cable_names, held_m, rest, smooth, total))
     best = max(found, key=lambda wave: wave.share)
     return best if best.share >= LEAST_SHARE else None
 
 
-def _best(name: str, unit: str, along: Array, rest: Array, smooth: Array, total: float) -> Wave:
-    reach = float(np.ptp(along))
-    if reach < 1e-6:
-        return Wave(name, np.inf, unit, 0.0)
-    shares = [_explained(2.0 * np.pi * n * along / reach, rest, smooth) / total for n in _WAVES]
+def _of_joint(name: str, angle: Array, rest: Array, smooth: Array, total: float) -> Wave:
+    periods = float(np.ptp(angle)) / _WAVES
+    shares = [_explained(angle[:, None] / each, rest, smooth) / total for each in periods]
     most = int(np.argmax(shares))
-    return Wave(name, float(reach / _WAVES[most]), unit, float(shares[most]))
+    return Wave(name, float(periods[most]), "rad", _beyond_any(shares))
 
 
-def _explained(phase: Array, rest: Array, smooth: Array) -> float:
-    wave = np.column_stack([np.sin(phase), np.cos(phase)])
-    across, _ = np.linalg.qr(wave - smooth @ (smooth.T @ wave))
+def _of_cables(
+    names: tuple[str, ...], held_m: Array, rest: Array, smooth: Array, total: float
+) -> Wave:
+    """One period for all cables, as their screws are alike, and the cable that has most of it."""
+    periods = float(np.ptp(held_m, axis=0).max()) / _WAVES
+    shares = [_explained(held_m / each, rest, smooth) / total for each in periods]
+    most = int(np.argmax(shares))
+    alone = [_explained(length[:, None] / periods[most], rest, smooth) for length in held_m.T]
+    return Wave(names[int(np.argmax(alone))], float(periods[most]), "m", _beyond_any(shares))
+
+
+def _beyond_any(shares: list[float]) -> float:
+    return float(max(shares) - np.median(shares))
+
+
+def _explained(turns: Array, rest: Array, smooth: Array) -> float:
+    """Squares that waves of these turns (R, K) explain beside what is smooth."""
+    wave = np.concatenate([np.sin(2.0 * np.pi * turns), np.cos(2.0 * np.pi * turns)], axis=1)
+    left, size, _ = np.linalg.svd(wave - smooth @ (smooth.T @ wave), full_matrices=False)
+    across = left[:, size > 1e-6 * np.sqrt(len(wave))]
     return float(((across.T @ rest) ** 2).sum())
 
 

@@ -1,4 +1,4 @@
-"""What comes at once: one lasting change of a channel, or single rows that are far off."""
+"""What comes at once: one lasting change of a channel, or jumps while nothing is done."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ STEP_SHARE = 0.6
 STEP_FLOORS = 4.0
 EDGE = 0.05
 """Share of the rows at either end where a step cannot be told from what a few rows have."""
-SPIKE_FLOORS = 8.0
-FEWEST_SPIKES = 3
+JUMP_FLOORS = 8.0
+FEWEST_JUMPS = 3
+_AFTERMATH = 0.25
+"""What goes on in the same direction by more than this share is no jump, but late."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Spikes:
-    """Rows of a channel that are far from both their neighbours."""
+class Jumps:
+    """Jumps of one channel between rows of one command and one load."""
 
     channel: int
     count: int
@@ -57,20 +59,19 @@ def steps(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Step
     return tuple(sorted(found, key=lambda step: -abs(step.size_n)))
 
 
-def spikes(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Spikes, ...]:
-    """Channels with some rows far to one side of the rows before and after; most spikes first.
-
-    Rows beside a change of the load do not count: what is late is no spike.
-    """
-    one_load = (np.diff(recording.load_n, axis=0) == 0.0).all(1)
-    alike = (recording.trial[2:] == recording.trial[:-2]) & one_load[1:] & one_load[:-1]
-    to_both = np.stack([residual_n[1:-1] - residual_n[:-2], residual_n[1:-1] - residual_n[2:]])
-    same_side = np.sign(to_both[0]) == np.sign(to_both[1])
-    size = np.abs(to_both).min(0) * (same_side & alike[:, None])
-    far = size > SPIKE_FLOORS * floor_n
+def jumps(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Jumps, ...]:
+    """Channels of a residual (R, M) that jump while nothing is done, most jumps first."""
+    state = np.concatenate([recording.command_rad, recording.load_n], axis=1)
+    still = (np.diff(state, axis=0) == 0.0).all(1) & (np.diff(recording.trial) == 0)
+    change = np.pad(np.diff(residual_n, axis=0), ((1, 1), (0, 0)))
+    here, size = change[1:-1], np.abs(change[1:-1])
+    beside = np.stack([change[:-2], change[2:]])
+    goes_on = (np.sign(beside) == np.sign(here)) & (np.abs(beside) > _AFTERMATH * size)
+    settled = still & np.append(False, still[:-1])
+    far = settled[:, None] & (size > JUMP_FLOORS * floor_n) & ~goes_on.any(0)
     found = [
-        Spikes(c, int(far[:, c].sum()), float(np.median(size[far[:, c], c])))
+        Jumps(c, int(far[:, c].sum()), float(np.median(size[far[:, c], c])))
         for c in range(residual_n.shape[1])
-        if far[:, c].sum() >= FEWEST_SPIKES
+        if far[:, c].sum() >= FEWEST_JUMPS
     ]
     return tuple(sorted(found, key=lambda each: -each.count))
