@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 FEWEST_ROWS = 100
 LEAST_SHARE = 0.25
 """Of what is not smooth in the pose, beyond what a wave of any period explains."""
+AS_GOOD = 0.7
+"""The waves of all cables together can follow that of one joint, which is the simpler."""
 ABOVE_FLOORS = 1.5
 _WAVES = np.arange(2.5, 20.0, 0.2)
 """Periods that a range of motion may hold; slower waves cannot be told from what is smooth."""
@@ -66,8 +68,9 @@ def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) 
         if np.ptp(angle) > 0.0
     ]
     held_m = held_lengths_m(Mechanism.from_arm(arm), command)
-    found.append(_of_cables(arm.cable_names, held_m, rest, smooth, total))
-    best = max(found, key=lambda wave: wave.share)
+    cables = _of_cables(arm.cable_names, held_m, rest, smooth, total)
+    joint = max(found, key=lambda wave: wave.share)
+    best = joint if joint.share >= AS_GOOD * cables.share else cables
     return best if best.share >= LEAST_SHARE else None
 
 

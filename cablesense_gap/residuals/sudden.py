@@ -17,7 +17,7 @@ STEP_FLOORS = 4.0
 EDGE = 0.05
 """Share of the rows at either end where a step cannot be told from what a few rows have."""
 JUMP_FLOORS = 8.0
-FEWEST_JUMPS = 3
+FEWEST_JUMPS = 2
 _AFTERMATH = 0.25
 """What goes on in the same direction by more than this share is no jump, but late."""
 
