@@ -118,7 +118,7 @@ def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
     assert shares == sorted(shares)
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
-    assert "pulley_friction" in [what for what, _ in told]
+    assert "extra_weight" in [what for what, _ in told]
 
 
 def test_the_engine_needs_nothing_of_the_arm() -> None:

@@ -56,7 +56,14 @@ def test_no_second_effect_is_sought_where_one_leaves_nothing():
 
 def test_pairs_are_sought_where_something_is_left():
     teeth = np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
-    assert any(len(h.effects) == 2 for h in searched(SIGNALS[1] + teeth))
+    told = []
+    search(course_of(Sums(LIBRARY), SIGNALS[1] + teeth), lambda what, _: told.append(what))
+    assert "fitting pairs of effects" in told
+
+
+def test_a_second_effect_that_has_nothing_to_do_is_not_named():
+    teeth = np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
+    assert all(len(h.effects) < 2 for h in searched(SIGNALS[1] + teeth))
 
 
 def test_no_hypothesis_stands_twice():

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
 from cablesense_gap.simulator import Array, Simulator, Term
 
 FOLDS = 5
+
+_STRAIN = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,23 @@ class Course:
     def floor(self) -> float:
         """Root mean square of what the sensors add."""
         return self.simulator.floor
+
+    @property
+    def usual_strain(self) -> float:
+        """Sum of the squares of all tolerances, in standard deviations, of a careful workshop."""
+        return float(max(len(self.tolerance_terms), 1))
+
+    def cost(self, mean_square: float, strain: float) -> float:
+        """What is left beyond the floor, the dearer the farther tolerances have to be off.
+
+        By this the search ranks explanations; the belief weighs both by calibrated powers.
+        """
+        strained = max(strain / self.usual_strain, 1.0)
+        return float(excess(mean_square, self.floor) * strained**_STRAIN)
+
+    def cost_of(self, hypothesis: Hypothesis) -> float:
+        """That of what a hypothesis leaves on held-out trials."""
+        return self.cost(hypothesis.held_out_rmse**2, hypothesis.strain)
 
 
 def prepare(

@@ -17,11 +17,10 @@ from cablesense_gap.diagnosis.evidence import (
     solve,
     weight,
 )
-from cablesense_gap.diagnosis.hypothesis import excess
 from cablesense_gap.simulator import Array
 from cablesense_sim.effects.effect import WHOLE_ARM
 
-_WORTH = 1.12
+WORTH = 1.12
 """A further place must make what is left smaller by this factor."""
 
 _LOOKED_AT = 6
@@ -66,12 +65,12 @@ def place(
     precision = np.concatenate([np.ones(base), *(b.precision for b in offered)])
     ends = base + np.cumsum([len(b.columns) for b in offered])
     owned = [np.arange(e - len(b.columns), e) for e, b in zip(ends, offered, strict=True)]
-    search = _Search(course, data, precision, np.arange(base), owned)
+    search = Placing(course, data, precision, np.arange(base), owned)
     whole = [k for k, b in enumerate(offered) if b.place == WHOLE_ARM]
     single = [k for k, b in enumerate(offered) if b.place != WHOLE_ARM]
     paths = [search.grow(among) for among in (whole, single) if among]
     best = min(paths, key=lambda path: path[1])
-    if len(paths) == 2 and paths[0][0] and paths[0][1] < _WORTH * paths[1][1]:
+    if len(paths) == 2 and paths[0][0] and paths[0][1] < WORTH * paths[1][1]:
         best = paths[0]
     found = [best]
     if len(best[0]) == 1:
@@ -82,7 +81,9 @@ def place(
     ]
 
 
-class _Search:
+class Placing:
+    """Blocks of columns among which places are chosen, with a base that is always fitted along."""
+
     def __init__(
         self,
         course: Course,
@@ -91,13 +92,14 @@ class _Search:
         base: NDArray[np.int64],
         owned: Sequence[NDArray[np.int64]],
     ) -> None:
+        """`owned` are the columns of each block, `base` those of tolerances and what is known."""
         self._course, self._data, self._precision = course, data, precision
         self._base, self._owned = base, owned
         self._gram, self._moment = data.gram.sum(0), data.moment.sum(0)
         self._weight = weight(data.mean_square, course.floor)
 
     def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
-        """Blocks added one by one, and the excess that is left."""
+        """Blocks added one by one, and the cost of what is left."""
         chosen: list[int] = []
         left = self._left(chosen)
         while len(chosen) < min(len(among), most):
@@ -105,7 +107,7 @@ class _Search:
             ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
             tried = {k: self._left([*chosen, k]) for k in ranked}
             best = min(tried, key=lambda k: tried[k])
-            if chosen and tried[best] * _WORTH > left:
+            if chosen and tried[best] * WORTH > left:
                 break
             chosen.append(best)
             left = tried[best]
@@ -117,14 +119,14 @@ class _Search:
         part, precision = self._data.columns(at), self._precision[at]
         none = np.zeros(len(at))
         weight_ = weight(self._mean_square(part, precision, self._weight), self._course.floor)
-        found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
+        found = self._solved(part, precision, weight_)
         squares = held_out_squares(part, precision, none, weight_, self._course.fold)
         return Placed(
             tuple(offered[k] for k in chosen),
             found[len(self._base) :],
             squares,
             float(squares.sum() / part.count.sum()),
-            float((found[: len(self._course.tolerance_terms)] ** 2).sum()),
+            self._strain(found),
         )
 
     def _left(self, chosen: Sequence[int]) -> float:
@@ -132,7 +134,17 @@ class _Search:
         part, precision = self._data.columns(at), self._precision[at]
         first = self._mean_square(part, precision, self._weight)
         weight_ = weight(first, self._course.floor)
-        return excess(self._mean_square(part, precision, weight_), self._course.floor)
+        found = self._solved(part, precision, weight_)
+        return self._course.cost(
+            self._mean_square(part, precision, weight_), self._strain(found)
+        )
+
+    def _solved(self, part: Products, precision: Array, weight_: float) -> Array:
+        none = np.zeros(len(precision))
+        return solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
+
+    def _strain(self, found: Array) -> float:
+        return float((found[: len(self._course.tolerance_terms)] ** 2).sum())
 
     def _mean_square(self, part: Products, precision: Array, weight_: float) -> float:
         none = np.zeros(len(precision))

@@ -32,7 +32,7 @@ class CableCreep(Effect):
     about = "cables that lengthen slowly under load and recover slowly"
     source = "Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Materials, 1976, ch. 5"
     parameters = (
-        Parameter("share", "1", 0.0, 1.0, 0.1, "of the elastic stretch that creep adds"),
+        Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
         Parameter(
             "time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0, "shape", (5.0, 20.0, 80.0)
         ),
