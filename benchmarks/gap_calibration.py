@@ -34,9 +34,9 @@ from cablesense_sim.arm_files import open_arm
 
 ARM = "cdsm_lab"
 TARGET = Path(belief.__file__).with_name("calibration.json")
-START = Calibration(4.0, 3.0, 5.0, 0.1, 1.5, 3.0, 0.3, 0.2)
-WIDTHS = (2.0, 1.5, 2.0, 0.1, 1.5, 1.5, 0.7, 0.7)
-"""How far each may be from its start before the cases speak; the last two as logarithms."""
+START = Calibration(4.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
+WIDTHS = (2.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
+"""How far each may be from its start before the cases speak; the last three as logarithms."""
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from cablesense_gap.amending import amended_arm
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.course_features import course_features
 from cablesense_gap.diagnosis.ambiguity import ambiguity, rivals_of
 from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
 from cablesense_gap.diagnosis.course import Course, prepare
-from cablesense_gap.diagnosis.discrepancy import Discrepancy, discrepancy
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
 from cablesense_gap.diagnosis.polishing import polish
 from cablesense_gap.diagnosis.searching import search
@@ -23,24 +21,17 @@ from cablesense_gap.experiments import next_experiment
 from cablesense_gap.findings import estimates, foremost, where
 from cablesense_gap.folds import folds_of
 from cablesense_gap.gap_size import gap_size, rmse_interval_n
+from cablesense_gap.one_rest import with_one_rest
 from cablesense_gap.recordings.checks import check_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals.decomposition import decompose
 from cablesense_gap.residuals.regimes import regimes
+from cablesense_gap.unlisted import describe_unlisted
 from cablesense_gap.verdict import Candidate, Verdict
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import replay_arm
 
 Array = NDArray[np.float64]
-
-SLACK_N = 2.5
-MOST_SLACK = 2
-"""With more cables slack the arm has two places to rest in, and which is chance."""
-
-UNLISTED_NEXT = (
-    "Record again what the regimes above name, and change one thing at a time: "
-    "`cablesense gap protocol` lists loads, poses and holds that part most effects."
-)
 
 
 @dataclass(frozen=True)
@@ -93,8 +84,9 @@ def diagnose(
     found = ranked[0].hypothesis
     explained = none if found is None else polish(course, found)
     values = foremost(explained, tuple(simulator.candidates))
-    unlisted = None if found is not None else _flexible(course, recording, none, arm)
-    held_out = explained.held_out if unlisted is None else none.held_out + unlisted.held_out
+    fitted = [b.hypothesis for b in ranked if b.hypothesis is not None]
+    unlisted = None if found else describe_unlisted(course, recording, fitted, arm)
+    held_out = explained.held_out if unlisted is None else unlisted.held_out_n
     used = course.used
     before = recording.tensions_n - nominal
     regimes_ = tuple(regimes(decompose(recording.rows(used), before[used], course.floor, arm)))
@@ -105,8 +97,8 @@ def diagnose(
         probability=ranked[0].probability,
         ambiguity_group=group.group,
         next_experiment=next_experiment(arm, [values, *rivals], course.floor).text
-        if found is not None
-        else UNLISTED_NEXT,
+        if unlisted is None
+        else unlisted.next_experiment,
         where=where(values, regimes_),
         parameters=estimates(values, explained.deviations, tuple(simulator.candidates)),
         gap=gap_size(
@@ -116,7 +108,7 @@ def diagnose(
             course.floor,
         ),
         candidates=tuple(_candidate(belief, none) for belief in ranked),
-        why=group.reasons if unlisted is None else _unlisted_reasons(ranked, none, unlisted),
+        why=group.reasons if unlisted is None else unlisted.reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
         arm=arm.name,
@@ -139,42 +131,12 @@ def _nominal(simulator: ArmSimulator, recording: Recording, arm: Arm) -> Array:
     return nominal
 
 
-def _flexible(
-    course: Course, recording: Recording, none: Hypothesis, arm: Arm
-) -> Discrepancy:
-    """How far what is left repeats itself, whatever makes it."""
-    return discrepancy(
-        course_features(recording, course.nominal, arm),
-        course.readings - none.held_out,
-        course.trial,
-        course.fold,
-        course.used,
-        course.floor,
-    )
-
-
-def _unlisted_reasons(
-    ranked: Sequence[Belief], none: Hypothesis, found: Discrepancy
-) -> tuple[str, ...]:
-    best = min(
-        (b.hypothesis for b in ranked if b.hypothesis is not None), key=lambda h: h.held_out_rmse
-    )
-    return (
-        f"Tolerances alone leave {none.held_out_rmse:.2f} N on trials that were not fitted; the "
-        f"best that listed effects do is {best.held_out_rmse:.2f} N "
-        f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
-        f"A flexible model, which knows commands, loads, directions and time but no physics, "
-        f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
-        "What is left goes most with: " + ", ".join(found.foremost) + ".",
-    )
-
-
 def course_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Course:
     """The recording as the search works on it.
 
     Rows do not count where the arm has more than one place to rest in, or is about to.
     """
-    used = (nominal < SLACK_N).sum(-1) <= MOST_SLACK
+    used = with_one_rest(nominal)
     return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
 
 

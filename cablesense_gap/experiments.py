@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_gap.arm_simulator import ArmSimulator, entries_from
+from cablesense_gap.one_rest import with_one_rest
 from cablesense_gap.recordings.block import Block, rows_of
 from cablesense_gap.recordings.protocol import standard_protocol
 from cablesense_gap.recordings.recording import Recording
@@ -35,7 +36,6 @@ HIDDEN_FLOORS = 0.1
 ABOUT_AS_FAR = 0.9
 LEFT_BY_WORKSHOP = 2.0
 """Standard deviations to which each tolerance may take a difference away."""
-_SLACK_N, _MOST_SLACK = 2.5, 2
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,7 @@ def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tr
         predicted = [replay.readings_n([[*listed, *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
         return None
-    slack = [(p < _SLACK_N).sum(-1) > _MOST_SLACK for p in predicted]
-    used = ~np.any(slack, axis=0)
+    used = np.all([with_one_rest(p) for p in predicted], axis=0)
     if not all(np.isfinite(p).all() for p in predicted) or not used.any():
         return None
     apart = tuple((predicted[0] - other)[used] for other in predicted[1:])

@@ -15,8 +15,7 @@ where s is the stretch of the whole cable and e the mean of what is kept where i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from cablesense_sim.effects.entry import EffectEntry
 from cablesense_sim.effects.transmission import Kept, Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism_stack import stack
 from cablesense_sim.rest_search import descent_step, load_hessian
 
 Array = NDArray[np.float64]
@@ -39,38 +39,6 @@ _LONGEST_TURN_RAD = 0.05
 _FOLLOWED_FROM_N = 10.0
 _FOLLOWING_STEPS = 2
 _SMALL_STEPS = 5
-_STACKED = (
-    "gravity_m_s2",
-    "mass_kg",
-    "centre_of_mass_m",
-    "contact_m",
-    "hole_y_m",
-    "hole_z_m",
-    "stiffness_n_m",
-    "pretension_n",
-    "joint_stiffness_n_m_rad",
-)
-
-
-def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
-    """Mechanisms of one kind as one whose arrays have a leading axis P."""
-    fields: dict[str, Any] = {
-        name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED
-    }
-    if any(m.segment_hole_y_m is not None for m in mechanisms):
-        shape = (mechanisms[0].cable_count, mechanisms[0].segment_count)
-        for name in ("y", "z"):
-            fields[f"segment_hole_{name}_m"] = np.stack(
-                [np.broadcast_to(_plates(m, name), shape) for m in mechanisms]
-            )
-    return replace(mechanisms[0], **fields)
-
-
-def _plates(mechanism: Mechanism, axis: str) -> Array:
-    plates = getattr(mechanism, f"segment_hole_{axis}_m")
-    if plates is None:
-        plates = getattr(mechanism, f"hole_{axis}_m")[:, None]
-    return np.asarray(plates)
 
 
 class _Pose(NamedTuple):
@@ -288,17 +256,11 @@ class QuasiStaticArm:
 
     def _kept(self, spans_m: Array, bends_rad: Array) -> Kept:
         """What friction of all kinds leaves of the tension along the cables."""
-        count = spans_m.shape[-1]
-        kept = Kept(
-            np.ones_like(spans_m),
-            np.zeros((*spans_m.shape, count)),
-            np.ones(spans_m.shape[:-1]),
-            np.zeros_like(spans_m),
-        )
+        kept = Kept.all_of(spans_m)
         for memory in self._memories:
             other = memory.kept_tension(spans_m, bends_rad)
             if other is not None:
-                kept = _both(kept, other)
+                kept = kept.and_then(other)
         return kept
 
     def _slope(self, span: kinematics.Spans, along: Array, by_span: Array) -> Array:
@@ -318,16 +280,6 @@ class QuasiStaticArm:
         ):
             slope[..., 2 * joints + row, 2 * joints + column] += (along * second).sum(-2)
         return slope
-
-
-def _both(a: Kept, b: Kept) -> Kept:
-    """One friction after another: what they leave multiplies."""
-    return Kept(
-        a.spans * b.spans,
-        a.spans_by_m * b.spans[..., None] + a.spans[..., None] * b.spans_by_m,
-        a.mean * b.mean,
-        a.mean_by_m * b.mean[..., None] + a.mean[..., None] * b.mean_by_m,
-    )
 
 
 def _step_rad(pose: _Pose) -> Array:

@@ -68,27 +68,70 @@ def test_a_drift_rises_evenly_within_each_interval_and_then_stands() -> None:
     np.testing.assert_allclose(read, expected[:, None] * THIRD, atol=1e-12)
 
 
-def test_a_lag_follows_a_step_exponentially() -> None:
-    times = 0.2 * np.arange(50)
-    step = np.where(times > 0.0, 10.0, 0.0)[:, None] * np.ones(12)
-    late = [entry("sensor_lag", "cable_3", time_constant_s=tau) for tau in (0.5, 2.0)]
-    read = sensed(late, step, times)
-    for p, tau in enumerate((0.5, 2.0)):
-        np.testing.assert_allclose(read[p, :, 2], 10.0 * (1.0 - np.exp(-times / tau)), atol=1e-12)
-        np.testing.assert_array_equal(read[p][:, ~THIRD], step[:, ~THIRD])
-    every = sensed([entry("sensor_lag", time_constant_s=0.5)], step, times)[0]
-    np.testing.assert_allclose(every, np.repeat(read[0, :, 2:3], 12, axis=1))
+SPAN_S = 0.2 * np.arange(50)
+STEP_N = np.where(SPAN_S > 0.0, 10.0, 0.0)[:, None] * np.ones(12)
 
 
-@given(st.floats(0.01, 20.0), st.integers(2, 30), st.integers(0, 1000))
+def share_through(tau: float, share: float) -> np.ndarray:
+    """Of a step, after each moment, by two lags in a row in closed form."""
+    gone = np.exp(-SPAN_S / tau)
+    if share == 0.0:
+        return 1.0 - gone
+    if share == 1.0:
+        return 1.0 - (1.0 + SPAN_S / tau) * gone
+    return 1.0 - (gone - share * np.exp(-SPAN_S / (share * tau))) / (1.0 - share)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.9, 1.0])
+def test_a_lag_follows_a_step_as_one_lag_or_two_in_a_row(share: float) -> None:
+    taus = 0.5, 2.0
+    late = [entry("sensor_lag", "cable_3", time_constant_s=t, second_share=share) for t in taus]
+    read = sensed(late, STEP_N, SPAN_S)
+    for p, tau in enumerate(taus):
+        np.testing.assert_allclose(read[p, :, 2], 10.0 * share_through(tau, share), atol=1e-3)
+        np.testing.assert_array_equal(read[p][:, ~THIRD], STEP_N[:, ~THIRD])
+
+
+def test_a_lag_of_the_whole_arm_is_in_every_sensor() -> None:
+    values = {"time_constant_s": 0.5, "second_share": 0.6}
+    one = sensed([entry("sensor_lag", "cable_3", **values)], STEP_N, SPAN_S)[0]
+    every = sensed([entry("sensor_lag", **values)], STEP_N, SPAN_S)[0]
+    np.testing.assert_allclose(every, np.repeat(one[:, 2:3], 12, axis=1))
+
+
+def test_of_a_lag_no_second_share_means_first_order() -> None:
+    late, said = (
+        sensed([entry("sensor_lag", time_constant_s=0.5, **more)], STEP_N, SPAN_S)
+        for more in ({}, {"second_share": 0.0})
+    )
+    np.testing.assert_array_equal(late, said)
+
+
+@given(st.floats(0.05, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @settings(max_examples=30, deadline=None)
-def test_a_lag_does_not_care_how_often_it_is_asked(tau: float, parts: int, seed: int) -> None:
+def test_the_larger_the_second_share_the_later(tau: float, one: float, other: float) -> None:
+    """And never beyond the step: two lags in a row do not swing."""
+    late = [
+        entry("sensor_lag", time_constant_s=tau, second_share=share)
+        for share in sorted((one, other))
+    ]
+    less, more = sensed(late, STEP_N, SPAN_S)
+    assert (more <= less + 1e-9).all()
+    assert (more >= 0.0).all()
+    assert (less <= STEP_N + 1e-9).all()
+
+
+@given(st.floats(0.01, 20.0), st.floats(0.0, 1.0), st.integers(2, 30), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_a_lag_does_not_care_how_often_it_is_asked(
+    tau: float, share: float, parts: int, seed: int
+) -> None:
     """While the tension holds, many short steps and one long one are the same."""
     rng = np.random.default_rng(seed)
     moments = np.concatenate([[0.0], np.sort(rng.uniform(0.0, 5.0, parts)), [5.0]])
     tensions = np.full((len(moments), 12), 7.0)
     tensions[0] = 3.0
-    late = [entry("sensor_lag", time_constant_s=tau)]
+    late = [entry("sensor_lag", time_constant_s=tau, second_share=share)]
     often = sensed(late, tensions, moments)[0, -1]
     once = sensed(late, tensions[[0, -1]], moments[[0, -1]])[0, -1]
     np.testing.assert_allclose(often, once, rtol=1e-9)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from cablesense_sim.effects.chains import amended, memories
 from cablesense_sim.effects.entry import EffectEntry
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.quasi_static import QuasiStaticArm, stack
+from cablesense_sim.mechanism_stack import stack
+from cablesense_sim.quasi_static import QuasiStaticArm
 
 KINDS = [
     entry("capstan_friction", coefficient=0.1, pulley_wrap_rad=1.5, start_cable_3=0.2),

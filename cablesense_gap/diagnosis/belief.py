@@ -8,9 +8,13 @@ effect that a hypothesis names:
 with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
 what a careful workshop leaves should not have to be many deviations off,
 
-and an effect that nobody listed is the hypothesis that something removes all but a share φ of the
-gap. The few numbers in it are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their
-mean log probability, so that the probabilities mean what they say.
+and an effect that nobody listed is the hypothesis that a listed one stands in for it, which leaves
+a share φ of the gap, and γ floors where the gap is small:
+
+    log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
+
+The few numbers are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their mean log
+probability, so that the probabilities mean what they say.
 """
 
 from __future__ import annotations
@@ -38,7 +42,8 @@ class Calibration:
         size: ν.
         strain: τ.
         unknown: π of naming none that is listed.
-        share: φ, what remains of the gap if the cause were known, whatever it is.
+        share: φ, what of the gap remains where a listed effect stands in for an unlisted one.
+        stand_in: γ, by which a stand-in is off even where the gap is small, in floors.
         floor_share: excess that no hypothesis can do without, as a share of the floor.
     """
 
@@ -49,6 +54,7 @@ class Calibration:
     strain: float
     unknown: float
     share: float
+    stand_in: float
     floor_share: float
 
 
@@ -106,7 +112,5 @@ def log_weights(
     none = left[np.flatnonzero(counts == 0)[0]]
     penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
     penalty += c.strain * np.log(np.maximum(strains / usual_strain, 1.0))
-    resolved = np.hypot(excess(0.0, floor), least)
-    unknown = -c.power * np.log(max(c.share * none, resolved))
-    unknown -= c.unknown
+    unknown = -c.power * np.log(np.hypot(c.share * none, c.stand_in * floor)) - c.unknown
     return np.append(-c.power * np.log(left) - penalty, unknown)

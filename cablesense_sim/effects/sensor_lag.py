@@ -26,7 +26,7 @@ class SensorLag(Effect):
     name = "sensor_lag"
     acts_on = "sensor"
     about = "a sensor or its filter that follows late"
-    source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: instruments of first and second order"
+    source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: first and second order"
     parameters = (
         Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
         Parameter(

@@ -46,6 +46,25 @@ class Kept(NamedTuple):
     mean: Array
     mean_by_m: Array
 
+    @classmethod
+    def all_of(cls, spans_m: Array) -> Kept:
+        """Without friction, of cables with spans (P, M, N)."""
+        return cls(
+            np.ones_like(spans_m),
+            np.zeros((*spans_m.shape, spans_m.shape[-1])),
+            np.ones(spans_m.shape[:-1]),
+            np.zeros_like(spans_m),
+        )
+
+    def and_then(self, other: Kept) -> Kept:
+        """One friction after another: what they leave multiplies."""
+        return Kept(
+            self.spans * other.spans,
+            self.spans_by_m * other.spans[..., None] + self.spans[..., None] * other.spans_by_m,
+            self.mean * other.mean,
+            self.mean_by_m * other.mean[..., None] + self.mean[..., None] * other.mean_by_m,
+        )
+
 
 class Transmission:
     """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
