@@ -34,8 +34,8 @@ from cablesense_sim.arm_files import open_arm
 
 ARM = "cdsm_lab"
 TARGET = Path(belief.__file__).with_name("calibration.json")
-START = Calibration(4.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
-WIDTHS = (2.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
+START = Calibration(4.0, 6.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
+WIDTHS = (2.0, 3.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
 """How far each may be from its start before the cases speak; the last three as logarithms."""
 
 
@@ -88,8 +88,8 @@ def _searched(path: Path) -> dict[str, object]:
 def _calibration(offsets: np.ndarray) -> Calibration:
     values = np.array(list(asdict(START).values()))
     moved = offsets * np.array(WIDTHS)
-    additive = values[:6] + moved[:6]
-    return Calibration(*additive.tolist(), *(values[6:] * np.exp(moved[6:])).tolist())
+    additive = values[:7] + moved[:7]
+    return Calibration(*additive.tolist(), *(values[7:] * np.exp(moved[7:])).tolist())
 
 
 def _probabilities(case: dict, calibration: Calibration) -> dict[tuple[str, ...], float]:

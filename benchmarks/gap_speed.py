@@ -31,7 +31,7 @@ import numpy as np
 from mujoco import sysid
 from numpy.typing import NDArray
 
-from cablesense_gap.diagnose import MOST_SLACK, SLACK_N
+from cablesense_gap.one_rest import with_one_rest
 from cablesense_gap.plant.nominal import read_nominal
 from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.reading import read_recording
@@ -204,7 +204,7 @@ class _Rests:
         self._measured = recording.tensions_n
         self._run_m = mechanism.run_m
         nominal = self._rests_n(build_spec(mechanism).compile())[self._same]
-        self._used = (nominal < SLACK_N).sum(-1) <= MOST_SLACK
+        self._used = with_one_rest(nominal)
         self.nominal_n = float(np.sqrt(((nominal - self._measured)[self._used] ** 2).mean()))
 
     def residual_of(self, spec: mujoco.MjSpec) -> Callable[..., tuple[list[Array], None, None]]:

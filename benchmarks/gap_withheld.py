@@ -37,9 +37,9 @@ project. The verdicts below were given before the answers were known, by
 
 Gaps are RMS over all cables, on trials that were not fitted; the sensors' floor is 0.072 N.
 
-rec_01, rec_10 and rec_12 were diagnosed after the last two changes of the search, the other eleven
-before. The changes came from blind cases in which the search had fitted no single effect at all,
-and from rec_12, where it had not either.
+All fourteen were diagnosed by one and the same code. A first version had diagnosed them before;
+what was changed since was found on simulated cases, except that rec_12, for which it had fitted
+no single effect at all, was among the reasons to look at how candidates are ranked.
 
 | recording | verdict | probability | where | gap before | after | parameters |
 | --- | --- | --- | --- | --- | --- | --- |

@@ -8,6 +8,10 @@ effect that a hypothesis names:
 with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
 what a careful workshop leaves should not have to be many deviations off,
 
+for tolerances alone, which are out where the gap is plain, with a power κ₀ of its own,
+
+    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m),    least = what can be resolved,
+
 and an effect that nobody listed is the hypothesis that a listed one stands in for it, which leaves
 a share φ of the gap, and γ floors where the gap is small:
 
@@ -37,6 +41,7 @@ class Calibration:
 
     Attributes:
         power: κ.
+        none: κ₀, of tolerances alone.
         one: π_1, of naming an effect.
         two: π_2, of naming two.
         size: ν.
@@ -48,6 +53,7 @@ class Calibration:
     """
 
     power: float
+    none: float
     one: float
     two: float
     size: float
@@ -107,10 +113,13 @@ def log_weights(
 ) -> np.ndarray:
     """Of each hypothesis, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
     c = calibration
-    least = c.floor_share * floor
-    left = np.array([np.hypot(excess(e**2, floor), least) for e in held_out_rmse])
+    floor_share = c.floor_share * floor
+    left = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
+    least = np.hypot(excess(0.0, floor), floor_share)
     none = left[np.flatnonzero(counts == 0)[0]]
+    power = np.where(counts == 0, c.none, c.power)
     penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
     penalty += c.strain * np.log(np.maximum(strains / usual_strain, 1.0))
-    unknown = -c.power * np.log(np.hypot(c.share * none, c.stand_in * floor)) - c.unknown
-    return np.append(-c.power * np.log(left) - penalty, unknown)
+    stand_in = np.hypot(c.share * none, c.stand_in * floor)
+    unknown = -c.power * np.log(stand_in / least) - c.unknown
+    return np.append(-power * np.log(left / least) - penalty, unknown)
