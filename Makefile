@@ -52,7 +52,7 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,page,train,gap,dev]'
+	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev]'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:

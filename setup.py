@@ -30,6 +30,10 @@ EXTRAS = {
         "ros-jazzy-rclpy",  # rclpy and the message runtime
         "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
     ],
+    "can": [
+        "cantools",  # decodes and encodes frames by a DBC file
+        "python-can[serial]",  # one door to every CAN adapter; serial for those that speak slcan
+    ],
     "page": [
         "matplotlib",  # the picture of a headless demo, figures of an evaluation
         "trimesh",  # the meshes of the arm on the page
