@@ -15,7 +15,6 @@ from cablesense_gap.diagnosis.ambiguity import ambiguity, rivals_of
 from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
 from cablesense_gap.diagnosis.course import Course, prepare
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.diagnosis.polishing import polish
 from cablesense_gap.diagnosis.searching import search
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.findings import estimates, foremost, where
@@ -82,7 +81,7 @@ def diagnose(
     none = next(b.hypothesis for b in ranked if b.effects == ("none",))
     assert none is not None
     found = ranked[0].hypothesis
-    explained = none if found is None else polish(course, found)
+    explained = found or none
     values = foremost(explained, tuple(simulator.candidates))
     fitted = [b.hypothesis for b in ranked if b.hypothesis is not None]
     unlisted = None if found else describe_unlisted(course, recording, fitted, arm)

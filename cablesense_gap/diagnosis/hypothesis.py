@@ -24,6 +24,7 @@ class Hypothesis:
         deviations: 95 % half-widths of the same.
         tolerances: values of what a workshop leaves.
         prediction: (R, C) with effects and tolerances.
+        without_tolerances: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
         held_out: (R, C) each trial predicted by a fit without its fold.
         squares: (T,) sum of squares that this leaves in each trial.
@@ -38,6 +39,7 @@ class Hypothesis:
     deviations: Mapping[Term, float]
     tolerances: Mapping[Term, float]
     prediction: Array
+    without_tolerances: Array
     columns: Array
     held_out: Array
     squares: Array

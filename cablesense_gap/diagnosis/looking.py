@@ -12,7 +12,7 @@ from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
 from cablesense_gap.diagnosis.pairing import pair_looks
 from cablesense_gap.diagnosis.placing import Placed, place
-from cablesense_gap.simulator import Array, Candidate
+from cablesense_gap.simulator import Candidate
 
 Offered = Mapping[str, tuple[Candidate, Sequence[tuple[Block, ...]]]]
 """Candidates by name, each with its blocks for every combination of starting shapes."""
@@ -47,7 +47,7 @@ def single_looks(course: Course, offered: Offered, beside: Hypothesis | None = N
     residual = course.readings - course.nominal
     columns = np.empty((0, *residual.shape))
     if beside is not None:
-        residual, columns = course.readings - _untolerated(course, beside), beside.columns
+        residual, columns = course.readings - beside.without_tolerances, beside.columns
     found = []
     for effect, (_, every) in offered.items():
         if beside is not None and effect in beside.effects:
@@ -79,9 +79,3 @@ def promising(course: Course, looks: Sequence[Look], best: float) -> Iterator[Lo
     for look in looks:
         if excess(look.placed.mean_square, course.floor) <= _PROMISING * best:
             yield replace(look, most_left=(_HOPELESS * best) ** 2 + course.floor**2)
-
-
-def _untolerated(course: Course, hypothesis: Hypothesis) -> Array:
-    """(R, C) its prediction without the tolerances that were fitted along."""
-    deviations = np.array(list(hypothesis.tolerances.values())) / course.tolerance_std
-    return hypothesis.prediction - np.tensordot(deviations, course.tolerance_columns, axes=1)

@@ -115,8 +115,8 @@ class _Pairing:
                 for side in (one, other)
                 if set(side.blocks) - set(grown.chosen)
             ]
-            tried = min(further, key=lambda option: option.cost, default=grown)
-            if tried.cost * WORTH > grown.cost:
+            tried = min(further, key=lambda option: option.cost, default=None)
+            if tried is None or tried.cost * WORTH > grown.cost:
                 break
             grown = tried
         return grown

@@ -1,4 +1,4 @@
-"""A last fit of the best hypothesis, with the tolerances as they act on the amended mechanism."""
+"""A last fit of a hypothesis, with the tolerances as they act on the amended mechanism."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def polish(course: Course, hypothesis: Hypothesis) -> Hypothesis:
     }
     start = [to_scaled(parameters[term], value) for term, value in hypothesis.values.items()]
     fitted = refine(_about(course, hypothesis), parameters, [start], _STEPS)
-    if fitted is None or fitted.held_out_rmse > hypothesis.held_out_rmse:
+    if fitted is None or course.cost_of(fitted) > course.cost_of(hypothesis):
         return hypothesis
     return fitted
 

@@ -224,6 +224,7 @@ class _Refining:
             ),
             prediction=linear.prediction
             + np.tensordot(found[:tolerances], course.tolerance_columns, axes=1),
+            without_tolerances=linear.prediction,
             columns=linear.columns,
             held_out=held_out,
             squares=_squares(course, course.readings - held_out),

@@ -35,6 +35,20 @@ def rethink(course: Course, hypothesis: Hypothesis, offered: Offered) -> Hypothe
     return _fewest(course, hypothesis)
 
 
+def singled_out(course: Course, hypothesis: Hypothesis) -> Iterator[Hypothesis]:
+    """Each of two effects alone, begun with its numbers beside the other.
+
+    A search for one effect may end early where a second one then makes up for it.
+    """
+    if len(hypothesis.effects) < 2:
+        return
+    for effect in hypothesis.effects:
+        own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
+        fitted = _at(course, own, _STEPS)
+        if fitted is not None:
+            yield fitted
+
+
 def _again(course: Course, hypothesis: Hypothesis, offered: Offered) -> Iterator[Look]:
     if len(hypothesis.effects) < 2:
         return

@@ -17,8 +17,9 @@ from cablesense_gap.diagnosis.looking import (
     single_looks,
 )
 from cablesense_gap.diagnosis.placing import WORTH
+from cablesense_gap.diagnosis.polishing import polish
 from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.rethinking import rethink
+from cablesense_gap.diagnosis.rethinking import rethink, singled_out
 from cablesense_gap.diagnosis.starting import fit
 from cablesense_gap.simulator import Candidate
 
@@ -52,9 +53,17 @@ class _Search:
     def __init__(self, course: Course, crew: Crew, tell: Tell, none: Hypothesis) -> None:
         self._course, self._crew, self._tell, self._none = course, crew, tell, none
         self._found: dict[tuple[str, ...], Hypothesis] = {}
+        self._polished: list[Hypothesis] = []
 
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
+        self._explore()
+        self._polish(2)
+        self._tell("done", 1.0)
+        worth_it = [h for h in self._found.values() if not self._is_idle(h)]
+        return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
+
+    def _explore(self) -> None:
         candidates = self._course.simulator.candidates
         barely = self._none.held_out_rmse <= _BARELY * self._course.floor
         plain = self._offer([c for c in candidates if not c.remembers], "", 0.0)
@@ -63,24 +72,30 @@ class _Search:
         self._fit(promising(self._course, looks[:_MOST_SINGLES], best), "single effects", 0.1)
         self._rethink_best(plain)
         if barely or self._is_resolved():
-            return self._done()
+            return
         self._fit(self._pairs(plain, _MOST_PAIRS), "pairs of effects", 0.15)
         self._rethink_best(plain)
         if self._is_resolved():
-            return self._done()
+            return
         dear = self._offer([c for c in candidates if c.remembers], "what remembers", 0.2)
         looks = single_looks(self._course, dear)
         best = min(best, self._least(looks))
         self._fit(promising(self._course, looks, best), "what remembers", 0.4)
+        self._polish(1)
         if not self._is_resolved():
             self._fit(self._dear_pairs(plain, dear), "pairs with what remembers", 0.7)
             self._rethink_best({**plain, **dear})
-        return self._done()
 
-    def _done(self) -> list[Hypothesis]:
-        self._tell("done", 1.0)
-        worth_it = [h for h in self._found.values() if not self._is_idle(h)]
-        return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
+    def _polish(self, most: int) -> None:
+        """The best explanations with so many effects and fewer, as they compete in the end."""
+        best: dict[int, Hypothesis] = {}
+        for hypothesis in sorted(self._found.values(), key=self._course.cost_of):
+            best.setdefault(len(hypothesis.effects), hypothesis)
+        done = {id(hypothesis) for hypothesis in self._polished}
+        rough = [h for count, h in best.items() if count <= most and id(h) not in done]
+        for fitted in self._crew.map(polish, rough):
+            self._found[fitted.effects] = fitted
+            self._polished.append(fitted)
 
     def _is_idle(self, pair: Hypothesis) -> bool:
         """Whether one of two effects alone does about as well: the other has nothing to do."""
@@ -127,18 +142,22 @@ class _Search:
         if not self._found:
             return
         best = min(self._found.values(), key=self._course.cost_of)
-        self._found[best.effects] = rethink(self._course, best, offered)
+        self._found[best.effects] = best = rethink(self._course, best, offered)
+        for alone in singled_out(self._course, best):
+            self._keep(alone)
 
     def _fit(self, looks: Iterable[Look], what: str, behind: float) -> None:
         """Fits them; of the same effects the better is kept, among equals the less far-fetched."""
         looks = list(looks)
         for k, fitted in enumerate(self._crew.map(fit, looks)):
             self._tell(f"fitting {what}", behind + 0.2 * k / len(looks))
-            if fitted is None:
-                continue
-            known = self._found.get(fitted.effects)
-            if known is None or self._is_better(fitted, known):
-                self._found[fitted.effects] = fitted
+            if fitted is not None:
+                self._keep(fitted)
+
+    def _keep(self, fitted: Hypothesis) -> None:
+        known = self._found.get(fitted.effects)
+        if known is None or self._is_better(fitted, known):
+            self._found[fitted.effects] = fitted
 
     def _least(self, looks: Iterable[Look]) -> float:
         """The least excess that any look leaves."""

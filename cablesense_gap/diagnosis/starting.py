@@ -13,7 +13,7 @@ from cablesense_gap.diagnosis.scaled import to_scaled
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
-_STEPS, _STEPS_OF_DEAR_PAIRS = 6, 4
+_STEPS, _STEPS_OF_DEAR_PAIRS = 8, 4
 _SCALES = (0.4, 1.0, 2.5)
 
 
