@@ -44,8 +44,10 @@ _SMALL_STEPS = 5
 class _Pose(NamedTuple):
     angles_rad: Array
     span: kinematics.Spans
+    chain: kinematics.Chain
     bends_rad: Array
     tensions_n: Array
+    tension_by_m: Array
     torque_n_m: Array
     slope_n_m: Array
 
@@ -112,7 +114,7 @@ class QuasiStaticArm:
             last_rest_m, last_arms, pose = self._last
             if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
                 return pose
-        start = self._followed(rest_m)
+        start = self._ahead(self._followed(rest_m), rest_m, arms)
         try:
             pose = self._search(start, rest_m, arms)
         except EquilibriumError:
@@ -143,6 +145,18 @@ class QuasiStaticArm:
             missing = (wanted - span.length_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
+
+    def _ahead(self, start: Array, rest_m: Array, arms: Array) -> Array:
+        """A first Newton step, with the slopes of the last rest instead of a pose of its own."""
+        if self._last is None or start is not self._angles_rad:
+            return start
+        last_m, last_arms, pose = self._last
+        along = pose.tension_by_m * (last_m - rest_m)[..., None]
+        torque = np.empty_like(start)
+        torque[..., 0::2] = (along * pose.span.by_pitch).sum(-2)
+        torque[..., 1::2] = (along * pose.span.by_yaw).sum(-2)
+        torque -= kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
+        return pose.angles_rad + _step_rad(pose._replace(torque_n_m=torque))
 
     def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
         """The same rest by way of others, which memory takes no note of."""
@@ -226,7 +240,7 @@ class QuasiStaticArm:
 
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:
         mechanism = self._mechanism
-        span, pose = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
+        span, chain = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
         bends = _bends_rad(mechanism, angles, span.length_m)
         kept = self._kept(span.length_m, bends)
         stretch = np.maximum(span.length_m.sum(-1) - rest_m, 0.0)
@@ -236,13 +250,13 @@ class QuasiStaticArm:
         torque = np.empty_like(angles)
         torque[..., 0::2] = (along * span.by_pitch).sum(-2)
         torque[..., 1::2] = (along * span.by_yaw).sum(-2)
-        torque -= kinematics.axis_torques_n_m(pose, arms)
+        torque -= kinematics.axis_torques_n_m(chain, arms)
         tension_by_m = stiffness[..., None] - (tension / kept.mean)[..., None] * kept.mean_by_m
         by_span = (
             kept.spans[..., None] * tension_by_m[..., None, :]
             + tension[..., None, None] * kept.spans_by_m
         )
-        slope = self._slope(span, along, by_span) - load_hessian(pose, arms)
+        slope = self._slope(span, along, by_span) - load_hessian(chain, arms)
         spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
         torque += spring * angles
         diagonal = np.arange(angles.shape[-1])
@@ -252,7 +266,8 @@ class QuasiStaticArm:
             if resisted is not None:
                 torque += resisted[0]
                 slope[..., diagonal, diagonal] += resisted[1]
-        return _Pose(angles, span, bends, tension, torque, slope)
+        along_by_m = kept.spans * stiffness[..., None]
+        return _Pose(angles, span, chain, bends, tension, along_by_m, torque, slope)
 
     def _kept(self, spans_m: Array, bends_rad: Array) -> Kept:
         """What friction of all kinds leaves of the tension along the cables."""
