@@ -21,6 +21,8 @@ turn it into one line and a node into one log message::
     ├── ParameterError      a node parameter out of place          cablesense_ros
     ├── SampleError         a sample that is of no use             cablesense_ros
     ├── TareError           a tare that cannot be taken            cablesense_ros
+    ├── ChannelMapError     a channel map or DBC that cannot be    cablesense_ros.can
+    ├── CanInterfaceError   a CAN interface that cannot be opened  cablesense_ros.can
     ├── PageError           a page that cannot be served           cablesense_ros.page
     └── DemoError, ChildError, ScriptError   the demo's own        cablesense_ros.demo
 """

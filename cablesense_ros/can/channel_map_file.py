@@ -1,0 +1,119 @@
+"""Channel maps as files: bundled ones by name, any other by path; YAML is data and bounded."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from cablesense_ros.can.channel_map import ChannelMap, ChannelMapError
+from cablesense_sim.arm_problem import describe_problem
+from cablesense_sim.config_files import config_path
+
+MAX_MAP_BYTES = 200_000
+"""A map is a page of text."""
+
+MAX_DBC_BYTES = 2_000_000
+"""A car's whole DBC file is a megabyte."""
+
+MAP_SUFFIXES = (".yaml", ".yml")
+
+
+def bundled_maps() -> list[str]:
+    """Names of the bundled maps, for example `twelve_channel_amplifier`."""
+    return sorted(path.stem for path in config_path("can").glob("*.yaml"))
+
+
+def find_channel_map(name_or_path: str | Path) -> Path:
+    """The file that a name (`cia404_amplifier`) or a path (`my/map.yaml`) stands for.
+
+    Raises:
+        ChannelMapError: neither a bundled map nor the path of a .yaml file.
+    """
+    if str(name_or_path) in bundled_maps():
+        return config_path(f"can/{name_or_path}.yaml")
+    path = Path(name_or_path)
+    if path.suffix in MAP_SUFFIXES:
+        return path
+    raise ChannelMapError(
+        f"unknown channel map {str(name_or_path)[:80]!r}; bundled maps are "
+        f"{', '.join(bundled_maps())}, and any other is given as the path of its .yaml file"
+    )
+
+
+def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:
+    """Read a map; give it and the path of the DBC file beside it, which is not read yet.
+
+    Raises:
+        ChannelMapError: the file cannot be found or read, is not YAML, has an unknown key or a
+            value that cannot be true.
+    """
+    path = find_channel_map(name_or_path)
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map")
+    channel_map = parse_channel_map(text, source=str(path))
+    return channel_map, path.parent / channel_map.dbc
+
+
+def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
+    """Read a map from YAML text; `source` names it in errors.
+
+    Raises:
+        ChannelMapError: as `load_channel_map`.
+    """
+    try:
+        content = yaml.load(text, Loader=_PlainLoader)
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # the last three: what Python makes of tags such as `!!int x`, which PyYAML lets through
+        line = " ".join(str(error).split())
+        raise ChannelMapError(f"{source}: not valid YAML ({line[:300]})") from error
+    if not isinstance(content, dict):
+        raise ChannelMapError(
+            f"{source}: holds {type(content).__name__}, not a mapping with the keys "
+            f"{', '.join(ChannelMap.model_fields)}"
+        )
+    try:
+        return ChannelMap.model_validate(content)
+    except ValidationError as error:
+        raise ChannelMapError(f"{source}: {describe_problem(error, ChannelMap)}") from None
+
+
+def read_bounded_text(path: Path, max_bytes: int, what: str) -> str:
+    """The text of a regular file that is not too large to be `what`.
+
+    Raises:
+        ChannelMapError: missing, no file, too large, or no UTF-8 text.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ChannelMapError(f"{path}: not a file")
+        if status.st_size > max_bytes:
+            raise ChannelMapError(f"{path}: larger than {max_bytes} bytes, so not {what}")
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ChannelMapError(f"{path}: cannot be read as text ({error})") from error
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """No key twice, where PyYAML would take the last; no alias, which can nest without end."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(
+                None, None, "an alias (*name): write the value out", mark
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key.value[:40]!r} stands twice", key.start_mark
+                )
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)

@@ -1,0 +1,161 @@
+"""Frames of one cycle to one sample; what is not whole is never filled up and never given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_ros.can.fault import FaultKind
+from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_ros.can.frame_decoder import Decoded
+
+COUNTER_PLACE = "cycle counter"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of every channel, all within the skew limit.
+
+    Attributes:
+        time_s: bus time of its first frame: an amplifier measures before it sends.
+        skew_s: bus time from the first to the last frame.
+        tensions_n: (M,) in the order of the map.
+    """
+
+    time_s: float
+    skew_s: float
+    tensions_n: NDArray[np.float64]
+
+
+class SampleAssembler:
+    """Puts samples together.
+
+    With a cycle counter, its frame opens a sample, and only frames until the next one belong to
+    it. Without, the first frame after a sample opens the next, and a channel that comes a second
+    time, or later than the skew limit, ends an unfinished one and opens another; late and lost
+    cannot be told apart then, and a frame that is late by most of a cycle may end up beside the
+    next cycle's, still within the limit. Either way a sample that is not whole is dropped, and the
+    channels that it lacks are named.
+
+    Attributes:
+        dropped: samples dropped so far because they were late, not whole, or not to be believed.
+    """
+
+    def __init__(
+        self,
+        cable_names: Sequence[str],
+        skew_limit_s: float,
+        counter_modulo: int,
+        ledger: FaultLedger,
+    ) -> None:
+        """`counter_modulo` is 0 for an amplifier without a counter."""
+        self._names = tuple(cable_names)
+        self._skew_limit_s = skew_limit_s
+        self._modulo = counter_modulo
+        self._ledger = ledger
+        self._tensions_n = [0.0] * len(self._names)
+        self._missing = set(range(len(self._names)))
+        self._open_s: float | None = None
+        self._spoilt = False
+        self._late = False
+        self._last_count: int | None = None
+        self.dropped = 0
+
+    def take(self, decoded: Decoded, time_s: float) -> Sample | None:
+        """Put a frame in; give the sample that it completes.
+
+        Args:
+            decoded: what the frame tells.
+            time_s: its bus time, s.
+        """
+        if decoded.counter is not None:
+            self._close()
+            self._open(time_s)
+            self._count(decoded.counter)
+        if not decoded.readings:
+            return None
+        if self._open_s is None:
+            if self._modulo:
+                return None  # the rest of a cycle whose beginning was not heard
+            self._open(time_s)
+        return self._put(decoded, time_s)
+
+    def silence(self) -> None:
+        """Nothing came for longer than a cycle: what is open will not be finished."""
+        self._close()
+
+    def restart(self) -> None:
+        """The interface was opened again: what came before has no bearing on what comes."""
+        self._open_s = None
+        self._last_count = None
+
+    def _put(self, decoded: Decoded, time_s: float) -> Sample | None:
+        late = abs(time_s - (self._open_s or 0.0)) > self._skew_limit_s
+        twice = any(channel not in self._missing for channel, _ in decoded.readings)
+        if late or twice:
+            self._note_late(decoded, time_s, late)
+            if self._modulo:
+                self._late = True
+            else:
+                self._close()
+                self._open(time_s)
+        for channel, tension_n in decoded.readings:
+            self._tensions_n[channel] = tension_n
+            self._missing.discard(channel)
+        self._spoilt = self._spoilt or decoded.spoilt
+        return None if self._missing else self._finish(time_s)
+
+    def _finish(self, time_s: float) -> Sample | None:
+        opened_s, self._open_s = self._open_s, None
+        if self._spoilt or self._late or opened_s is None:
+            self.dropped += 1
+            return None
+        return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
+
+    def _open(self, time_s: float) -> None:
+        self._open_s = time_s
+        self._missing = set(range(len(self._names)))
+        self._spoilt = self._late = False
+
+    def _close(self) -> None:
+        if self._open_s is None:
+            return
+        for channel in sorted(self._missing):
+            self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
+        self._open_s = None
+        self.dropped += 1
+
+    def _note_late(self, decoded: Decoded, time_s: float, late: bool) -> None:
+        after_ms = (time_s - (self._open_s or 0.0)) * 1e3
+        for channel, _ in decoded.readings:
+            name = self._names[channel]
+            if late and channel in self._missing:
+                said = f"{name} came {after_ms:.2f} ms after the sample's first frame"
+                said += f"; the skew limit is {self._skew_limit_s * 1e3:g} ms"
+                self._missing.discard(channel)  # named once: as late, not as missing too
+            elif self._modulo:
+                said = f"{name} came twice in one cycle, so that the first was of the one before"
+            else:
+                continue  # of the next sample; what the open one lacks is named when it is closed
+            self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+
+    def _count(self, count: int) -> None:
+        last, self._last_count = self._last_count, count
+        if last is None:
+            return
+        steps = (count - last) % self._modulo
+        if steps == 0:
+            # the amplifier sends old values again
+            self._spoilt = True
+            self._ledger.note(
+                FaultKind.COUNTER_GAP, COUNTER_PLACE, f"the cycle counter stands still at {count}"
+            )
+        elif steps > 1:
+            self._ledger.note(
+                FaultKind.COUNTER_GAP,
+                COUNTER_PLACE,
+                f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost",
+            )

@@ -1,0 +1,75 @@
+"""Error frames, bus off and the way back, with SocketCAN's classes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_ros.can.bus_condition import BusCondition, BusWatch, error_words
+from cablesense_ros.can.fault import FaultKind
+from cablesense_ros.can.fault_ledger import FaultLedger
+
+
+@pytest.fixture
+def watch():
+    watch = BusWatch("can0", FaultLedger())
+    watch.ledger = watch._ledger
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("bits", "condition"),
+    [
+        (0x04, BusCondition.WARNING),
+        (0x08, BusCondition.WARNING),
+        (0x10, BusCondition.PASSIVE),
+        (0x24, BusCondition.PASSIVE),
+        (0x40, BusCondition.ACTIVE),
+    ],
+)
+def test_the_controllers_state_is_followed(watch, bits, condition):
+    watch.error_frame(0x04, bytes([0, bits, 0, 0, 0, 0, 0, 0]))
+    assert watch.condition is condition
+
+
+def test_bus_off_counts_once_and_a_restart_ends_it(watch):
+    watch.error_frame(0x40, bytes(8))
+    watch.error_frame(0x40, bytes(8))
+    assert watch.condition is BusCondition.OFF
+    watch.error_frame(0x100, bytes(8))
+    assert watch.condition is BusCondition.ACTIVE
+    assert watch.recoveries == 1
+    assert watch.ledger.report().recent == {FaultKind.BUS_OFF: 1, FaultKind.ERROR_FRAME: 1}
+
+
+def test_a_data_frame_proves_that_the_controller_is_back(watch):
+    watch.error_frame(0x40, bytes(8))
+    watch.error_frame(0x04, bytes([0, 0x40]))
+    assert watch.condition is BusCondition.OFF
+    watch.data_frame()
+    watch.data_frame()
+    assert watch.condition is BusCondition.ACTIVE
+    assert watch.recoveries == 1
+
+
+def test_reopening_is_no_recovery(watch):
+    watch.error_frame(0x40, bytes(8))
+    watch.reopened()
+    assert watch.condition is BusCondition.ACTIVE
+    assert watch.recoveries == 0
+
+
+def test_an_error_frame_is_put_in_words():
+    assert error_words(0x24, bytes([0, 0x01])) == (
+        "controller, no acknowledge, receive buffer overflow"
+    )
+    assert "0x200" in error_words(0x200, b"")
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**29 - 1), st.binary(max_size=8)), max_size=20))
+def test_any_error_frame_is_counted(frames):
+    watch = BusWatch("can0", FaultLedger())
+    for number, data in frames:
+        watch.error_frame(number, data)
+    noted = watch._ledger.report().recent
+    assert sum(noted.values()) <= len(frames)
+    assert (watch.condition is BusCondition.OFF) <= (FaultKind.BUS_OFF in noted)
