@@ -30,3 +30,8 @@ def test_what_can_never_be_opened_is_refused_at_once(interface, channel, said):
 def test_an_interface_that_is_not_there_says_so(interface, channel):
     with pytest.raises(CanInterfaceError, match=f"{interface} {channel} cannot be opened"):
         CanInterface(interface, channel).open()
+
+
+def test_frames_read_over_slcan_bear_no_bus_time():
+    assert CanInterface("socketcan", "can0").stamps_frames
+    assert not CanInterface("slcan", "/dev/ttyACM0").stamps_frames

@@ -15,9 +15,9 @@ TENSIONS_N = np.linspace(40.0, 62.0, 12)
 
 
 class Bench:
-    def __init__(self, channel_map=PACKED, database=PACKED_DATABASE):
+    def __init__(self, channel_map=PACKED, database=PACKED_DATABASE, stamped=True):
         self.ledger = FaultLedger()
-        self.reader = TensionReader(channel_map, database, "virtual", self.ledger)
+        self.reader = TensionReader(channel_map, database, "virtual", self.ledger, stamped)
         self.time_s = NOW_S
 
     def send(self, frames):
@@ -59,6 +59,18 @@ def test_cia_404_nodes_make_samples_too():
         samples += bench.send(single_cycle(TENSIONS_N, NOW_S + number * 2e-3))
     assert len(samples) == 100
     assert bench.faults == set()
+
+
+@pytest.mark.parametrize(("stamped", "given"), [(True, 9), (False, 10)])
+def test_a_pause_in_reading_costs_nothing_where_frames_bear_the_time_of_reading(stamped, given):
+    bench = Bench(stamped=stamped)
+
+    def pause(number, frames):
+        for frame in frames[2:]:
+            frame.timestamp += 0.02 if number == 9 else 0.0
+        return frames
+
+    assert len(bench.cycles(10, change=pause)) == given
 
 
 @pytest.mark.parametrize("lost", [1, 2, 3])

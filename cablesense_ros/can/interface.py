@@ -52,6 +52,14 @@ class CanInterface:
         """For people and diagnostics."""
         return f"{self.interface} {self.channel}"
 
+    @property
+    def stamps_frames(self) -> bool:
+        """Whether frames bear the time they were on the bus; over slcan it is when they are read.
+
+        (Lawicel's protocol has a stamp of 16 bits, which python-can does not ask for.)
+        """
+        return self.interface != "slcan"
+
     def open(self) -> can.BusABC:
         """Open it.
 

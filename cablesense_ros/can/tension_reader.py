@@ -15,6 +15,10 @@ from cablesense_ros.can.frame_decoder import FrameDecoder
 from cablesense_ros.can.sample_assembler import Sample, SampleAssembler
 from cablesense_ros.can.stuck_watch import StuckWatch
 
+SCATTER_OF_READING_S = 0.1
+"""Skew limit where frames bear the time of reading: any pause of the process would look late. The
+order of the frames then bounds the skew, as no channel comes twice in a sample: to one cycle."""
+
 
 class TensionReader:
     """Takes frames as they come; gives a sample only when all of it can be believed.
@@ -27,14 +31,22 @@ class TensionReader:
     """
 
     def __init__(
-        self, channel_map: ChannelMap, database: Database, place: str, ledger: FaultLedger
+        self,
+        channel_map: ChannelMap,
+        database: Database,
+        place: str,
+        ledger: FaultLedger,
+        stamped: bool = True,
     ) -> None:
-        """`place` names the interface in faults."""
+        """`place` names the interface in faults; `stamped` says if frames bear their bus time."""
         self._ledger = ledger
         self._names = channel_map.cable_names
         self._decoder = FrameDecoder(channel_map, database, ledger)
+        skew_limit_s = channel_map.skew_limit_s
+        if not stamped:
+            skew_limit_s = max(skew_limit_s, SCATTER_OF_READING_S)
         self._assembler = SampleAssembler(
-            self._names, channel_map.skew_limit_s, self._decoder.counter_modulo, ledger
+            self._names, skew_limit_s, self._decoder.counter_modulo, ledger
         )
         self._stuck = StuckWatch(len(self._names), channel_map.stuck)
         self._clock = BusClock()

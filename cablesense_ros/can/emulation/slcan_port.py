@@ -1,0 +1,195 @@
+"""A pseudo-terminal that poses as a serial CAN adapter (slcan, after Lawicel's CAN232 manual).
+
+Whoever opens it, python-can's `slcan` interface for one, talks to it as to a USB adapter. The
+protocol has no error frames and no timestamps that python-can would ask for, and a line is some
+22 characters a frame; that is its limit, not the bus's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import termios
+import threading
+import tty
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+
+import can
+
+from cablesense_msgs_py.errors import CableSenseError
+
+VERSION, SERIAL_NUMBER, STATUS_FLAGS = b"V1013", b"NCSEM", b"F00"
+MAX_LINE_BYTES = 64
+RECEIVED_KEPT = 1000
+_OK, _BELL = b"\r", b"\a"
+_WAKE_S = 0.1
+
+
+class SlcanPortError(CableSenseError):
+    """A pseudo-terminal that cannot be had, or a link to it that cannot be made."""
+
+
+class SlcanPort:
+    """The adapter's side. A thread answers the host until `close`.
+
+    Attributes:
+        path: what the host opens: the link if one was asked for, else the terminal itself.
+        channel_open: whether the host has opened the CAN channel (`O` or `L`).
+        dropped: frames not passed on: channel shut, host too slow, or not sendable over slcan.
+    """
+
+    def __init__(self, link: str = "") -> None:
+        """`link` is a path to put a symbolic link at, so that the port has a name that stays.
+
+        Raises:
+            SlcanPortError: no terminal left, or something else lies at `link`.
+        """
+        try:
+            self._master, self._slave = os.openpty()
+        except OSError as error:
+            raise SlcanPortError(f"no pseudo-terminal can be had ({error})") from error
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = self._link_to(os.ttyname(self._slave), link)
+        self._linked = bool(link)
+        self.channel_open = False
+        self.dropped = 0
+        self._received: deque[can.Message] = deque(maxlen=RECEIVED_KEPT)
+        self._write_lock = threading.Lock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._answer, name="slcan port", daemon=True)
+        self._thread.start()
+
+    def send(self, frames: Sequence[can.Message]) -> None:
+        """Pass frames to the host; those that it cannot take are dropped and counted."""
+        lines = [line for line in map(_line, frames) if line is not None]
+        self.dropped += len(frames) - len(lines)
+        if not self.channel_open or not self._write(b"".join(lines)):
+            self.dropped += len(lines)
+
+    def received(self) -> list[can.Message]:
+        """The frames that the host has sent since this was last asked."""
+        frames = []
+        with contextlib.suppress(IndexError):
+            while True:
+                frames.append(self._received.popleft())
+        return frames
+
+    def close(self) -> None:
+        """Pull the adapter: the host's reads fail from now on; safe to call twice."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        self._thread.join(timeout=2.0)
+        if self._linked:
+            Path(self.path).unlink(missing_ok=True)
+        with self._write_lock:
+            self.channel_open = False
+            os.close(self._slave)
+            os.close(self._master)
+
+    def _link_to(self, terminal: str, link: str) -> str:
+        if not link:
+            return terminal
+        path = Path(link)
+        try:
+            if path.is_symlink():
+                path.unlink()  # of an emulator that was killed
+            path.symlink_to(terminal)
+        except OSError as error:
+            os.close(self._slave)
+            os.close(self._master)
+            raise SlcanPortError(
+                f"{link}: no link to {terminal} can be made there ({error.strerror}); give a path "
+                "that is free, in a folder that exists"
+            ) from error
+        return link
+
+    def _write(self, data: bytes) -> bool:
+        """Whether all of it went; a line that went in part is finished, or the host is lost."""
+        with self._write_lock:
+            if self._ended.is_set():
+                return False
+            sent = 0
+            while sent < len(data):
+                try:
+                    sent += os.write(self._master, data[sent:])
+                except BlockingIOError:
+                    if sent == 0:
+                        return False
+                    if not select.select([], [self._master], [], _WAKE_S)[1]:
+                        return False
+                except OSError:
+                    return False
+            return True
+
+    def _answer(self) -> None:
+        buffer = bytearray()
+        while not self._ended.is_set():
+            if not select.select([self._master], [], [], _WAKE_S)[0]:
+                continue
+            try:
+                buffer += os.read(self._master, 4096)
+            except OSError:
+                continue
+            *lines, rest = bytes(buffer).split(b"\r")
+            buffer = bytearray(rest[:MAX_LINE_BYTES])
+            for line in lines:
+                self._write(self._reply(line))
+
+    def _reply(self, line: bytes) -> bytes:
+        """What an adapter answers to one command."""
+        command = line[:1]
+        if command in (b"O", b"L"):
+            # what the last host left unread is not for the next one
+            termios.tcflush(self._slave, termios.TCIFLUSH)
+            self.channel_open = True
+            return _OK
+        if command == b"C":
+            self.channel_open = False
+            return _OK
+        if command in (b"t", b"T", b"r", b"R"):
+            frame = _frame(line)
+            if frame is None or not self.channel_open:
+                return _BELL
+            self._received.append(frame)
+            return (b"z" if command in (b"t", b"r") else b"Z") + _OK
+        answers = {b"V": VERSION, b"N": SERIAL_NUMBER, b"F": STATUS_FLAGS}
+        if command in answers:
+            return answers[command] + _OK
+        return _OK if command in (b"", b"S", b"s", b"Z", b"M", b"m", b"Y") else _BELL
+
+
+def _line(frame: can.Message) -> bytes | None:
+    """A frame as a line, or None for one that the protocol has no line for."""
+    if frame.is_error_frame or frame.is_fd:
+        return None
+    letter = "r" if frame.is_remote_frame else "t"
+    if frame.is_extended_id:
+        head = f"{letter.upper()}{frame.arbitration_id:08X}{frame.dlc:d}"
+    else:
+        head = f"{letter}{frame.arbitration_id:03X}{frame.dlc:d}"
+    data = "" if frame.is_remote_frame else bytes(frame.data).hex().upper()
+    return f"{head}{data}\r".encode()
+
+
+def _frame(line: bytes) -> can.Message | None:
+    """The frame of a line, or None for a line that is none."""
+    try:
+        text = line.decode("ascii")
+        extended, remote = text[0] in "TR", text[0] in "rR"
+        digits = 8 if extended else 3
+        length = int(text[1 + digits])
+        return can.Message(
+            arbitration_id=int(text[1 : 1 + digits], 16),
+            is_extended_id=extended,
+            is_remote_frame=remote,
+            dlc=length,
+            data=None if remote else bytes.fromhex(text[2 + digits : 2 + digits + 2 * length]),
+            check=True,
+        )
+    except (ValueError, IndexError):
+        return None

@@ -1,0 +1,141 @@
+"""The pseudo-terminal as an adapter, opened by python-can as it opens hardware."""
+
+import os
+import time
+
+import can
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cablesense_ros.can.emulation.slcan_port import SlcanPort, SlcanPortError
+from cablesense_ros.can.interface import CanInterface
+
+
+@pytest.fixture
+def port():
+    port = SlcanPort()
+    yield port
+    port.close()
+
+
+def host_of(port):
+    host = CanInterface("slcan", port.path, 1_000_000).open()
+    until(lambda: port.channel_open)
+    return host
+
+
+def until(condition):
+    end = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def receive(host, count):
+    frames, end = [], time.monotonic() + 5.0
+    while len(frames) < count and time.monotonic() < end:
+        frame = host.recv(0.1)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+FRAMES = [
+    can.Message(arbitration_id=0x121, is_extended_id=False, data=bytes(range(8))),
+    can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"\xff"),
+    can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b""),
+    can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4),
+]
+
+
+def test_frames_reach_the_host_as_they_were(port):
+    with host_of(port) as host:
+        port.send(FRAMES)
+        for got, sent in zip(receive(host, 4), FRAMES, strict=True):
+            assert got.equals(
+                sent, timestamp_delta=None, check_channel=False, check_direction=False
+            )
+    assert port.dropped == 0
+
+
+def test_frames_of_the_host_reach_the_adapter(port):
+    with host_of(port) as host:
+        for frame in FRAMES:
+            host.send(frame)
+        found = []
+        until(lambda: found.extend(port.received()) or len(found) == 4)
+    assert [frame.arbitration_id for frame in found] == [f.arbitration_id for f in FRAMES]
+    assert [bytes(frame.data) for frame in found] == [bytes(f.data) for f in FRAMES]
+
+
+def test_it_answers_like_an_adapter(port):
+    with host_of(port) as host:
+        assert host.get_version(1.0) == (10, 13)
+        assert host.get_serial_number(1.0) == "CSEM"
+
+
+def test_frames_before_the_channel_is_open_and_error_frames_are_dropped(port):
+    port.send(FRAMES)
+    assert port.dropped == 4
+    with host_of(port) as host:
+        port.send([can.Message(arbitration_id=0x40, is_error_frame=True)])
+        port.send(FRAMES[:1])
+        assert len(receive(host, 1)) == 1
+    assert port.dropped == 5
+
+
+def test_a_host_that_does_not_read_holds_nobody_up_and_leaves_nothing_to_the_next(port):
+    with host_of(port):
+        began_s = time.monotonic()
+        for _ in range(2000):
+            port.send(FRAMES)
+        assert time.monotonic() - began_s < 5.0
+        assert port.dropped > 0
+    until(lambda: not port.channel_open)
+    with host_of(port) as host:
+        port.send(FRAMES[2:3])
+        assert [frame.arbitration_id for frame in receive(host, 1)] == [0x7FF]
+
+
+def test_pulling_it_makes_the_hosts_reads_fail(port):
+    host = host_of(port)
+    port.close()
+    with pytest.raises((can.CanError, OSError)):
+        receive(host, 1)
+    port.send(FRAMES)
+    with pytest.raises((can.CanError, OSError)):
+        host.shutdown()
+    host.serialPortOrig.close()
+
+
+def test_a_link_gives_it_a_name_that_outlives_a_restart(tmp_path):
+    link = tmp_path / "adapter"
+    link.symlink_to("/dev/pts/none")  # left behind by one that was killed
+    for _ in range(2):
+        port = SlcanPort(str(link))
+        assert port.path == str(link)
+        assert os.path.exists(link)  # noqa: PTH110 (follows the link)
+        port.close()
+        assert not link.is_symlink()
+
+
+def test_a_link_that_cannot_be_made_is_refused(tmp_path):
+    taken = tmp_path / "file"
+    taken.touch()
+    for link in (taken, tmp_path / "none" / "adapter"):
+        with pytest.raises(SlcanPortError, match="no link to"):
+            SlcanPort(str(link))
+    assert taken.exists()
+
+
+@given(lines=st.lists(st.binary(max_size=80), max_size=20))
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_any_bytes_of_a_host_are_answered_or_refused(port, lines):
+    for line in lines:
+        port._reply(line)
+    assert port._thread.is_alive()
