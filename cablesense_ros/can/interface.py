@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
+from can.interfaces.slcan import slcanBus
 
 from cablesense_msgs_py.errors import CableSenseError
 
@@ -72,9 +73,12 @@ class CanInterface:
         if self.interface == "slcan":
             options["sleep_after_open"] = 0.0  # two seconds of sleep would be two of silence
         try:
-            return can.Bus(
+            bus = can.Bus(
                 channel=self.channel, interface=self.interface, ignore_config=True, **options
             )
+            if isinstance(bus, slcanBus):
+                bus.flush()  # what came before would be taken for new
+            return bus
         except Exception as error:  # each adapter's driver raises errors of its own
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error

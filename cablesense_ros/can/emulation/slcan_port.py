@@ -144,8 +144,9 @@ class SlcanPort:
         """What an adapter answers to one command."""
         command = line[:1]
         if command in (b"O", b"L"):
-            # what the last host left unread is not for the next one
-            termios.tcflush(self._slave, termios.TCIFLUSH)
+            if not self.channel_open:
+                # what the last host left unread is not for the next one
+                termios.tcflush(self._slave, termios.TCIFLUSH)
             self.channel_open = True
             return _OK
         if command == b"C":
