@@ -114,6 +114,7 @@ setup(
             "sim = cablesense_ros.sim_node:main",
             "estimator = cablesense_ros.estimator_node:main",
             "page = cablesense_ros.page_node:main",
+            "can_driver = cablesense_ros.can_driver_node:main",
         ],
     },
 )

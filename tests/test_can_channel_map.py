@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from cablesense_ros.can.channel_map import Channel, ChannelMap
+from cablesense_ros.can.channel_map import Channel, ChannelMap, ChannelMapError
 
 GIVEN = {
     "name": "amplifier",
@@ -64,3 +64,22 @@ def test_value_and_tension_are_inverse(tension_n, scale, zero):
 def test_what_cannot_be_is_refused(key, value, said):
     with pytest.raises(ValidationError, match=said):
         ChannelMap.model_validate({**GIVEN, key: value})
+
+
+def test_channels_are_put_in_an_arms_order():
+    channel_map = ChannelMap.model_validate(GIVEN)
+    arranged = channel_map.arranged(("cable_2", "cable_1"))
+    assert arranged.cable_names == ("cable_2", "cable_1")
+    assert arranged.channels == channel_map.channels
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("cable_1", "cable_2", "cable_3"), "lacks cable_3; the cables of this arm are"),
+        (("cable_1",), "has cable_2, which the arm has not"),
+    ],
+)
+def test_a_map_for_other_cables_is_refused(names, said):
+    with pytest.raises(ChannelMapError, match=said):
+        ChannelMap.model_validate(GIVEN).arranged(names)

@@ -99,14 +99,27 @@ def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
     assert "<robot" in description
 
 
-@pytest.mark.parametrize("file", ["sim.yaml", "estimator.yaml"])
+def test_the_bus_is_read_by_the_map_and_interface_given(describe):
+    entities = describe("estimator.launch.py")
+    driver = next(n for n in of_kind(entities, "Node") if n.given["executable"] == "can_driver")
+    declared = {e.args[0] for e in of_kind(entities, "DeclareLaunchArgument")}
+    given = set(driver.given["parameters"][1])
+    assert given == {"arm", "map", "interface", "channel"} <= declared
+
+
+@pytest.mark.parametrize("file", ["sim.yaml", "estimator.yaml", "can_driver.yaml"])
 def test_node_settings_name_parameters_that_exist(file):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
+    from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
     from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS
     from cablesense_ros.sim_parameters import SIM_PARAMETERS
 
-    table = SIM_PARAMETERS if file == "sim.yaml" else ESTIMATOR_PARAMETERS
+    table = {
+        "sim.yaml": SIM_PARAMETERS,
+        "estimator.yaml": ESTIMATOR_PARAMETERS,
+        "can_driver.yaml": CAN_DRIVER_PARAMETERS,
+    }[file]
     known = {parameter.name: parameter.default for parameter in table}
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
     (node,) = content.values()

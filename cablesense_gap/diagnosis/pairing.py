@@ -12,7 +12,7 @@ import numpy as np
 from cablesense_gap.diagnosis.blocks import Block
 from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.evidence import Indices, products, weight
-from cablesense_gap.diagnosis.placing import WORTH, Placed, Placing
+from cablesense_gap.diagnosis.placing import MOST_IN_TWOS, WORTH, Placed, Placing
 from cablesense_gap.diagnosis.reduced import Reduced
 from cablesense_gap.simulator import Array
 from cablesense_sim.effects.effect import WHOLE_ARM
@@ -110,16 +110,30 @@ class _Pairing:
         """The best place of each, and further places of either, as long as they are worth it."""
         grown = self._best([list(both) for both in product(one.blocks, other.blocks)])
         while len(grown.chosen) < _MOST_PLACES:
-            further = [
-                self._best([[*grown.chosen, k] for k in side.blocks if k not in grown.chosen])
-                for side in (one, other)
-                if set(side.blocks) - set(grown.chosen)
-            ]
-            tried = min(further, key=lambda option: option.cost, default=None)
-            if tried is None or tried.cost * WORTH > grown.cost:
+            tried, worth = self._one_more(grown, one, other), WORTH
+            if tried and tried.cost * WORTH > grown.cost:
+                tried, worth = self._two_more(grown, one, other), WORTH**2
+            if tried is None or tried.cost * worth > grown.cost:
                 break
             grown = tried
         return grown
+
+    def _one_more(self, grown: _Grown, one: _Side, other: _Side) -> _Grown | None:
+        further = [
+            self._best([[*grown.chosen, k] for k in side.blocks if k not in grown.chosen])
+            for side in (one, other)
+            if set(side.blocks) - set(grown.chosen)
+        ]
+        return min(further, key=lambda option: option.cost, default=None)
+
+    def _two_more(self, grown: _Grown, one: _Side, other: _Side) -> _Grown | None:
+        rests = [[k for k in side.blocks if k not in grown.chosen] for side in (one, other)]
+        further = [
+            self._best([[*grown.chosen, *two] for two in combinations(rest, 2)])
+            for rest in rests
+            if 2 <= len(rest) <= MOST_IN_TWOS
+        ]
+        return min(further, key=lambda option: option.cost, default=None)
 
     def _best(self, options: list[list[int]]) -> _Grown:
         sets = np.array([np.concatenate([self._owned[k] for k in chosen]) for chosen in options])

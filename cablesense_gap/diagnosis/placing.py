@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 
 WORTH = 1.12
 """A further place must make what is left smaller by this factor."""
+
+MOST_IN_TWOS = 12
+"""With so many places or fewer left, two at a time are tried where one is not worth it."""
 
 _LOOKED_AT = 6
 _NEARLY = 1.5
@@ -99,19 +103,38 @@ class Placing:
         self._weight = weight(data.mean_square, course.floor)
 
     def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
-        """Blocks added one by one, and the cost of what is left."""
+        """Blocks added one by one, and the cost of what is left.
+
+        Where one more is not worth it two more may be: of two cables that pull against each
+        other, either alone may explain nothing.
+        """
         chosen: list[int] = []
         left = self._left(chosen)
         while len(chosen) < min(len(among), most):
-            rest = [k for k in among if k not in chosen]
-            ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
-            tried = {k: self._left([*chosen, k]) for k in ranked}
-            best = min(tried, key=lambda k: tried[k])
-            if chosen and tried[best] * WORTH > left:
+            tried, now = self._one_more(chosen, among)
+            worth = WORTH
+            if chosen and now * WORTH > left and len(chosen) + 2 <= most:
+                tried, now = self._two_more(chosen, among)
+                worth = WORTH**2
+            if chosen and now * worth > left:
                 break
-            chosen.append(best)
-            left = tried[best]
+            chosen, left = tried, now
         return chosen, left
+
+    def _one_more(self, chosen: Sequence[int], among: Sequence[int]) -> tuple[list[int], float]:
+        rest = [k for k in among if k not in chosen]
+        ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
+        return self._best([[*chosen, k] for k in ranked])
+
+    def _two_more(self, chosen: Sequence[int], among: Sequence[int]) -> tuple[list[int], float]:
+        rest = [k for k in among if k not in chosen]
+        if len(rest) > MOST_IN_TWOS:
+            return list(chosen), np.inf
+        return self._best([[*chosen, *two] for two in combinations(rest, 2)])
+
+    def _best(self, options: Sequence[list[int]]) -> tuple[list[int], float]:
+        tried = [self._left(option) for option in options]
+        return (options[int(np.argmin(tried))], min(tried)) if tried else ([], np.inf)
 
     def placed(self, chosen: Sequence[int], offered: Sequence[Block]) -> Placed:
         """The chosen blocks with their coefficients and what they leave."""

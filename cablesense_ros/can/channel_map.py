@@ -5,6 +5,7 @@ Bounds on the numbers are those of any plausible amplifier; their purpose is to 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -125,6 +126,24 @@ class ChannelMap(_Part):
     def cable_names(self) -> tuple[str, ...]:
         """In the order of the map."""
         return tuple(self.channels)
+
+    def arranged(self, cable_names: Sequence[str]) -> ChannelMap:
+        """The map with its channels in an arm's order.
+
+        Raises:
+            ChannelMapError: a cable has no channel, or a channel no cable.
+        """
+        missing = [name for name in cable_names if name not in self.channels]
+        unknown = [name for name in self.channels if name not in cable_names]
+        if missing or unknown:
+            said = [f"lacks {', '.join(missing)}"] if missing else []
+            said += [f"has {', '.join(unknown)}, which the arm has not"] if unknown else []
+            raise ChannelMapError(
+                f"map {self.name} {' and '.join(said)}; the cables of this arm are "
+                f"{cable_names[0]} … {cable_names[-1]}, each with one channel"
+            )
+        channels = {name: self.channels[name] for name in cable_names}
+        return self.model_copy(update={"channels": channels})
 
     @model_validator(mode="after")
     def _is_possible(self) -> ChannelMap:

@@ -23,6 +23,14 @@ ARGUMENTS = (
     ),
     ("arm", "cdsm", None, "arm file: the name of a bundled one, or a path"),
     ("model", "", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
+    (
+        "map",
+        "twelve_channel_amplifier",
+        None,
+        "with source:=can: channel map, the name of a bundled one or the path of a .yaml file",
+    ),
+    ("interface", "socketcan", None, "with source:=can: python-can's name of the adapter's kind"),
+    ("channel", "can0", None, "with source:=can: what that kind calls its channels"),
     ("namespace", "", None, "namespace of all nodes"),
 )
 
@@ -55,7 +63,14 @@ def generate_launch_description() -> LaunchDescription:
         )
         for source, executable, parameters in (
             ("sim", "sim", [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]),
-            ("can", "can_driver", [{"arm": arm}]),
+            (
+                "can",
+                "can_driver",
+                [
+                    PathJoinSubstitution([settings, "can_driver.yaml"]),
+                    {"arm": arm, **{name: _text(name) for name in ("map", "interface", "channel")}},
+                ],
+            ),
         )
     ]
     activate_when_configured = RegisterEventHandler(
