@@ -39,6 +39,7 @@ def generate_launch_description() -> LaunchDescription:
     """What to start, and when."""
     settings = PathJoinSubstitution([get_package_share_directory(PACKAGE), "config", "nodes"])
     arm, model = _text("arm"), _text("model")
+    bus = {name: _text(name) for name in ("map", "interface", "channel")}
     namespace = LaunchConfiguration("namespace")
     estimator = LifecycleNode(
         package=PACKAGE,
@@ -66,10 +67,7 @@ def generate_launch_description() -> LaunchDescription:
             (
                 "can",
                 "can_driver",
-                [
-                    PathJoinSubstitution([settings, "can_driver.yaml"]),
-                    {"arm": arm, **{name: _text(name) for name in ("map", "interface", "channel")}},
-                ],
+                [PathJoinSubstitution([settings, "can_driver.yaml"]), {"arm": arm, **bus}],
             ),
         )
     ]

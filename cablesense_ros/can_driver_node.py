@@ -1,0 +1,165 @@
+"""The `can_driver` node: the real arm's tensions from a CAN bus (a lifecycle node)."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.joint_state import put_tensions
+from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_ros.can.driver import CanDriver
+from cablesense_ros.can.interface import CanInterface
+from cablesense_ros.can.sample_assembler import Sample
+from cablesense_ros.can.signal_database import open_channel_map
+from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
+from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
+from cablesense_ros.node_parameters import declare_parameters, parameter_values
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_sim.arm_files import open_arm
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class CanDriverNode(LifecycleNode):
+    """Configured: map, DBC file and arm read. Active: the bus is read and samples are published.
+
+    Nothing downstream can tell it from the sim node: the message, its names, frame and quality of
+    service are the same. Without a whole sample there is no message.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("can_driver")
+        declare_parameters(self, CAN_DRIVER_PARAMETERS, read_only=False)
+        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
+        self._tensions = JointState()
+        self._tensions_out: Publisher | None = None
+        self._driver: CanDriver | None = None
+        self._arm_identity = ""
+        self._active = False
+        DiagnosticsPublisher(self, self._statuses, lambda: self._arm_identity)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read arm, map and DBC file; on failure say why and stay unconfigured."""
+        try:
+            self._configure()
+        except CableSenseError as error:
+            self._release()
+            self.get_logger().error(f"cannot configure: {error}")
+            return FAILURE
+        except Exception:  # rclpy would drop it without a word
+            self._release()
+            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
+            return FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the bus; an interface that is not there is waited for."""
+        result = super().on_activate(state)
+        self._active = True
+        if self._driver is not None:
+            self._driver.start()
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the interface."""
+        self._stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget arm and map."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    def autostart(self) -> None:
+        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
+        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
+            self.trigger_activate()
+
+    def destroy_node(self) -> None:
+        """Close the interface first: its thread publishes."""
+        self._stop()
+        super().destroy_node()
+
+    def _configure(self) -> None:
+        given = parameter_values(self, CAN_DRIVER_PARAMETERS)
+        arm = open_arm(given["arm"])
+        channel_map, database = open_channel_map(given["map"])
+        channel_map = channel_map.arranged(arm.cable_names)
+        interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
+        self._tensions = JointState(name=list(arm.cable_names))
+        self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
+        self._tensions_out = self.create_publisher(
+            JointState,
+            topics.CABLE_TENSIONS,
+            qos_profile(PUBLISHER),
+            qos_overriding_options=overridable(),
+        )
+        self._driver = CanDriver(channel_map, database, interface, self._publish)
+        self._arm_identity = arm.identity
+        self.get_logger().info(
+            f"arm {arm.identity}: map {channel_map.name} with {len(channel_map.channels)} "
+            f"channels on {interface.name}"
+        )
+
+    def _publish(self, sample: Sample) -> None:
+        """In the receiving thread, as a turn through the executor would cost latency."""
+        if self._tensions_out is None:
+            return
+        whole_s = int(sample.time_s)
+        stamp = self._tensions.header.stamp
+        stamp.sec, stamp.nanosec = whole_s, min(int((sample.time_s - whole_s) * 1e9), 999_999_999)
+        put_tensions(self._tensions, sample.tensions_n)
+        self._tensions_out.publish(self._tensions)
+
+    def _stop(self) -> None:
+        self._active = False
+        if self._driver is not None:
+            self._driver.stop()
+
+    def _release(self) -> None:
+        self._stop()
+        if self._tensions_out is not None:
+            self.destroy_publisher(self._tensions_out)
+        self._driver, self._tensions_out, self._arm_identity = None, None, ""
+
+    def _statuses(self) -> list[Status]:
+        if self._driver is None:
+            return [Status("interface", Level.WARN, "not configured: no channel map read")]
+        if not self._active:
+            return [Status("interface", Level.OK, "configured, not active: the bus is not read")]
+        statuses, faults = self._driver.report(self.get_parameter("stale_after_s").value)
+        for kind in faults.recent:
+            self._warn(kind.name, f"{kind.value}: {faults.last[kind]}")
+        return statuses
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+
+    def make_node() -> CanDriverNode:
+        node = CanDriverNode()
+        node.autostart()
+        return node
+
+    return run_node(make_node, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

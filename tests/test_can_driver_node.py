@@ -1,0 +1,170 @@
+"""The CAN driver as a process: an adapter on a pseudo-terminal, and the real middleware."""
+
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from can_frames import PACKED, PACKED_DATABASE  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from ros_graph import Graph, NodeProcess  # noqa: E402
+
+from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier  # noqa: E402
+from cablesense_ros.can.emulation.fault_request import parse_fault  # noqa: E402
+from cablesense_ros.can.emulation.frame_sink import play  # noqa: E402
+from cablesense_ros.can.emulation.slcan_port import SlcanPort  # noqa: E402
+from cablesense_sim.arm_files import open_arm  # noqa: E402
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+DRIVER = "cablesense_ros.can_driver_node"
+ARM = open_arm("cdsm")
+TENSIONS_N = np.linspace(40.0, 62.0, 12)
+
+
+class Adapter:
+    """An amplifier behind an adapter that can be pulled."""
+
+    def __init__(self, link):
+        self.link = str(link)
+        self.amplifier = EmulatedAmplifier(PACKED, PACKED_DATABASE)
+        self.port = SlcanPort(self.link)
+
+    def send(self, tensions_n=TENSIONS_N):
+        play(self.port, self.amplifier.cycle(tensions_n))
+        time.sleep(0.005)
+
+    def ask(self, text):
+        self.amplifier.ask(parse_fault(text, PACKED))
+
+
+@pytest.fixture(scope="module")
+def graph():
+    talking = Graph()
+    yield talking
+    talking.close()
+
+
+@pytest.fixture(scope="module")
+def adapter(tmp_path_factory):
+    adapter = Adapter(tmp_path_factory.mktemp("can") / "adapter")
+    yield adapter
+    adapter.port.close()
+
+
+@pytest.fixture(scope="module")
+def driver(adapter):
+    process = NodeProcess(DRIVER, interface="slcan", channel=adapter.link, bitrate_bit_s=1_000_000)
+    yield process
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+
+
+def tensions_come(graph, adapter, count=20, tensions_n=TENSIONS_N):
+    graph.tensions.clear()
+
+    def enough():
+        adapter.send(tensions_n)
+        return len(graph.tensions) >= count
+
+    graph.until(enough, "tensions")
+
+
+def status(graph, name):
+    return graph.statuses.get(f"can_driver: {name}")
+
+
+def test_tensions_are_published_as_the_sim_does(graph, adapter, driver):
+    tensions_come(graph, adapter)
+    message = graph.tensions[-1]
+    assert list(message.name) == list(ARM.cable_names)
+    assert message.header.frame_id == "base_link"
+    assert not message.position
+    assert not message.velocity
+    np.testing.assert_allclose(message.effort, TENSIONS_N, atol=0.051)
+    stamp_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+    assert abs(time.time() - stamp_s) < 1.0
+    (info,) = graph.node.get_publishers_info_by_topic("/cable_tensions")
+    assert info.qos_profile.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE
+
+
+def test_diagnostics_say_how_it_is_and_which_arm(graph, adapter, driver):
+    def fine():
+        adapter.send()
+        found = status(graph, "samples")
+        return found is not None and found.message == "every sample whole"
+
+    graph.until(fine, "a report that all is well")
+    assert status(graph, "interface").hardware_id == ARM.identity
+    assert "receiving on slcan" in status(graph, "interface").message
+
+
+def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, driver):
+    adapter.ask("missing_channel cable_6")
+    for _ in range(5):
+        adapter.send()
+    graph.spin(0.3)
+    graph.tensions.clear()
+
+    def told():
+        adapter.send()
+        found = status(graph, "samples")
+        return "missing channel (cable_5, cable_6, cable_7, cable_8)" in found.message
+
+    graph.until(told, "the missing channels in diagnostics")
+    assert graph.tensions == []
+    adapter.ask("")
+    tensions_come(graph, adapter)
+
+
+def test_an_adapter_that_is_pulled_is_reported_and_taken_again(graph, adapter, driver):
+    adapter.port.close()
+    graph.until(
+        lambda: "is not open" in status(graph, "interface").message, "the loss in diagnostics"
+    )
+    assert driver.process.poll() is None
+    adapter.port = SlcanPort(adapter.link)
+    plugged_s = time.monotonic()
+    tensions_come(graph, adapter, count=5)
+    assert time.monotonic() - plugged_s < 3.0
+
+
+def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
+    name = "/managed/can_driver"
+    process = NodeProcess(
+        DRIVER, namespace="/managed", autostart=False, interface="virtual", channel="managed"
+    )
+    for _ in range(2):
+        assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
+        assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
+        assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
+        assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [({"map": "none"}, "bundled maps are"), ({"interface": "none"}, "unknown to python-can")],
+)
+def test_what_cannot_be_leaves_it_unconfigured_with_one_line(parameters, said):
+    process = NodeProcess(DRIVER, **parameters)
+    end = time.monotonic() + 15.0
+    while "cannot configure" not in process.log and time.monotonic() < end:
+        time.sleep(0.1)
+    assert said in process.log
+    assert process.stop() == 0
+    assert "Traceback" not in process.log
+
+
+def test_a_parameter_out_of_range_is_one_line():
+    process = NodeProcess(DRIVER, bitrate_bit_s=-5)
+    assert process.wait() == 2
+    assert process.log.count("\n") == 1
+    assert "0 to 1e+06" in process.log or "0 to 1000000" in process.log
