@@ -101,3 +101,12 @@ def test_what_holds_in_one_trial_alone_is_no_place():
     once = np.array([SIGNALS[0], SIGNALS[1] * (TRIAL == 3)[:, None]])
     effects = linear("gain", ("a", "b"), once)
     assert places(placed(effects, {amount("gain", "a"): 1.0, amount("gain", "b"): 1.0})) == {"a"}
+
+
+def test_two_places_of_which_either_alone_explains_nothing_are_found_together():
+    """Two cables that pull against each other: their difference is all that is seen."""
+    alike = SIGNALS[0] + SIGNALS[1]
+    signals = np.array([10.0 * alike + SIGNALS[2], -10.0 * alike, SIGNALS[3], SIGNALS[4]])
+    truth = {amount("gain", "a"): 1.0, amount("gain", "b"): 1.0, amount("gain", "c"): 3.0}
+    found = placed(linear("gain", "abcd", signals), truth)
+    assert places(found) == {"a", "b", "c"}
