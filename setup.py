@@ -115,6 +115,7 @@ setup(
             "estimator = cablesense_ros.estimator_node:main",
             "page = cablesense_ros.page_node:main",
             "can_driver = cablesense_ros.can_driver_node:main",
+            "can_emulator = cablesense_ros.can_emulator_node:main",
         ],
     },
 )

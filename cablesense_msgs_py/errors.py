@@ -23,6 +23,8 @@ turn it into one line and a node into one log message::
     ├── TareError           a tare that cannot be taken            cablesense_ros
     ├── ChannelMapError     a channel map or DBC that cannot be    cablesense_ros.can
     ├── CanInterfaceError   a CAN interface that cannot be opened  cablesense_ros.can
+    ├── FaultRequestError   a fault that cannot be shown           cablesense_ros.can.emulation
+    ├── SlcanPortError      a pseudo-terminal that cannot be had   cablesense_ros.can.emulation
     ├── PageError           a page that cannot be served           cablesense_ros.page
     └── DemoError, ChildError, ScriptError   the demo's own        cablesense_ros.demo
 """

@@ -7,6 +7,9 @@ from typing import Final
 CABLE_TENSIONS: Final = "cable_tensions"
 """`sensor_msgs/JointState`: cable names, `effort` in N, stamped with the time of the sample."""
 
+SIMULATED_TENSIONS: Final = "simulated_tensions"
+"""As `cable_tensions`, from a sim whose output is played out as CAN frames by `can_emulator`."""
+
 JOINT_COMMANDS: Final = "joint_commands"
 """`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
 

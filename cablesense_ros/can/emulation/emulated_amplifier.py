@@ -52,8 +52,8 @@ class EmulatedAmplifier:
         self._started: set[int] = set()
         self.fault: FaultRequest | None = None
 
-    def ask(self, fault: FaultRequest | None) -> None:
-        """Be faulty in this way from the next cycle on; None ends it.
+    def check(self, fault: FaultRequest | None) -> None:
+        """Whether a fault can be shown; changes nothing.
 
         Raises:
             FaultRequestError: NaN asked of a signal that holds whole numbers.
@@ -66,6 +66,14 @@ class EmulatedAmplifier:
             raise FaultRequestError(
                 f"{fault.cable} is sent as a whole number, which cannot be NaN; ask for over_range"
             )
+
+    def ask(self, fault: FaultRequest | None) -> None:
+        """Be faulty in this way from the next cycle on; None ends it.
+
+        Raises:
+            FaultRequestError: as `check`.
+        """
+        self.check(fault)
         self.fault = fault
         self._frozen_n = None
 

@@ -13,7 +13,9 @@ from cablesense_ros.can.emulation.emulated_amplifier import PlannedFrame
 
 
 class FrameSink(Protocol):
-    """What frames can be played on."""
+    """What frames can be played on; `dropped` counts those that it did not pass on."""
+
+    dropped: int
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Send frames in their order, at once."""

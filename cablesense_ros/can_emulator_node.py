@@ -1,0 +1,184 @@
+"""The `can_emulator` node: a simulated or recorded arm as CAN frames, with faults on request."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.joint_state import put_joint_angles
+from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.qos import PUBLISHER, SENSOR
+from cablesense_ros.can.emulation.emulator import Emulator
+from cablesense_ros.can.emulation.frame_sink import BusSink, FrameSink
+from cablesense_ros.can.emulation.recording_player import RecordingPlayer
+from cablesense_ros.can.emulation.slcan_port import SlcanPort
+from cablesense_ros.can.interface import CanInterface
+from cablesense_ros.can.signal_database import open_channel_map
+from cablesense_ros.can_emulator_parameters import CAN_EMULATOR_PARAMETERS, SLCAN_PORT
+from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
+from cablesense_ros.node_parameters import declare_parameters, parameter_values
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_sim.arm import Arm
+from cablesense_sim.arm_files import open_arm
+
+LISTEN_S = 0.01
+"""How often frames of others are taken, and rows of a recording looked for."""
+
+
+class CanEmulatorNode(Node):
+    """Plays one cycle of frames for every sample of tensions."""
+
+    def __init__(self) -> None:
+        super().__init__("can_emulator")
+        declare_parameters(self, CAN_EMULATOR_PARAMETERS, read_only=False)
+        given = parameter_values(self, CAN_EMULATOR_PARAMETERS)
+        self._arm = open_arm(given["arm"])
+        channel_map, database = open_channel_map(given["map"])
+        channel_map = channel_map.arranged(self._arm.cable_names)
+        self._order = NamedOrder(self._arm.cable_names, "cables")
+        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
+        self._refused = 0
+        self._reported_cycles = 0
+        self._player: RecordingPlayer | None = None
+        self._commands_out: Publisher | None = None
+        if given["recording"]:
+            self._player = _player(given["recording"], self._arm, given["loop"])
+            self._commands_out = self.create_publisher(
+                JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
+            )
+        self._emulator = Emulator(channel_map, database, _sink_opener(given))
+        try:
+            self._emulator.ask(given["fault"])
+        except CableSenseError:
+            self._emulator.close()
+            raise
+        if self._player is None:
+            self.create_subscription(
+                JointState,
+                topics.SIMULATED_TENSIONS,
+                self._on_tensions,
+                qos_profile(SENSOR),
+                qos_overriding_options=overridable(),
+            )
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._on_parameters)
+        DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity)
+        self.create_timer(LISTEN_S, self._listen)
+        self.get_logger().info(
+            f"arm {self._arm.identity}: map {channel_map.name} as frames on {given['interface']} "
+            f"{given['channel']}"
+        )
+
+    def destroy_node(self) -> None:
+        """Pull the interface first, so that its link goes too."""
+        self._emulator.close()
+        super().destroy_node()
+
+    def _listen(self) -> None:
+        self._emulator.listen()
+        if self._player is None:
+            return
+        for tensions_n, command_rad in self._player.due(time.monotonic()):
+            if command_rad is not None and self._commands_out is not None:
+                message = JointState(name=list(self._arm.joint_names))
+                message.header.stamp = self.get_clock().now().to_msg()
+                put_joint_angles(message, command_rad)
+                self._commands_out.publish(message)
+            self._play(tensions_n.tolist())
+
+    def _on_tensions(self, message: JointState) -> None:
+        try:
+            tensions_n = self._order.pick(message.name, message.effort, "effort")
+        except CableSenseError as error:
+            self._refuse(error)
+            return
+        self._play(tensions_n)
+
+    def _play(self, tensions_n: Sequence[float]) -> None:
+        try:
+            self._emulator.cycle(tensions_n)
+        except CableSenseError as error:
+            self._refuse(error)
+
+    def _refuse(self, error: CableSenseError) -> None:
+        self._refused += 1
+        self._warn("sample", f"sample refused, no frames are sent for it: {error}")
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "fault":
+                try:
+                    self._emulator.check(parameter.value)
+                except CableSenseError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name != "fault":
+                continue
+            try:
+                self._emulator.ask(parameter.value)
+            except CableSenseError as error:  # what was pulled cannot be plugged in again
+                self.get_logger().error(f"fault {parameter.value!r}: {error}")
+                continue
+            self.get_logger().info(f"fault: {self._emulator.fault or 'none'}")
+
+    def _statuses(self) -> list[Status]:
+        cycles = self._emulator.cycles
+        recent, self._reported_cycles = cycles - self._reported_cycles, cycles
+        level, message = Level.OK, "sending"
+        if self._emulator.fault:
+            level, message = Level.WARN, f"faulty on request: {self._emulator.fault}"
+        elif self._player is not None and self._player.ended:
+            message = "the recording has ended"
+        elif not recent:
+            level, message = Level.STALE, f"nothing on {topics.SIMULATED_TENSIONS}"
+        values = {
+            "cycles": str(cycles),
+            "frames dropped": str(self._emulator.dropped),
+            "samples refused": str(self._refused),
+            "fault": self._emulator.fault or "none",
+        }
+        return [Status("frames", level, message, values)]
+
+
+def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:
+    if given["interface"] == SLCAN_PORT:
+        return lambda: SlcanPort(given["channel"])
+    interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
+
+    def open_sink() -> FrameSink:
+        return BusSink(interface.open())
+
+    return open_sink
+
+
+def _player(path: str, arm: Arm, loop: bool) -> RecordingPlayer:
+    """Read a recording; what that needs is imported only here, as a robot may lack it."""
+    from cablesense_gap.recordings.reading import read_recording
+
+    recorded = read_recording(path, arm)
+    return RecordingPlayer(recorded.time_s, recorded.tensions_n, recorded.command_rad, loop)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+    return run_node(CanEmulatorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""From tensions to frames to tensions, through two processes and the real middleware."""
+
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from ros_graph import Graph, NodeProcess  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from cablesense_sim.arm_files import open_arm  # noqa: E402
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+EMULATOR, DRIVER = "cablesense_ros.can_emulator_node", "cablesense_ros.can_driver_node"
+ARM = open_arm("cdsm")
+TENSIONS_N = np.linspace(40.0, 62.0, 12)
+
+
+@pytest.fixture(scope="module")
+def graph():
+    talking = Graph()
+    talking.simulated = talking.node.create_publisher(JointState, "/simulated_tensions", 10)
+    yield talking
+    talking.close()
+
+
+@pytest.fixture(scope="module")
+def link(tmp_path_factory):
+    return tmp_path_factory.mktemp("can") / "adapter"
+
+
+@pytest.fixture(scope="module")
+def emulator(link):
+    process = NodeProcess(EMULATOR, channel=link)
+    yield process
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+    assert not link.is_symlink()
+
+
+@pytest.fixture(scope="module")
+def driver(link, emulator):
+    process = NodeProcess(DRIVER, interface="slcan", channel=link, bitrate_bit_s=1_000_000)
+    yield process
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+
+
+def feed(graph, condition, what):
+    message = JointState(name=list(ARM.cable_names)[::-1], effort=TENSIONS_N[::-1].tolist())
+
+    def fed():
+        graph.simulated.publish(message)
+        return condition()
+
+    graph.until(fed, what)
+
+
+def ask(graph, text):
+    client = graph.node.create_client(SetParameters, "/can_emulator/set_parameters")
+    graph.until(client.service_is_ready, "the emulator's parameters")
+    parameter = Parameter("fault", value=text).to_parameter_msg()
+    future = client.call_async(SetParameters.Request(parameters=[parameter]))
+    graph.until(future.done, "the answer")
+    graph.node.destroy_client(client)
+    return future.result().results[0]
+
+
+def test_what_goes_in_as_tensions_comes_out_as_tensions(graph, driver):
+    feed(graph, lambda: len(graph.tensions) >= 10, "tensions")
+    message = graph.tensions[-1]
+    assert list(message.name) == list(ARM.cable_names)
+    np.testing.assert_allclose(message.effort, TENSIONS_N, atol=0.051)
+
+
+def test_a_fault_is_shown_while_it_is_asked_for(graph, emulator, driver):
+    assert not ask(graph, "missing_channel cable_99").successful
+    assert ask(graph, "over_range cable_3").successful
+    graph.spin(0.3)
+    feed(
+        graph,
+        lambda: "over range (cable_3)" in graph.statuses["can_driver: samples"].message,
+        "the fault in the driver's diagnostics",
+    )
+    assert "over_range cable_3" in graph.statuses["can_emulator: frames"].message
+    graph.tensions.clear()
+    assert ask(graph, "").successful
+    feed(graph, lambda: len(graph.tensions) >= 3, "tensions again")
+
+
+def test_an_interface_that_vanishes_on_request_comes_back(graph, link, driver):
+    assert ask(graph, "interface_lost").successful
+    assert not link.is_symlink()
+    graph.until(
+        lambda: "is not open" in graph.statuses["can_driver: interface"].message, "the loss"
+    )
+    graph.tensions.clear()
+    assert ask(graph, "").successful
+    back_s = time.monotonic()
+    feed(graph, lambda: len(graph.tensions) >= 3, "tensions again")
+    assert time.monotonic() - back_s < 3.0
+
+
+def test_a_recording_is_played_with_its_commands(graph, tmp_path):
+    from cablesense_gap.recordings.csv_file import write_csv
+    from cablesense_gap.recordings.recording import Recording
+
+    rows = 20
+    recording = Recording(
+        name="short",
+        time_s=np.arange(rows) * 0.05,
+        trial=np.zeros(rows, dtype=np.int64),
+        command_rad=np.zeros((rows, 8)),
+        load_segment=np.zeros(rows, dtype=np.int64),
+        load_n=np.zeros((rows, 3)),
+        tensions_n=TENSIONS_N + np.zeros((rows, 1)),
+    )
+    write_csv(tmp_path / "short.csv", recording)
+    commands, tensions = [], []
+    node = graph.node
+    heard = [
+        node.create_subscription(JointState, "/played/joint_commands", commands.append, 10),
+        node.create_subscription(JointState, "/played/cable_tensions", tensions.append, 10),
+    ]
+    link = tmp_path / "adapter"
+    played = NodeProcess(
+        EMULATOR,
+        namespace="/played",
+        channel=link,
+        recording=tmp_path / "short.csv",
+        loop=True,
+    )
+    driver = NodeProcess(
+        DRIVER, namespace="/played", interface="slcan", channel=link, bitrate_bit_s=1_000_000
+    )
+    graph.until(lambda: len(tensions) >= 25 and commands, "a recording and its beginning again")
+    np.testing.assert_allclose(tensions[-1].effort, TENSIONS_N, atol=0.051)
+    assert list(commands[-1].position) == [0.0] * 8
+    assert driver.stop() == 0, driver.log
+    assert played.stop() == 0, played.log
+    for subscription in heard:
+        node.destroy_subscription(subscription)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"fault": "explosion"}, "unknown fault"),
+        ({"recording": "none.csv"}, "no such file"),
+        ({"channel": "/none/of/that"}, "no link to"),
+    ],
+)
+def test_what_cannot_be_ends_it_with_one_line(parameters, said, tmp_path):
+    process = NodeProcess(EMULATOR, **{"channel": tmp_path / "adapter", **parameters})
+    assert process.wait() == 2
+    assert process.log.count("\n") == 1
+    assert said in process.log
