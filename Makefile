@@ -47,7 +47,7 @@ clean:  ## takes away .venv and what was built
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the demo needs (a minute or two, once) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,page]'
+	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page]'
 	@touch $@
 
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python

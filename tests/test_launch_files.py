@@ -79,14 +79,41 @@ def test_the_estimator_is_configured_then_activated(describe):
     assert entities.index(handler) < entities.index(configure)
 
 
+def nodes_by_source(entities):
+    found = {}
+    for node in of_kind(entities, "Node"):
+        source = node.given["condition"].args[0].args[1]
+        found.setdefault(source, {})[node.given["executable"]] = node
+    return found
+
+
 def test_one_source_runs_by_choice(describe):
     entities = describe("estimator.launch.py")
     source = next(e for e in of_kind(entities, "DeclareLaunchArgument") if e.args[0] == "source")
-    assert source.given["choices"] == ["sim", "can"]
-    nodes = {node.given["executable"]: node for node in of_kind(entities, "Node")}
-    assert set(nodes) == {"sim", "can_driver"}
-    chosen = [node.given["condition"].args[0].args[1] for node in nodes.values()]
-    assert chosen == ["sim", "can"]
+    found = nodes_by_source(entities)
+    assert source.given["choices"] == list(found) == ["sim", "can", "emulated_can"]
+    assert {name: set(nodes) for name, nodes in found.items()} == {
+        "sim": {"sim"},
+        "can": {"can_driver"},
+        "emulated_can": {"sim", "can_emulator", "can_driver"},
+    }
+
+
+def test_an_emulated_bus_stands_between_sim_and_driver(describe):
+    nodes = nodes_by_source(describe("estimator.launch.py"))["emulated_can"]
+    assert nodes["sim"].given["remappings"] == [("cable_tensions", "simulated_tensions")]
+    driver, emulator = (nodes[n].given["parameters"][-1] for n in ("can_driver", "can_emulator"))
+    assert driver["channel"] == emulator["channel"]
+    assert driver["interface"] == "slcan"
+
+
+def test_the_bus_is_read_by_the_map_and_interface_given(describe):
+    entities = describe("estimator.launch.py")
+    declared = {e.args[0] for e in of_kind(entities, "DeclareLaunchArgument")}
+    driver = nodes_by_source(entities)["can"]["can_driver"]
+    given = driver.given["parameters"]
+    assert "arm" in given[1]
+    assert {"map", "interface", "channel"} == set(given[2]) <= declared
 
 
 def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
@@ -97,14 +124,6 @@ def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
     (publisher,) = function.given["function"]({"arm": "cdsm"})
     description = publisher.given["parameters"][0]["robot_description"].args[0]
     assert "<robot" in description
-
-
-def test_the_bus_is_read_by_the_map_and_interface_given(describe):
-    entities = describe("estimator.launch.py")
-    driver = next(n for n in of_kind(entities, "Node") if n.given["executable"] == "can_driver")
-    declared = {e.args[0] for e in of_kind(entities, "DeclareLaunchArgument")}
-    given = set(driver.given["parameters"][1])
-    assert given == {"arm", "map", "interface", "channel"} <= declared
 
 
 @pytest.mark.parametrize("file", ["sim.yaml", "estimator.yaml", "can_driver.yaml"])

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cablesense_ros.demo.source import Source
+
 
 def demo(
     arm: Annotated[
@@ -37,6 +39,13 @@ def demo(
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the pushes and of the sensor noise.")
     ] = 0,
+    source: Annotated[
+        Source,
+        typer.Option(
+            help="Where tensions come from: the simulation at once, or through CAN frames, an "
+            "emulated adapter and the driver."
+        ),
+    ] = Source.SIM,
     json_output: Annotated[
         bool,
         typer.Option("--json", help="Headless only: print figures as JSON instead of a table."),
@@ -50,7 +59,9 @@ def demo(
     """
     from cablesense_ros.demo.run import DemoOptions, run_headless, run_live
 
-    options = DemoOptions(arm=arm, model=model, host=host, port=port, out=out, seed=seed)
+    options = DemoOptions(
+        arm=arm, model=model, host=host, port=port, out=out, seed=seed, source=source
+    )
     if headless:
         run_headless(options, duration_s=duration, as_json=json_output)
     else:

@@ -13,9 +13,18 @@ DOMAINS = 100
 """Domain ids that are safe on Linux go from 0 to 101; 0 is everyone's: the demo takes 1 … 100."""
 
 
-def node_command(name: str, parameters: Mapping[str, str | int | float | bool]) -> ChildCommand:
-    """The command that runs `cablesense_ros.<name>_node` in this Python, with parameters."""
+def node_command(
+    name: str,
+    parameters: Mapping[str, str | int | float | bool],
+    remaps: Mapping[str, str] | None = None,
+) -> ChildCommand:
+    """The command that runs `cablesense_ros.<name>_node` in this Python.
+
+    `remaps` gives topics other names.
+    """
     command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
+    for topic, other in (remaps or {}).items():
+        command += ["-r", f"{topic}:={other}"]
     for key, value in parameters.items():
         command += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
     return ChildCommand(name, command)

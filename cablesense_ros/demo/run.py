@@ -15,6 +15,7 @@ from rich.console import Console
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_ros.demo.nodes import demo_environment, node_command
 from cablesense_ros.demo.processes import ChildCommand, Processes
+from cablesense_ros.demo.source import DEMO_MAP, Source, source_commands
 from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
 
@@ -40,6 +41,7 @@ class DemoOptions:
         host, port: where the page is served.
         out: folder of logs and picture.
         seed: of pushes and noise.
+        source: of the tensions.
     """
 
     arm: str
@@ -48,6 +50,7 @@ class DemoOptions:
     port: int
     out: Path
     seed: int
+    source: Source = Source.SIM
 
 
 def run_live(options: DemoOptions) -> None:
@@ -142,6 +145,10 @@ def _check_files(options: DemoOptions) -> Arm:
 
     arm = open_arm(options.arm)
     Estimator.load(find_model(options.model or arm.name), arm)
+    if options.source is Source.CAN:
+        from cablesense_ros.can.signal_database import open_channel_map
+
+        open_channel_map(DEMO_MAP)[0].arranged(arm.cable_names)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -153,7 +160,7 @@ def _check_files(options: DemoOptions) -> Arm:
 
 def _processes(options: DemoOptions, more: list[ChildCommand]) -> Processes:
     commands = [
-        node_command("sim", {"arm": options.arm, "seed": options.seed}),
+        *source_commands(options.source, options.arm, options.seed, options.out),
         node_command("estimator", {"arm": options.arm, "model": options.model}),
         *more,
     ]

@@ -13,13 +13,14 @@ from launch_ros.parameter_descriptions import ParameterValue
 from lifecycle_msgs.msg import Transition
 
 PACKAGE = "cablesense_ros"
+EMULATED_ADAPTER = "/tmp/cablesense_can"
 ARGUMENTS = (
     # name, default, choices, description
     (
         "source",
         "sim",
-        ["sim", "can"],
-        "where cable_tensions come from; can runs the node can_driver of this package",
+        ["sim", "can", "emulated_can"],
+        "where cable_tensions come from: the sim, a CAN bus, or the sim through an emulated one",
     ),
     ("arm", "cdsm", None, "arm file: the name of a bundled one, or a path"),
     ("model", "", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
@@ -52,6 +53,8 @@ def generate_launch_description() -> LaunchDescription:
             {"arm": arm, "model": model, "autostart": False},
         ],
     )
+    simulation = [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]
+    driver = [PathJoinSubstitution([settings, "can_driver.yaml"]), {"arm": arm, "map": bus["map"]}]
     sources = [
         Node(
             package=PACKAGE,
@@ -60,14 +63,31 @@ def generate_launch_description() -> LaunchDescription:
             namespace=namespace,
             output="screen",
             parameters=parameters,
+            remappings=remappings,
             condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), source)),
         )
-        for source, executable, parameters in (
-            ("sim", "sim", [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]),
+        for source, executable, parameters, remappings in (
+            ("sim", "sim", simulation, []),
+            ("can", "can_driver", [*driver, bus], []),
+            ("emulated_can", "sim", simulation, [("cable_tensions", "simulated_tensions")]),
             (
-                "can",
+                "emulated_can",
+                "can_emulator",
+                [{"arm": arm, "map": bus["map"], "channel": EMULATED_ADAPTER}],
+                [],
+            ),
+            (
+                "emulated_can",
                 "can_driver",
-                [PathJoinSubstitution([settings, "can_driver.yaml"]), {"arm": arm, **bus}],
+                [
+                    *driver,
+                    {
+                        "interface": "slcan",
+                        "channel": EMULATED_ADAPTER,
+                        "bitrate_bit_s": 1_000_000,
+                    },
+                ],
+                [],
             ),
         )
     ]
