@@ -11,7 +11,7 @@ from cablesense_ros.can.fault_ledger import FaultLedger
 
 @pytest.fixture
 def watch():
-    watch = BusWatch("can0", FaultLedger())
+    watch = BusWatch("can0", True, FaultLedger())
     watch.ledger = watch._ledger
     return watch
 
@@ -51,6 +51,14 @@ def test_a_data_frame_proves_that_the_controller_is_back(watch):
     assert watch.recoveries == 1
 
 
+def test_codes_of_other_drivers_are_not_read_as_classes():
+    ledger = FaultLedger()
+    watch = BusWatch("PCAN_USBBUS1", False, ledger)
+    watch.error_frame(0x44, bytes([0, 0x30]))
+    assert watch.condition is BusCondition.ACTIVE
+    assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
+
+
 def test_reopening_is_no_recovery(watch):
     watch.error_frame(0x40, bytes(8))
     watch.reopened()
@@ -67,7 +75,7 @@ def test_an_error_frame_is_put_in_words():
 
 @given(st.lists(st.tuples(st.integers(0, 2**29 - 1), st.binary(max_size=8)), max_size=20))
 def test_any_error_frame_is_counted(frames):
-    watch = BusWatch("can0", FaultLedger())
+    watch = BusWatch("can0", True, FaultLedger())
     for number, data in frames:
         watch.error_frame(number, data)
     noted = watch._ledger.report().recent

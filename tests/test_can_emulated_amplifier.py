@@ -8,6 +8,7 @@ from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier
 from cablesense_ros.can.emulation.fault_request import FaultRequestError, parse_fault
 from cablesense_ros.can.fault import FaultKind
 from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_ros.can.interface import CanInterface
 from cablesense_ros.can.network_management import booted_node, start_frames
 from cablesense_ros.can.signal_database import parse_database
 from cablesense_ros.can.tension_reader import TensionReader
@@ -24,7 +25,9 @@ class Bench:
         self.map = channel_map
         self.ledger = FaultLedger()
         self.amplifier = EmulatedAmplifier(channel_map, database)
-        self.reader = TensionReader(channel_map, database, "none", self.ledger)
+        self.reader = TensionReader(
+            channel_map, database, CanInterface("virtual", "bench"), self.ledger
+        )
         self.time_s = NOW_S
         for frame in start_frames(channel_map.nmt_start_nodes):
             self.amplifier.take(frame)

@@ -35,3 +35,8 @@ def test_an_interface_that_is_not_there_says_so(interface, channel):
 def test_frames_read_over_slcan_bear_no_bus_time():
     assert CanInterface("socketcan", "can0").stamps_frames
     assert not CanInterface("slcan", "/dev/ttyACM0").stamps_frames
+
+
+def test_only_some_drivers_class_their_error_frames():
+    assert CanInterface("socketcan", "can0").classes_errors
+    assert not CanInterface("pcan", "PCAN_USBBUS1").classes_errors

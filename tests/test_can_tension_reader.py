@@ -8,6 +8,7 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_
 from cablesense_ros.can.bus_condition import BusCondition
 from cablesense_ros.can.fault import FaultKind
 from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_ros.can.interface import CanInterface
 from cablesense_ros.can.tension_reader import TensionReader
 
 NOW_S = 1.7e9
@@ -15,9 +16,11 @@ TENSIONS_N = np.linspace(40.0, 62.0, 12)
 
 
 class Bench:
-    def __init__(self, channel_map=PACKED, database=PACKED_DATABASE, stamped=True):
+    def __init__(self, channel_map=PACKED, database=PACKED_DATABASE, interface="virtual"):
         self.ledger = FaultLedger()
-        self.reader = TensionReader(channel_map, database, "virtual", self.ledger, stamped)
+        self.reader = TensionReader(
+            channel_map, database, CanInterface(interface, "bench"), self.ledger
+        )
         self.time_s = NOW_S
 
     def send(self, frames):
@@ -61,9 +64,9 @@ def test_cia_404_nodes_make_samples_too():
     assert bench.faults == set()
 
 
-@pytest.mark.parametrize(("stamped", "given"), [(True, 9), (False, 10)])
-def test_a_pause_in_reading_costs_nothing_where_frames_bear_the_time_of_reading(stamped, given):
-    bench = Bench(stamped=stamped)
+@pytest.mark.parametrize(("interface", "given"), [("virtual", 9), ("slcan", 10)])
+def test_a_pause_in_reading_costs_nothing_where_frames_bear_the_time_of_reading(interface, given):
+    bench = Bench(interface=interface)
 
     def pause(number, frames):
         for frame in frames[2:]:

@@ -1,8 +1,8 @@
 """What error frames say of the bus: their classes, and whether the controller is off the bus.
 
 Classes and bits are those of SocketCAN (`linux/can/error.h`), which python-can passes on in the
-id and data of a frame with `is_error_frame`. Other interfaces send error frames without them, or
-none: slcan has no such frames, `virtual` and `udp_multicast` no bus that could fail.
+id and data of a frame with `is_error_frame`. Other interfaces send error frames with codes of
+their own, or none: slcan has no such frames, `virtual` and `udp_multicast` no bus that could fail.
 """
 
 from __future__ import annotations
@@ -55,9 +55,13 @@ class BusWatch:
         recoveries: how often the controller came back from bus off.
     """
 
-    def __init__(self, place: str, ledger: FaultLedger) -> None:
-        """`place` names the interface."""
+    def __init__(self, place: str, classes: bool, ledger: FaultLedger) -> None:
+        """`place` names the interface; `classes` says if error frames bear SocketCAN's classes.
+
+        Without them error frames are counted, and the condition stays unknown, that is active.
+        """
         self._place = place
+        self._classes = classes
         self._ledger = ledger
         self.condition = BusCondition.ACTIVE
         self.recoveries = 0
@@ -68,6 +72,9 @@ class BusWatch:
         A controller that is off the bus neither sends nor receives until it is restarted: by the
         kernel after `restart-ms`, by an adapter's own rule, or by reopening it.
         """
+        if not self._classes:
+            self._ledger.note(FaultKind.ERROR_FRAME, self._place, "an error frame without class")
+            return
         if arbitration_id & BUS_OFF_CLASS:
             if self.condition is not BusCondition.OFF:
                 self._ledger.note(

@@ -37,9 +37,7 @@ class CanDriver:
         self._nodes = tuple(channel_map.nmt_start_nodes)
         self._on_sample = on_sample
         self._ledger = FaultLedger()
-        self._reader = TensionReader(
-            channel_map, database, interface.name, self._ledger, interface.stamps_frames
-        )
+        self._reader = TensionReader(channel_map, database, interface, self._ledger)
         self._loop = ReceiveLoop(interface.name, interface.open, self, self._ledger)
         self._name = interface.name
         self._send: Callable[[can.Message], None] | None = None

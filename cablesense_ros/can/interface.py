@@ -61,6 +61,15 @@ class CanInterface:
         """
         return self.interface != "slcan"
 
+    @property
+    def classes_errors(self) -> bool:
+        """Whether error frames bear SocketCAN's classes in their id.
+
+        Other drivers put codes of their own there, which must not be read as such. `virtual`
+        passes on whatever was put in, here by the emulator.
+        """
+        return self.interface in ("socketcan", "virtual")
+
     def open(self) -> can.BusABC:
         """Open it.
 

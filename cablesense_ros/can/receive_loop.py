@@ -65,6 +65,7 @@ class ReceiveLoop:
         self._ledger = ledger
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
+        self._heard = False
         self.connected = False
         self.openings = 0
         self.last_problem = ""
@@ -87,35 +88,34 @@ class ReceiveLoop:
     def _run(self) -> None:
         back_off_s = FIRST_BACK_OFF_S
         while not self._ended.is_set():
-            heard = False
+            self._heard = False
             try:
                 bus = self._open_bus()
             except Exception as error:  # whatever keeps it shut, it is tried again
                 self._lost(error)
             else:
-                heard = self._serve(bus)
-            back_off_s = FIRST_BACK_OFF_S if heard else min(2.0 * back_off_s, LAST_BACK_OFF_S)
+                self._serve(bus)
+            if self._heard:
+                back_off_s = FIRST_BACK_OFF_S
             self._ended.wait(back_off_s)
+            back_off_s = min(2.0 * back_off_s, LAST_BACK_OFF_S)
 
-    def _serve(self, bus: can.BusABC) -> bool:
-        """Receive until the interface is lost; whether anything was heard."""
+    def _serve(self, bus: can.BusABC) -> None:
+        """Receive until the interface is lost."""
         self.openings += 1
-        heard = False
         try:
             self._receiver.opened(bus.send)
             self.connected = True
-            heard = self._receive(bus)
+            self._receive(bus)
         except Exception as error:  # drivers raise errors of many kinds when a device is pulled
-            heard = True
             self._lost(error)
         finally:
             self.connected = False
             with contextlib.suppress(Exception):  # closing what is gone may fail as well
                 bus.shutdown()
-        return heard
 
-    def _receive(self, bus: can.BusABC) -> bool:
-        last_s, heard, unreadable = monotonic(), False, 0
+    def _receive(self, bus: can.BusABC) -> None:
+        last_s, unreadable = monotonic(), 0
         while not self._ended.is_set():
             try:
                 frame = bus.recv(WAKE_S)
@@ -126,7 +126,7 @@ class ReceiveLoop:
                     raise
                 continue
             if frame is not None:
-                unreadable, heard, last_s = 0, True, monotonic()
+                unreadable, last_s, self._heard = 0, monotonic(), True
                 self._receiver.received(frame)
                 continue
             self._receiver.silence()
@@ -137,7 +137,6 @@ class ReceiveLoop:
                     f"{self._name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is opened anew",
                 )
                 break
-        return heard
 
     def _lost(self, error: Exception) -> None:
         words = " ".join(str(error).split())[:300] or type(error).__name__

@@ -12,6 +12,7 @@ from cablesense_ros.can.fault import FaultKind
 from cablesense_ros.can.fault_ledger import FaultLedger
 from cablesense_ros.can.flood_watch import FloodWatch
 from cablesense_ros.can.frame_decoder import FrameDecoder
+from cablesense_ros.can.interface import CanInterface
 from cablesense_ros.can.sample_assembler import Sample, SampleAssembler
 from cablesense_ros.can.stuck_watch import StuckWatch
 
@@ -34,16 +35,15 @@ class TensionReader:
         self,
         channel_map: ChannelMap,
         database: Database,
-        place: str,
+        interface: CanInterface,
         ledger: FaultLedger,
-        stamped: bool = True,
     ) -> None:
-        """`place` names the interface in faults; `stamped` says if frames bear their bus time."""
+        """`interface` is where the frames come from; it is not opened here."""
         self._ledger = ledger
         self._names = channel_map.cable_names
         self._decoder = FrameDecoder(channel_map, database, ledger)
         skew_limit_s = channel_map.skew_limit_s
-        if not stamped:
+        if not interface.stamps_frames:
             skew_limit_s = max(skew_limit_s, SCATTER_OF_READING_S)
         self._assembler = SampleAssembler(
             self._names, skew_limit_s, self._decoder.counter_modulo, ledger
@@ -52,7 +52,7 @@ class TensionReader:
         self._clock = BusClock()
         known_frames_s = self._decoder.frames_per_cycle / channel_map.cycle_time_s
         self._flood = FloodWatch(channel_map.flood_frames_s, known_frames_s, ledger)
-        self.bus = BusWatch(place, ledger)
+        self.bus = BusWatch(interface.name, interface.classes_errors, ledger)
         self.frames = 0
         self.samples = 0
         self._stuck_samples = 0
