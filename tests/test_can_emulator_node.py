@@ -110,6 +110,45 @@ def test_an_interface_that_vanishes_on_request_comes_back(graph, link, driver):
     assert time.monotonic() - back_s < 3.0
 
 
+def test_either_side_may_be_killed_and_the_other_goes_on(graph, tmp_path):
+    link = tmp_path / "adapter"
+    emulated = {"namespace": "/killed", "channel": link}
+    driving = {
+        "namespace": "/killed",
+        "interface": "slcan",
+        "channel": link,
+        "bitrate_bit_s": 1_000_000,
+    }
+    tensions = []
+    source = graph.node.create_publisher(JointState, "/killed/simulated_tensions", 10)
+    heard = graph.node.create_subscription(
+        JointState, "/killed/cable_tensions", tensions.append, 10
+    )
+    message = JointState(name=list(ARM.cable_names), effort=TENSIONS_N.tolist())
+
+    def come():
+        source.publish(message)
+        return len(tensions) >= 5
+
+    emulator, driver = NodeProcess(EMULATOR, **emulated), NodeProcess(DRIVER, **driving)
+    graph.until(come, "tensions")
+    for victim in ("emulator", "driver"):
+        if victim == "emulator":
+            emulator.process.kill()
+            emulator.wait()
+            emulator = NodeProcess(EMULATOR, **emulated)
+        else:
+            driver.process.kill()
+            driver.wait()
+            driver = NodeProcess(DRIVER, **driving)
+        graph.spin(0.2)
+        tensions.clear()
+        graph.until(come, f"tensions after the {victim} was killed")
+    assert driver.stop() == 0, driver.log
+    assert emulator.stop() == 0, emulator.log
+    graph.node.destroy_subscription(heard)
+
+
 def test_a_recording_is_played_with_its_commands(graph, tmp_path):
     from cablesense_gap.recordings.csv_file import write_csv
     from cablesense_gap.recordings.recording import Recording

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
-from can.interfaces.slcan import slcanBus
 
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.can.slcan_bus import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
 """Those that are tried or documented here; python-can's others may well work."""
@@ -79,15 +79,14 @@ class CanInterface:
         options: dict[str, Any] = {}
         if self.bitrate_bit_s:
             options["bitrate"] = self.bitrate_bit_s
-        if self.interface == "slcan":
-            options["sleep_after_open"] = 0.0  # two seconds of sleep would be two of silence
         try:
-            bus = can.Bus(
+            if self.interface == "slcan":
+                bus = SlcanBus(self.channel, sleep_after_open=0.0, **options)
+                bus.flush()  # what came before would be taken for new
+                return bus
+            return can.Bus(
                 channel=self.channel, interface=self.interface, ignore_config=True, **options
             )
-            if isinstance(bus, slcanBus):
-                bus.flush()  # what came before would be taken for new
-            return bus
         except Exception as error:  # each adapter's driver raises errors of its own
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error

@@ -20,9 +20,14 @@ from pathlib import Path
 import can
 
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.can.slcan_lines import (
+    FRAME_COMMANDS,
+    MAX_LINE_BYTES,
+    frame_line,
+    line_frame,
+)
 
 VERSION, SERIAL_NUMBER, STATUS_FLAGS = b"V1013", b"NCSEM", b"F00"
-MAX_LINE_BYTES = 64
 RECEIVED_KEPT = 1000
 _OK, _BELL = b"\r", b"\a"
 _WAKE_S = 0.1
@@ -65,7 +70,7 @@ class SlcanPort:
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Pass frames to the host; those that it cannot take are dropped and counted."""
-        lines = [line for line in map(_line, frames) if line is not None]
+        lines = [line + _OK for line in map(frame_line, frames) if line is not None]
         self.dropped += len(frames) - len(lines)
         if not self.channel_open or not self._write(b"".join(lines)):
             self.dropped += len(lines)
@@ -152,45 +157,19 @@ class SlcanPort:
         if command == b"C":
             self.channel_open = False
             return _OK
-        if command in (b"t", b"T", b"r", b"R"):
-            frame = _frame(line)
-            if frame is None or not self.channel_open:
-                return _BELL
-            self._received.append(frame)
-            return (b"z" if command in (b"t", b"r") else b"Z") + _OK
+        if command and command in FRAME_COMMANDS:
+            return self._take(line)
         answers = {b"V": VERSION, b"N": SERIAL_NUMBER, b"F": STATUS_FLAGS}
         if command in answers:
             return answers[command] + _OK
         return _OK if command in (b"", b"S", b"s", b"Z", b"M", b"m", b"Y") else _BELL
 
-
-def _line(frame: can.Message) -> bytes | None:
-    """A frame as a line, or None for one that the protocol has no line for."""
-    if frame.is_error_frame or frame.is_fd:
-        return None
-    letter = "r" if frame.is_remote_frame else "t"
-    if frame.is_extended_id:
-        head = f"{letter.upper()}{frame.arbitration_id:08X}{frame.dlc:d}"
-    else:
-        head = f"{letter}{frame.arbitration_id:03X}{frame.dlc:d}"
-    data = "" if frame.is_remote_frame else bytes(frame.data).hex().upper()
-    return f"{head}{data}\r".encode()
-
-
-def _frame(line: bytes) -> can.Message | None:
-    """The frame of a line, or None for a line that is none."""
-    try:
-        text = line.decode("ascii")
-        extended, remote = text[0] in "TR", text[0] in "rR"
-        digits = 8 if extended else 3
-        length = int(text[1 + digits])
-        return can.Message(
-            arbitration_id=int(text[1 : 1 + digits], 16),
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            dlc=length,
-            data=None if remote else bytes.fromhex(text[2 + digits : 2 + digits + 2 * length]),
-            check=True,
-        )
-    except (ValueError, IndexError):
-        return None
+    def _take(self, line: bytes) -> bytes:
+        """A frame that the host sends."""
+        if not self.channel_open:
+            return _BELL
+        try:
+            self._received.append(line_frame(line))
+        except ValueError:
+            return _BELL
+        return (b"z" if line[:1].islower() else b"Z") + _OK

@@ -1,0 +1,65 @@
+"""Serial CAN adapters, read in bulk: python-can's `slcan` reads byte by byte.
+
+At a thousand cycles of four frames a second the driver takes some 0.3 of a core instead of 0.7.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+import can
+from can.exceptions import error_check
+from can.interfaces.slcan import slcanBus
+
+from cablesense_ros.can.slcan_lines import FRAME_COMMANDS, MAX_LINE_BYTES, line_frame
+
+_END = b"\r"
+_BELL = b"\a"
+
+
+class SlcanBus(slcanBus):
+    """python-can's bus with another way of receiving; it opens, sends and closes as that does."""
+
+    def __init__(self, channel: str, **options: Any) -> None:
+        """`options` are those of python-can's `slcanBus`."""
+        self._begun = b""
+        self._lines: deque[tuple[bytes, float]] = deque()
+        super().__init__(channel, **options)
+
+    def flush(self) -> None:
+        """Forget what was received but not taken."""
+        self._begun = b""
+        self._lines.clear()
+        super().flush()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """One frame, or None when there was none in time; python-can's point to extend.
+
+        Raises:
+            ValueError: a line that begins as a frame and is none.
+            can.CanOperationError: the adapter is gone.
+        """
+        if not self._lines:
+            self._read_lines(timeout)
+        while self._lines:
+            line, time_s = self._lines.popleft()
+            if line[:1] and line[:1] in FRAME_COMMANDS:
+                return line_frame(line, time_s), False
+        return None, False
+
+    def _read_lines(self, timeout: float | None) -> None:
+        port = self.serialPortOrig
+        with error_check("Could not read from serial device"):
+            if port.timeout != timeout:
+                port.timeout = timeout
+            data = port.read(max(1, port.in_waiting))
+            data += port.read(port.in_waiting)
+        time_s = time.time()
+        *lines, rest = (self._begun + data.replace(_BELL, _END)).split(_END)
+        if len(rest) > MAX_LINE_BYTES:
+            lines.append(rest)
+            rest = b""
+        self._begun = rest
+        self._lines.extend((line, time_s) for line in lines)
