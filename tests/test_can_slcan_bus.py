@@ -1,5 +1,6 @@
 """Serial adapters read in bulk, with a pseudo-terminal in their place."""
 
+import itertools
 import os
 import time
 import tty
@@ -67,6 +68,28 @@ def test_frames_bear_the_time_of_reading(adapter):
     began_s = time.time()
     adapter.say(b"t1230\r")
     assert began_s <= take(adapter, 1)[0].timestamp <= time.time()
+
+
+def test_frames_that_waited_are_spread_over_the_time_since_the_last_reading(adapter):
+    adapter.say(b"t1230\r")
+    first_s = take(adapter, 1)[0].timestamp
+    adapter.say(b"t1230\r" * 50)
+    time.sleep(0.1)
+    times_s = [frame.timestamp for frame in take(adapter, 50)]
+    steps_s = [later - earlier for earlier, later in itertools.pairwise([first_s, *times_s])]
+    assert min(steps_s) > 0.5e-3
+    assert max(steps_s) < 2.0 * 0.1 / 50 + 0.02
+    assert times_s[-1] <= time.time()
+
+
+def test_stamps_ascend_though_the_clock_stands_still(adapter, monkeypatch):
+    monkeypatch.setattr(time, "time", lambda: 1.7e9)
+    adapter.say(b"t1230\r" * 20)
+    times_s = [frame.timestamp for frame in take(adapter, 20)]
+    assert all(later > earlier for earlier, later in itertools.pairwise(times_s))
+    monkeypatch.setattr(time, "time", lambda: 1.6e9)  # it was set back
+    adapter.say(b"t1230\r")
+    assert take(adapter, 1)[0].timestamp < 1.61e9
 
 
 def test_a_line_that_is_no_frame_raises_once_and_the_next_is_read(adapter):
