@@ -111,6 +111,25 @@ def test_an_interface_that_vanishes_is_opened_again_until_it_is_there(bench, err
     assert bench.receiver.openings == bench.loop.openings == 2
 
 
+def test_one_wait_in_vain_is_no_silence():
+    bench = Bench()
+    bus = FakeBus()
+    course = iter([FRAME, None, FRAME, None, FRAME, None, None, None])
+    heard = []
+
+    def recv(timeout):
+        item = next(course, "end")
+        if item == "end":
+            bench.loop._ended.set()
+            return None
+        heard.append((item is not None, bench.receiver.silences))
+        return item
+
+    bus.recv = recv
+    bench.loop._receive(bus)
+    assert [silences for _, silences in heard] == [0, 0, 0, 0, 0, 0, 0, 1]
+
+
 def test_a_line_that_is_no_frame_is_counted_and_the_next_one_taken(bench):
     for item in (ValueError("not hexadecimal"), FRAME, IndexError("too short"), FRAME):
         bench.buses[0].coming.put(item)

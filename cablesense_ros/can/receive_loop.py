@@ -22,6 +22,10 @@ LAST_BACK_OFF_S = 0.5
 """Short enough that samples are there again within a second of the interface's return."""
 
 WAKE_S = 0.05
+WAITS_OF_SILENCE = 2
+"""The first wait may have ended in a pause of this process, with frames already there: only what
+the next one still does not find has not come."""
+
 REOPEN_AFTER_SILENCE_S = 2.0
 """Adapters that lost power at times neither raise nor deliver; opening them anew sets them up."""
 
@@ -39,7 +43,7 @@ class Receives(Protocol):
         """A frame came."""
 
     def silence(self) -> None:
-        """No frame for `WAKE_S`."""
+        """No frame in the last two waits of `WAKE_S`."""
 
 
 class ReceiveLoop:
@@ -115,7 +119,7 @@ class ReceiveLoop:
                 bus.shutdown()
 
     def _receive(self, bus: can.BusABC) -> None:
-        last_s, unreadable = monotonic(), 0
+        last_s, unreadable, in_vain = monotonic(), 0, 0
         while not self._ended.is_set():
             try:
                 frame = bus.recv(WAKE_S)
@@ -126,8 +130,12 @@ class ReceiveLoop:
                     raise
                 continue
             if frame is not None:
-                unreadable, last_s, self._heard = 0, monotonic(), True
+                unreadable, in_vain = 0, 0
+                last_s, self._heard = monotonic(), True
                 self._receiver.received(frame)
+                continue
+            in_vain += 1
+            if in_vain < WAITS_OF_SILENCE:
                 continue
             self._receiver.silence()
             if monotonic() - last_s > REOPEN_AFTER_SILENCE_S:
