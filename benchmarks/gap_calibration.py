@@ -4,7 +4,8 @@
 
 Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. What
 the search leaves unexplained in each case is kept beside the recording, as `case_….search.json`;
-then the numbers are sought that give the true answers the highest mean log probability.
+then the numbers are sought that give the true answers the highest mean log probability. The
+bundled numbers come from 60 cases of seed 606 and the first 21 of seed 9002.
 """
 
 from __future__ import annotations
