@@ -120,13 +120,25 @@ def test_a_link_gives_it_a_name_that_outlives_a_restart(tmp_path):
         assert not link.is_symlink()
 
 
+def test_a_port_takes_only_its_own_link_away(tmp_path):
+    link = tmp_path / "adapter"
+    earlier, later = SlcanPort(str(link)), SlcanPort(str(link))
+    earlier.close()
+    assert link.is_symlink()
+    later.close()
+    assert not link.is_symlink()
+
+
 def test_a_link_that_cannot_be_made_is_refused(tmp_path):
     taken = tmp_path / "file"
     taken.touch()
-    for link in (taken, tmp_path / "none" / "adapter"):
+    elsewhere = tmp_path / "link"
+    elsewhere.symlink_to(taken)
+    for link in (taken, elsewhere, tmp_path / "none" / "adapter"):
         with pytest.raises(SlcanPortError, match="no link to"):
             SlcanPort(str(link))
     assert taken.exists()
+    assert elsewhere.is_symlink()
 
 
 @given(lines=st.lists(st.binary(max_size=80), max_size=20))

@@ -106,7 +106,9 @@ def _sample_status(
         level = Level.STALE
         message = f"no sample for {silence_s:.1f} s" + (f": {words}" if words else "")
     elif recent.withheld or WITHHOLDS & set(faults.recent):
-        level, message = Level.ERROR, f"{recent.withheld} samples withheld: {words or 'not whole'}"
+        level, message = Level.ERROR, words
+        if recent.withheld:
+            message = f"{recent.withheld} samples withheld: {words or 'not whole'}"
     elif faults.recent:
         level, message = Level.WARN, words
     values = {

@@ -58,8 +58,8 @@ class SlcanPort:
             raise SlcanPortError(f"no pseudo-terminal can be had ({error})") from error
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self.path = self._link_to(os.ttyname(self._slave), link)
-        self._linked = bool(link)
+        self._terminal = os.ttyname(self._slave)
+        self.path = self._linked(link) if link else self._terminal
         self.channel_open = False
         self.dropped = 0
         self._received: deque[can.Message] = deque(maxlen=RECEIVED_KEPT)
@@ -89,27 +89,27 @@ class SlcanPort:
             return
         self._ended.set()
         self._thread.join(timeout=2.0)
-        if self._linked:
-            Path(self.path).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            if str(Path(self.path).readlink()) == self._terminal:  # and no later port's
+                Path(self.path).unlink()
         with self._write_lock:
             self.channel_open = False
             os.close(self._slave)
             os.close(self._master)
 
-    def _link_to(self, terminal: str, link: str) -> str:
-        if not link:
-            return terminal
+    def _linked(self, link: str) -> str:
+        """Put the link there; one of a port that was killed is replaced, nothing else is."""
         path = Path(link)
         try:
-            if path.is_symlink():
-                path.unlink()  # of an emulator that was killed
-            path.symlink_to(terminal)
+            if path.is_symlink() and path.readlink().is_relative_to(Path(self._terminal).parent):
+                path.unlink()
+            path.symlink_to(self._terminal)
         except OSError as error:
             os.close(self._slave)
             os.close(self._master)
             raise SlcanPortError(
-                f"{link}: no link to {terminal} can be made there ({error.strerror}); give a path "
-                "that is free, in a folder that exists"
+                f"{link}: no link to {self._terminal} can be made there ({error.strerror}); give "
+                "a path that is free, in a folder that exists"
             ) from error
         return link
 
