@@ -80,6 +80,12 @@ def status(graph, name):
     return graph.statuses.get(f"can_driver: {name}")
 
 
+def said(graph, name):
+    """What diagnostics last said under a name; nothing before the first report."""
+    found = status(graph, name)
+    return found.message if found is not None else ""
+
+
 def test_tensions_are_published_as_the_sim_does(graph, adapter, driver):
     tensions_come(graph, adapter)
     message = graph.tensions[-1]
@@ -97,8 +103,7 @@ def test_tensions_are_published_as_the_sim_does(graph, adapter, driver):
 def test_diagnostics_say_how_it_is_and_which_arm(graph, adapter, driver):
     def fine():
         adapter.send()
-        found = status(graph, "samples")
-        return found is not None and found.message == "every sample whole"
+        return said(graph, "samples") == "every sample whole" and status(graph, "interface")
 
     graph.until(fine, "a report that all is well")
     assert status(graph, "interface").hardware_id == ARM.identity
@@ -114,8 +119,7 @@ def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, d
 
     def told():
         adapter.send()
-        found = status(graph, "samples")
-        return "missing channel (cable_5, cable_6, cable_7, cable_8)" in found.message
+        return "missing channel (cable_5, cable_6, cable_7, cable_8)" in said(graph, "samples")
 
     graph.until(told, "the missing channels in diagnostics")
     assert graph.tensions == []
@@ -125,9 +129,7 @@ def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, d
 
 def test_an_adapter_that_is_pulled_is_reported_and_taken_again(graph, adapter, driver):
     adapter.port.close()
-    graph.until(
-        lambda: "is not open" in status(graph, "interface").message, "the loss in diagnostics"
-    )
+    graph.until(lambda: "is not open" in said(graph, "interface"), "the loss in diagnostics")
     assert driver.process.poll() is None
     adapter.port = SlcanPort(adapter.link)
     plugged_s = time.monotonic()
