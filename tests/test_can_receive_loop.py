@@ -105,7 +105,7 @@ def test_an_interface_that_vanishes_is_opened_again_until_it_is_there(bench, err
     bench.shut = False
     began_s = time.monotonic()
     bench.until(lambda: bench.loop.connected)
-    assert time.monotonic() - began_s < 1.0
+    assert time.monotonic() - began_s < 2.0
     bench.buses[-1].coming.put(FRAME)
     bench.until(lambda: bench.receiver.frames == 1)
     assert bench.receiver.openings == bench.loop.openings == 2
