@@ -35,7 +35,10 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
 
 LISTEN_S = 0.01
-"""How often frames of others are taken, and rows of a recording looked for."""
+"""How often frames of others are taken."""
+
+PLAY_S = 0.001
+"""How often rows of a recording are looked for: those found together go out in one burst."""
 
 
 class CanEmulatorNode(Node):
@@ -76,7 +79,9 @@ class CanEmulatorNode(Node):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity)
-        self.create_timer(LISTEN_S, self._listen)
+        self.create_timer(LISTEN_S, self._emulator.listen)
+        if self._player is not None:
+            self.create_timer(PLAY_S, self._play_recording)
         self.get_logger().info(
             f"arm {self._arm.identity}: map {channel_map.name} as frames on {given['interface']} "
             f"{given['channel']}"
@@ -87,8 +92,7 @@ class CanEmulatorNode(Node):
         self._emulator.close()
         super().destroy_node()
 
-    def _listen(self) -> None:
-        self._emulator.listen()
+    def _play_recording(self) -> None:
         if self._player is None:
             return
         for tensions_n, command_rad in self._player.due(time.monotonic()):

@@ -1,6 +1,7 @@
 """Recordings in their own time."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +31,15 @@ def test_rows_come_when_they_are_due_and_a_command_when_it_is_new():
     assert rest[1][1].tolist() == [0.1]
     assert player.ended
     assert player.due(200.0) == []
+
+
+def test_an_unchanged_command_is_told_again_once_a_second():
+    time_s = np.arange(31) * 0.1
+    player = RecordingPlayer(time_s, np.zeros((31, 2)), np.zeros((31, 1)), loop=False)
+    rows = [row for step in range(31) for row in player.due(50.0 + step * 0.1 + 1e-6)]
+    told = [number for number, (_, command) in enumerate(rows) if command is not None]
+    assert len(rows) == 31
+    assert told == pytest.approx([0, 10, 20, 30], abs=2)
 
 
 def test_a_loop_begins_again_after_a_pause():

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+COMMAND_EVERY_S = 1.0
+
 PAUSE_S = 0.5
 """Between the end of a recording and its next beginning."""
 
@@ -26,12 +28,14 @@ class RecordingPlayer:
         self._loop = loop
         self._row = 0
         self._began_s: float | None = None
+        self._told_s = 0.0
         self.ended = False
 
     def due(self, now_s: float) -> list[tuple[Array, Array | None]]:
-        """The rows due since this was last asked: (M,) tensions, and the command if it is new.
+        """The rows due since this was last asked: (M,) tensions, and at times their command.
 
-        The command (2N,) comes with the first row of every turn and wherever it changes.
+        The command (2N,) comes with the first row of every turn, wherever it changes, and once
+        more every `COMMAND_EVERY_S`, for an estimator that was started later.
         """
         if self._began_s is None:
             self._began_s = now_s
@@ -40,7 +44,9 @@ class RecordingPlayer:
             row = self._row
             command = self._command_rad[row]
             new = row == 0 or (command != self._command_rad[row - 1]).any()
-            rows.append((self._tensions_n[row], command if new else None))
+            told = new or now_s - self._told_s >= COMMAND_EVERY_S
+            self._told_s = now_s if told else self._told_s
+            rows.append((self._tensions_n[row], command if told else None))
             self._row += 1
             if self._row == len(self._time_s):
                 self._row = 0
