@@ -164,7 +164,7 @@ class Estimation:
             self.health.aged(self.clock.age_s(sample.stamp_ns, now_ns))
             tensions = self._arrange(sample)
             self.check.check(tensions)
-            return self._answer(tensions, sample.stamp_ns, now_s)
+            return self._answer(tensions, sample.stamp_ns, now_ns, now_s)
         except SampleError as problem:
             self.health.refused(problem)
             return Outcome(problem=problem)
@@ -190,13 +190,15 @@ class Estimation:
         except ContractError as error:
             raise SampleError(ProblemKind.NAMES, str(error)) from error
 
-    def _answer(self, tensions: tuple[float, ...], stamp_ns: int, now_s: float) -> Outcome:
+    def _answer(
+        self, tensions: tuple[float, ...], stamp_ns: int, now_ns: int, now_s: float
+    ) -> Outcome:
         if self.gate.moving(now_s):
             return Outcome(stamp_ns=stamp_ns)
         self.tare.add(tensions)
         if self._auto_tare and self.tare.ready:
             self._auto_tare = False
-            return Outcome(stamp_ns=stamp_ns, new_tare=self.tare.take())
+            return Outcome(stamp_ns=stamp_ns, new_tare=self.tare.take(now_ns))
         unloaded = self.tare.unloaded_n
         if unloaded is None:
             return Outcome(stamp_ns=stamp_ns)

@@ -29,12 +29,13 @@ from cablesense_ros.estimator_parameters import (
     LIVE_PARAMETERS,
     estimation_settings,
 )
-from cablesense_ros.estimator_report import cable_status, model_status, pose_status, tare_status
+from cablesense_ros.estimator_report import cable_status, model_status, pose_status
 from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
 from cablesense_ros.spin import run_node
 from cablesense_ros.tare import Tare, TareModel
+from cablesense_ros.tare_words import tare_status, tare_taken_line, tare_undone_line
 from cablesense_ros.throttled_log import ThrottledLog
 
 STALE_CHECK_S = 0.02
@@ -203,7 +204,7 @@ class EstimatorNode(LifecycleNode):
             self._outputs.publish(Outcome(), self._now_ns(), time.monotonic())
 
     def _on_tare(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, lambda tare: self._log_tare(tare.take(), "on request"))
+        return self._answer(response, self._take_tare)
 
     def _on_tare_undo(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._undo_tare)
@@ -222,23 +223,24 @@ class EstimatorNode(LifecycleNode):
             self.get_logger().warning(f"tare: {error}")
         return response
 
-    def _undo_tare(self, tare: TareModel) -> str:
-        earlier = tare.undo()
-        message = (
-            "tare undone; there is none now, so no estimate"
-            if earlier is None
-            else f"tare undone; the one of {earlier.sample_count} readings before it counts again"
-        )
+    def _take_tare(self, tares: TareModel) -> str:
+        return self._log_tare(tares.take(self._now_ns()), "on request")
+
+    def _undo_tare(self, tares: TareModel) -> str:
+        undone = tares.present
+        earlier = tares.undo()
+        assert undone is not None  # or there would have been nothing to undo
+        message = tare_undone_line(undone, earlier, self._cable_names(), tares.undoable)
         self.get_logger().info(message)
         return message
 
     def _log_tare(self, tare: Tare, how: str) -> str:
-        message = (
-            f"tare taken {how}: average of {tare.sample_count} readings, at most "
-            f"{tare.offset_n:.2f} N from the arm file's unloaded tensions"
-        )
+        message = tare_taken_line(tare, self._cable_names(), how)
         self.get_logger().info(message)
         return message
+
+    def _cable_names(self) -> Sequence[str]:
+        return self._loaded.arm.cable_names if self._loaded is not None else ()
 
     def _on_lost(self, event: QoSMessageLostInfo) -> None:
         self._lost += event.total_count_change
@@ -271,7 +273,7 @@ class EstimatorNode(LifecycleNode):
             pose_status(
                 self._estimation, self._loaded.estimator.metadata.pose_range_deg, refused, now_s
             ),
-            tare_status(self._estimation),
+            tare_status(self._estimation.tare),
         ]
 
 

@@ -1,4 +1,4 @@
-"""The estimator's health beyond its input: model, pose, cables and tare."""
+"""The estimator's health beyond its input: model, pose and cables."""
 
 from __future__ import annotations
 
@@ -63,17 +63,3 @@ def pose_status(
             "joint_commands", Level.WARN, "none received: arm taken to be straight", values
         )
     return Status("joint_commands", Level.OK, "at rest", values)
-
-
-def tare_status(estimation: Estimation) -> Status:
-    """Whether there is a tare, and how far it lies from the arm's model."""
-    tare = estimation.tare.present
-    if tare is None:
-        return Status(
-            "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
-        )
-    values = {
-        "readings averaged": str(tare.sample_count),
-        "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
-    }
-    return Status("tare", Level.OK, "taken", values)

@@ -37,11 +37,13 @@ class Tare:
         measured_n: (M,) average of the readings.
         predicted_n: (M,) what the arm's model says at the same command.
         sample_count: how many readings were averaged.
+        taken_ns: when it was taken, ns since the epoch.
     """
 
     measured_n: Array
     predicted_n: Array
     sample_count: int
+    taken_ns: int
 
     @property
     def offset_n(self) -> float:
@@ -85,6 +87,11 @@ class TareModel:
         return self._tares[-1] if self._tares else None
 
     @property
+    def undoable(self) -> int:
+        """How many times `undo` can be called."""
+        return len(self._tares)
+
+    @property
     def unloaded_n(self) -> Array | None:
         """(M,) unloaded tensions at the present command; none before the first tare."""
         return self._unloaded_n
@@ -112,8 +119,11 @@ class TareModel:
         """Whether enough readings have come for a tare, and they hold still."""
         return len(self._readings) == self._sample_count and self._unsteady() is None
 
-    def take(self) -> Tare:
+    def take(self, now_ns: int) -> Tare:
         """Take the average of the last readings as the unloaded state.
+
+        Args:
+            now_ns: the time that is noted beside it, ns since the epoch.
 
         Raises:
             TareError: too few readings yet, or they do not hold still.
@@ -126,7 +136,8 @@ class TareModel:
         unsteady = self._unsteady()
         if unsteady is not None:
             raise TareError(unsteady)
-        tare = Tare(np.mean(self._readings, axis=0), self._predicted_n.copy(), self._sample_count)
+        measured_n = np.mean(self._readings, axis=0)
+        tare = Tare(measured_n, self._predicted_n.copy(), self._sample_count, now_ns)
         self._tares.append(tare)
         self._carry_over()
         return tare

@@ -83,6 +83,24 @@ def test_a_push_of_40_n_is_estimated_and_its_end_as_well(tared):
     assert force(tared.wrenches[-1]) == (0.0, 0.0, 0.0)
 
 
+def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimator):
+    tared.until(lambda: "estimator: tare" in tared.statuses, "diagnostics")
+    tared.until(lambda: "tared since" in _values(tared, "tare"), "the first tare in diagnostics")
+    before = _values(tared, "tare")["tared since"]
+    taken = tared.call("/estimator/tare")
+    assert taken.success
+    assert "tare taken on request" in taken.message
+    assert "cable_12" in taken.message
+    undone = tared.call("/estimator/tare_undo")
+    assert undone.success
+    assert before in undone.message
+    assert undone.message in estimator.log
+    tared.until(
+        lambda: _values(tared, "tare")["tares that can be undone"] == "1", "the first tare again"
+    )
+    assert _values(tared, "tare")["tared since"] == before
+
+
 def test_a_load_that_is_none_is_refused_and_the_sim_goes_on(tared, sim):
     tared.push(9, (0.0, 40.0, 0.0))
     tared.push(2, (0.0, math.nan, 0.0))
