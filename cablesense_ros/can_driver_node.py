@@ -17,6 +17,9 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.joint_state import put_tensions
 from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_ros.can.calibration import Calibration, calibrated
+from cablesense_ros.can.calibration_file import load_calibration
+from cablesense_ros.can.calibration_report import calibration_status
 from cablesense_ros.can.driver import CanDriver
 from cablesense_ros.can.interface import CanInterface
 from cablesense_ros.can.sample_assembler import Sample
@@ -46,6 +49,7 @@ class CanDriverNode(LifecycleNode):
         self._tensions = JointState()
         self._tensions_out: Publisher | None = None
         self._driver: CanDriver | None = None
+        self._calibration: Calibration | None = None
         self._arm_identity = ""
         self._active = False
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm_identity)
@@ -102,6 +106,11 @@ class CanDriverNode(LifecycleNode):
         arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(arm.cable_names)
+        if given["calibration"]:
+            self._calibration = load_calibration(given["calibration"])
+            channel_map = calibrated(
+                channel_map, database, self._calibration, given["calibration"]
+            )
         interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
         self._tensions = JointState(name=list(arm.cable_names))
         self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
@@ -115,7 +124,8 @@ class CanDriverNode(LifecycleNode):
         self._arm_identity = arm.identity
         self.get_logger().info(
             f"arm {arm.identity}: map {channel_map.name} with {len(channel_map.channels)} "
-            f"channels on {interface.name}"
+            f"channels on {interface.name}, scales and zeros: "
+            f"{calibration_status(self._calibration).message}"
         )
 
     def _publish(self, sample: Sample) -> None:
@@ -138,6 +148,7 @@ class CanDriverNode(LifecycleNode):
         if self._tensions_out is not None:
             self.destroy_publisher(self._tensions_out)
         self._driver, self._tensions_out, self._arm_identity = None, None, ""
+        self._calibration = None
 
     def _statuses(self) -> list[Status]:
         if self._driver is None:
@@ -147,7 +158,7 @@ class CanDriverNode(LifecycleNode):
         statuses, faults = self._driver.report(self.get_parameter("stale_after_s").value)
         for kind in faults.recent:
             self._warn(kind.name, f"{kind.value}: {faults.last[kind]}")
-        return statuses
+        return [*statuses, calibration_status(self._calibration)]
 
 
 def main(args: Sequence[str] | None = None) -> int:

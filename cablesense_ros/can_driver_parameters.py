@@ -14,6 +14,12 @@ CAN_DRIVER_PARAMETERS: Final = (
         "Channel map: the name of a bundled one, or the path of a .yaml file.",
     ),
     NodeParameter(
+        "calibration",
+        "",
+        "Path of a calibration file, whose scales and zeros take the place of the map's; empty "
+        "for none.",
+    ),
+    NodeParameter(
         "interface",
         "socketcan",
         "python-can's name of the kind of adapter: socketcan, slcan, pcan, kvaser, virtual, "

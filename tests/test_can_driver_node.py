@@ -1,6 +1,7 @@
 """The CAN driver as a process: an adapter on a pseudo-terminal, and the real middleware."""
 
 import time
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from can_frames import PACKED, PACKED_DATABASE  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from ros_graph import Graph, NodeProcess  # noqa: E402
 
+from cablesense_ros.can.calibration import CalibratedSensor, Calibration  # noqa: E402
+from cablesense_ros.can.calibration_file import write_calibration  # noqa: E402
 from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier  # noqa: E402
 from cablesense_ros.can.emulation.fault_request import parse_fault  # noqa: E402
 from cablesense_ros.can.emulation.frame_sink import play  # noqa: E402
 from cablesense_ros.can.emulation.slcan_port import SlcanPort  # noqa: E402
+from cablesense_ros.can.signal_database import channel_signal  # noqa: E402
 from cablesense_sim.arm_files import open_arm  # noqa: E402
 
 pytestmark = [
@@ -151,9 +155,49 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
     assert "Traceback" not in process.log
 
 
+def test_a_calibration_takes_the_place_of_the_maps_scale_and_zero(graph, tmp_path):
+    channel = PACKED.channels["cable_2"]
+    signal = channel_signal(PACKED_DATABASE, channel)
+    sensor = CalibratedSensor(
+        message=channel.message,
+        signal=channel.signal,
+        signal_unit=signal.unit,
+        signal_factor=signal.factor,
+        signal_offset=signal.offset,
+        scale_n_per_unit=2.0,
+        zero=10.0,
+    )
+    others = [cable for cable in PACKED.channels if cable != "cable_2"]
+    made = datetime(2026, 3, 1, tzinfo=UTC)
+    path = tmp_path / "calibration.yaml"
+    write_calibration(
+        path,
+        Calibration(map=PACKED.name, made=made, uncalibrated=others, cables={"cable_2": sensor}),
+    )
+    own = Adapter(tmp_path / "adapter")
+    process = NodeProcess(
+        DRIVER,
+        interface="slcan",
+        channel=own.link,
+        bitrate_bit_s=1_000_000,
+        calibration=path,
+    )
+    tensions_come(graph, own)
+    found = np.array(graph.tensions[-1].effort)
+    np.testing.assert_allclose(found[1], 2.0 * (TENSIONS_N[1] - 10.0), atol=0.11)
+    np.testing.assert_allclose(found[2:], TENSIONS_N[2:], atol=0.051)
+    assert "calibration of 2026-03-01" in process.log
+    assert process.stop() == 0, process.log
+    own.port.close()
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
-    [({"map": "none"}, "bundled maps are"), ({"interface": "none"}, "unknown to python-can")],
+    [
+        ({"map": "none"}, "bundled maps are"),
+        ({"calibration": "none.yaml"}, "none.yaml: cannot be read"),
+        ({"interface": "none"}, "unknown to python-can"),
+    ],
 )
 def test_what_cannot_be_leaves_it_unconfigured_with_one_line(parameters, said):
     process = NodeProcess(DRIVER, **parameters)

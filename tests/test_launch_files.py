@@ -113,7 +113,7 @@ def test_the_bus_is_read_by_the_map_and_interface_given(describe):
     driver = nodes_by_source(entities)["can"]["can_driver"]
     given = driver.given["parameters"]
     assert "arm" in given[1]
-    assert {"map", "interface", "channel"} == set(given[2]) <= declared
+    assert {"map", "calibration", "interface", "channel"} == set(given[2]) <= declared
 
 
 def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):

@@ -16,7 +16,7 @@ MAX_CHANNELS = 256
 
 
 class ChannelMapError(CableSenseError):
-    """A channel map or DBC file that does not fit: names the file, the key and what would be."""
+    """A channel map, DBC or calibration file that does not fit: says which, where, what would."""
 
 
 class _Part(BaseModel):
@@ -35,6 +35,8 @@ Count = Annotated[int, BeforeValidator(_not_a_boolean)]
 Mask = Annotated[Count, Field(ge=0, le=0xFFFF)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,127}$")]
 """A DBC identifier."""
+Scale = Annotated[Number, Field(ge=-1e9, le=1e9)]
+Zero = Annotated[Number, Field(ge=-1e12, le=1e12)]
 
 
 class Channel(_Part):
@@ -47,8 +49,8 @@ class Channel(_Part):
     message: Name
     signal: Name
     status: Name | None = None
-    scale_n_per_unit: Annotated[Number, Field(ge=-1e9, le=1e9)] = 1.0
-    zero: Annotated[Number, Field(ge=-1e12, le=1e12)] = 0.0
+    scale_n_per_unit: Scale = 1.0
+    zero: Zero = 0.0
 
     @model_validator(mode="after")
     def _scale_is_not_zero(self) -> Channel:

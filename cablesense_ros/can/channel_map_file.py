@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import stat
 from pathlib import Path
-from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from cablesense_ros.can.channel_map import ChannelMap, ChannelMapError
+from cablesense_ros.can.plain_yaml import parse_plain_mapping
 from cablesense_sim.arm_problem import describe_problem
 from cablesense_sim.config_files import config_path
 
@@ -63,17 +62,7 @@ def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
     Raises:
         ChannelMapError: as `load_channel_map`.
     """
-    try:
-        content = yaml.load(text, Loader=_PlainLoader)
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # the last three: what Python makes of tags such as `!!int x`, which PyYAML lets through
-        line = " ".join(str(error).split())
-        raise ChannelMapError(f"{source}: not valid YAML ({line[:300]})") from error
-    if not isinstance(content, dict):
-        raise ChannelMapError(
-            f"{source}: holds {type(content).__name__}, not a mapping with the keys "
-            f"{', '.join(ChannelMap.model_fields)}"
-        )
+    content = parse_plain_mapping(text, source, ", ".join(ChannelMap.model_fields))
     try:
         return ChannelMap.model_validate(content)
     except ValidationError as error:
@@ -95,25 +84,3 @@ def read_bounded_text(path: Path, max_bytes: int, what: str) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise ChannelMapError(f"{path}: cannot be read as text ({error})") from error
-
-
-class _PlainLoader(yaml.SafeLoader):
-    """No key twice, where PyYAML would take the last; no alias, which can nest without end."""
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(
-                None, None, "an alias (*name): write the value out", mark
-            )
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key.value[:40]!r} stands twice", key.start_mark
-                )
-            seen.add(str(key.value))
-        return super().construct_mapping(node, deep)

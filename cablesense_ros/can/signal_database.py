@@ -5,15 +5,25 @@ The format is Vector's DBC (an open text format in practice, never published as 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import cantools
 from cantools.database.can import Database, Message, Signal
 
-from cablesense_ros.can.channel_map import ChannelMap, ChannelMapError
+from cablesense_ros.can.channel_map import Channel, ChannelMap, ChannelMapError
 from cablesense_ros.can.channel_map_file import MAX_DBC_BYTES, load_channel_map, read_bounded_text
 
 _SHOWN_NAMES = 8
+
+
+@dataclass(frozen=True)
+class ChannelSignal:
+    """What the DBC file makes of a channel's bits: `value = factor * bits + offset`, in `unit`."""
+
+    unit: str
+    factor: float
+    offset: float
 
 
 def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
@@ -71,6 +81,17 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
                 f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
                 "so that a lost cycle shows"
             )
+
+
+def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
+    """Unit, factor and offset of a channel's value.
+
+    Raises:
+        ChannelMapError: the database lacks its message or signal.
+    """
+    message = message_of(database, channel.message, "DBC file")
+    signal = _signal_of(message, channel.signal, "DBC file")
+    return ChannelSignal(signal.unit or "", float(signal.scale), float(signal.offset))
 
 
 def message_of(database: Database, name: str, where: str) -> Message:

@@ -17,6 +17,7 @@ from cablesense_ros.cli.demo import demo
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info
+from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import train
 
 EXIT_WRONG_INPUT = 2
@@ -35,6 +36,7 @@ app = typer.Typer(
 for verb in (demo, dataset, train, evaluate, info):
     app.command()(verb)
 app.add_typer(gap)
+app.add_typer(sensors)
 
 
 def _show_version(wanted: bool) -> None:

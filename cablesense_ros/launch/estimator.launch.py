@@ -30,6 +30,7 @@ ARGUMENTS = (
         None,
         "with source:=can: channel map, the name of a bundled one or the path of a .yaml file",
     ),
+    ("calibration", "", None, "with source:=can: path of a calibration file, or empty for none"),
     ("interface", "socketcan", None, "with source:=can: python-can's name of the adapter's kind"),
     ("channel", "can0", None, "with source:=can: what that kind calls its channels"),
     ("namespace", "", None, "namespace of all nodes"),
@@ -40,7 +41,7 @@ def generate_launch_description() -> LaunchDescription:
     """What to start, and when."""
     settings = PathJoinSubstitution([get_package_share_directory(PACKAGE), "config", "nodes"])
     arm, model = _text("arm"), _text("model")
-    bus = {name: _text(name) for name in ("map", "interface", "channel")}
+    bus = {name: _text(name) for name in ("map", "calibration", "interface", "channel")}
     namespace = LaunchConfiguration("namespace")
     estimator = LifecycleNode(
         package=PACKAGE,
