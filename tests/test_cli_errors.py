@@ -83,6 +83,7 @@ def test_version_is_shown():
         (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
         (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
         (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
+        (["sensors", "check", "none.csv"], "none.csv: no such file"),
         (["sensors", "calibrate", "none.csv", "--out", "c.yaml"], "none.csv: cannot be read"),
         (["gap", "record", "--arm", "nonsense", "--out", "r.mcap"], "bundled arms are cdsm"),
     ],

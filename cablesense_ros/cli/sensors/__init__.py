@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from cablesense_ros.cli.sensors.calibrate import calibrate
+from cablesense_ros.cli.sensors.check import check
 
 sensors = typer.Typer(
     name="sensors",
@@ -12,12 +13,5 @@ sensors = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-
-
-@sensors.callback()
-def options() -> None:
-    """Takes the tension sensors of a real arm into use."""
-
-
-for verb in (calibrate,):
+for verb in (check, calibrate):
     sensors.command()(verb)

@@ -1,0 +1,94 @@
+"""The check of a running arm: the sim node, an arm that is not there, one of other names."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "sensors"]
+ROOT = Path(__file__).parents[1]
+
+
+def check(*arguments):
+    return subprocess.run(
+        [*COMMAND, "check", *arguments], capture_output=True, text=True, cwd=ROOT, timeout=60
+    )
+
+
+def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted():
+    sim = NodeProcess("cablesense_ros.sim_node")
+    try:
+        result = check("--seconds", "4", "--pull", "cable_3", "--rate", "100", "--json")
+    finally:
+        assert sim.stop() == 0, sim.log
+    content = json.loads(result.stdout)
+    assert {finding["kind"] for finding in content["findings"]} <= {"pull", "jitter", "lost"}
+    assert content["timing"]["rate_hz"] == pytest.approx(100.0, rel=0.05)
+    assert max(channel["noise_n"] for channel in content["channels"]) < 0.145
+    assert content["pulls"][0]["verdict"] == "too weak"
+    assert "pull cable_3 by hand" in result.stderr
+    assert result.returncode == (0 if content["usable"] else 1)
+
+
+def test_ctrl_c_ends_it_at_once():
+    sim = NodeProcess("cablesense_ros.sim_node")
+    process = subprocess.Popen(
+        [*COMMAND, "check", "--seconds", "60"], stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    try:
+        assert "leave the arm alone" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 130
+        assert "Traceback" not in process.stderr.read()
+    finally:
+        process.kill()
+        process.stderr.close()
+        assert sim.stop() == 0, sim.log
+
+
+def test_silence_is_one_line_and_exit_code_2():
+    result = check("--seconds", "2")
+    assert result.returncode == 2
+    assert "nothing on cable_tensions" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_messages_of_another_arm_are_one_line_and_exit_code_2():
+    graph = Graph()
+    source = graph.node.create_publisher(JointState, "/cable_tensions", 10)
+    ended = threading.Event()
+
+    def publish():
+        while not ended.is_set():
+            source.publish(JointState(name=["left", "right"], effort=[1.0, 2.0]))
+            time.sleep(0.02)
+
+    talking = threading.Thread(target=publish)
+    talking.start()
+    try:
+        result = check("--seconds", "2")
+    finally:
+        ended.set()
+        talking.join()
+        graph.close()
+    assert result.returncode == 2
+    assert "missing 'cable_1'" in result.stderr
+    assert "Traceback" not in result.stderr
