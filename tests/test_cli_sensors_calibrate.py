@@ -2,14 +2,18 @@
 
 import json
 
+import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE
 from typer.testing import CliRunner
 
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_gap.recordings.recording import Recording
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_ros.can.calibration import calibrated
 from cablesense_ros.can.calibration_file import load_calibration
 from cablesense_ros.cli.app import app
+from cablesense_sim.arm_files import open_arm
 
 SCALE, ZERO = 0.125, 40.0
 MASSES_KG = (0.0, 2.0, 4.0, 8.0, 4.0, 2.0, 0.0)
@@ -64,3 +68,36 @@ def test_too_few_loads_leave_no_file(loads, tmp_path):
     result = run(loads, "--out", tmp_path / "c.yaml")
     assert "at least 5" in str(result.exception)
     assert not (tmp_path / "c.yaml").exists()
+
+
+def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_path):
+    in_force = tmp_path / "in_force.yaml"
+    assert run(loads, "--out", in_force, "--gravity", "9.81").exit_code == 0
+    arm = open_arm("cdsm")
+    time_s = np.arange(0.0, 10.0 * len(MASSES_KG), 0.1)
+    step = (time_s // 10.0).astype(int)
+    raw = 75.0 + np.array(MASSES_KG)[step] * 9.81 / 0.5  # of a sensor that was exchanged since
+    tensions_n = np.full((len(time_s), 12), 50.0)
+    tensions_n[:, 1] = SCALE * (raw - ZERO)
+    rows = len(time_s)
+    write_csv(
+        tmp_path / "run.csv",
+        Recording(
+            "run",
+            time_s,
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, arm.joint_count)),
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, 3)),
+            tensions_n,
+        ),
+    )
+    lines = [f"cable_2,{mass},{10 * n + 2},{10 * n + 9}" for n, mass in enumerate(MASSES_KG)]
+    loads.write_text("\n".join(["cable,mass_kg,start_s,end_s", *lines]), encoding="utf-8")
+    out = tmp_path / "anew.yaml"
+    recorded = ("--recording", tmp_path / "run.csv", "--recorded-with", in_force)
+    result = run(loads, "--out", out, "--gravity", "9.81", *recorded)
+    assert result.exit_code == 0, result.output
+    (sensor,) = load_calibration(out).cables.values()
+    assert sensor.scale_n_per_unit == pytest.approx(0.5, rel=1e-4)
+    assert sensor.zero == pytest.approx(75.0, rel=1e-4)
