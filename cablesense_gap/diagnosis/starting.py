@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
+import numpy as np
+
 from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
 from cablesense_gap.diagnosis.looking import Look
@@ -15,6 +17,8 @@ from cablesense_sim.effects.effect import Parameter
 
 _STEPS, _STEPS_OF_DEAR_PAIRS = 8, 4
 _SCALES = (0.4, 1.0, 2.5)
+_SCALES_UNTOLD = (0.3, 1.0, 3.0, 10.0)
+"""In typical sizes, where a first look has found none that can be."""
 
 
 def fit(course: Course, look: Look) -> Hypothesis | None:
@@ -24,7 +28,7 @@ def fit(course: Course, look: Look) -> Hypothesis | None:
     """
     candidates = {c.effect: c for c in course.simulator.candidates}
     parameters, known = _known(candidates, look.beside)
-    fresh, start = _fresh(candidates, look)
+    fresh, start, impossible = _fresh(candidates, look)
     parameters |= fresh
     remembering = [candidates[e] for e in look.effects if candidates[e].remembers]
     starts = [[*known, *start]]
@@ -34,9 +38,18 @@ def fit(course: Course, look: Look) -> Hypothesis | None:
             for scale in (_SCALES if remembering else (1.0,))
             for shapes in _shapes(remembering)
         ]
+    if impossible:
+        starts += [
+            [*known, *_elsewhere(fresh, start, impossible, scale)] for scale in _SCALES_UNTOLD
+        ]
     dear = remembering and len(look.effects) > 1
+    most_left = look.most_left if remembering else np.inf
     return refine(
-        course, parameters, starts, _STEPS_OF_DEAR_PAIRS if dear else _STEPS, look.most_left
+        course,
+        parameters,
+        starts,
+        _STEPS_OF_DEAR_PAIRS if dear else _STEPS,
+        most_left,
     )
 
 
@@ -51,9 +64,11 @@ def _known(
 
 def _fresh(
     candidates: dict[str, Candidate], look: Look
-) -> tuple[dict[Term, Parameter], list[float]]:
+) -> tuple[dict[Term, Parameter], list[float], dict[Term, float]]:
+    """Numbers, where to begin, and where instead for those of places with a size out of range."""
     parameters: dict[Term, Parameter] = {}
     start: list[float] = []
+    impossible: dict[Term, float] = {}
     coefficients = iter(look.placed.coefficients)
     for block in look.placed.blocks:
         change = {name: next(coefficients) for name in block.probed}
@@ -62,7 +77,31 @@ def _fresh(
         for (term, parameter), begin in zip(own.items(), block.start, strict=True):
             parameters[term] = parameter
             start.append(_begin(parameter, begin, change, first))
-    return parameters, start
+        if any(p.role == "size" and not _can_be(p, change[p.name]) for p in own.values()):
+            impossible |= dict(zip(own, block.start, strict=True))
+    return parameters, start, impossible
+
+
+def _can_be(size: Parameter, scaled: float) -> bool:
+    return size.low <= scaled * size.typical <= size.high
+
+
+def _elsewhere(
+    parameters: dict[Term, Parameter],
+    start: list[float],
+    impossible: dict[Term, float],
+    scale: float,
+) -> Iterator[float]:
+    """The start with sizes of a scale where the look's cannot be, and their first shapes.
+
+    That is so where shapes act unlike their derivatives: the look's best sum of both means
+    nothing.
+    """
+    for (term, parameter), value in zip(parameters.items(), start, strict=True):
+        if term not in impossible:
+            yield value
+        else:
+            yield scale if parameter.role == "size" else impossible[term]
 
 
 def _begin(parameter: Parameter, begin: float, change: dict[str, float], size: float) -> float:
