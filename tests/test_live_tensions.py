@@ -24,6 +24,11 @@ pytestmark = [
 ]
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "sensors"]
+HEARING = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from cablesense_ros.cli.app import main; main()"
+)
+"""A shell starts what runs in its background deaf to Ctrl-C, and tests may run there."""
 ROOT = Path(__file__).parents[1]
 
 
@@ -51,7 +56,10 @@ def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted():
 def test_ctrl_c_ends_it_at_once():
     sim = NodeProcess("cablesense_ros.sim_node")
     process = subprocess.Popen(
-        [*COMMAND, "check", "--seconds", "60"], stderr=subprocess.PIPE, text=True, cwd=ROOT
+        [sys.executable, "-c", HEARING, "sensors", "check", "--seconds", "60"],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
     )
     try:
         assert "leave the arm alone" in process.stderr.readline()
