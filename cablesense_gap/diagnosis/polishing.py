@@ -8,8 +8,7 @@ import numpy as np
 
 from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.scaled import to_scaled
+from cablesense_gap.diagnosis.refitting import refit
 
 _STEPS = 3
 
@@ -21,16 +20,7 @@ def polish(course: Course, hypothesis: Hypothesis) -> Hypothesis:
     """
     if not hypothesis.values:
         return hypothesis
-    parameters = {
-        term: parameter
-        for term in hypothesis.values
-        for candidate in course.simulator.candidates
-        if candidate.effect == term.effect
-        for parameter in candidate.parameters
-        if parameter.name == term.parameter
-    }
-    start = [to_scaled(parameters[term], value) for term, value in hypothesis.values.items()]
-    fitted = refine(_about(course, hypothesis), parameters, [start], _STEPS)
+    fitted = refit(_about(course, hypothesis), hypothesis.values, _STEPS)
     if fitted is None or course.cost_of(fitted) > course.cost_of(hypothesis):
         return hypothesis
     return fitted

@@ -8,10 +8,8 @@ from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
 from cablesense_gap.diagnosis.looking import Look, Offered, single_looks
 from cablesense_gap.diagnosis.placing import WORTH
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.scaled import to_scaled
-from cablesense_gap.diagnosis.starting import fit, parameter_of
-from cablesense_gap.simulator import Term
+from cablesense_gap.diagnosis.refitting import refit
+from cablesense_gap.diagnosis.starting import fit
 
 _ROUNDS = 2
 _STEPS = 4
@@ -44,7 +42,7 @@ def singled_out(course: Course, hypothesis: Hypothesis) -> Iterator[Hypothesis]:
         return
     for effect in hypothesis.effects:
         own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
-        fitted = _at(course, own, _STEPS)
+        fitted = refit(course, own, _STEPS)
         if fitted is not None:
             yield fitted
 
@@ -54,7 +52,7 @@ def _again(course: Course, hypothesis: Hypothesis, offered: Offered) -> Iterator
         return
     for effect in hypothesis.effects:
         others = {t: v for t, v in hypothesis.values.items() if t.effect != effect}
-        beside = _at(course, others, 0)
+        beside = refit(course, others, 0)
         if beside is None or effect not in offered:
             continue
         for look in single_looks(course, {effect: offered[effect]}, beside):
@@ -71,16 +69,9 @@ def _fewest(course: Course, hypothesis: Hypothesis) -> Hypothesis:
         if sum(e == effect for e, _ in sites) == 1:
             continue
         rest = {t: v for t, v in hypothesis.values.items() if t[:2] != (effect, place)}
-        fitted = _at(course, rest, _STEPS)
+        fitted = refit(course, rest, _STEPS)
         if fitted is None or course.cost_of(fitted) > WORTH * cost:
             continue
         hypothesis = fitted
         sites.remove((effect, place))
     return hypothesis
-
-
-def _at(course: Course, values: dict[Term, float], most_steps: int) -> Hypothesis | None:
-    candidates = {c.effect: c for c in course.simulator.candidates}
-    parameters = {term: parameter_of(candidates, term) for term in values}
-    start = [to_scaled(parameters[term], value) for term, value in values.items()]
-    return refine(course, parameters, [start], most_steps)

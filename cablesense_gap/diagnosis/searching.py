@@ -66,24 +66,24 @@ class _Search:
     def _explore(self) -> None:
         candidates = self._course.simulator.candidates
         barely = self._none.held_out_rmse <= _BARELY * self._course.floor
-        plain = self._offer([c for c in candidates if not c.remembers], "", 0.0)
+        plain = self._offer([c for c in candidates if not c.remembers], 0.0)
         looks = single_looks(self._course, plain)
         best = self._least(looks)
         self._fit(promising(self._course, looks[:_MOST_SINGLES], best), "single effects", 0.1)
         self._rethink_best(plain)
         if barely or self._is_resolved():
             return
-        self._fit(self._pairs(plain, _MOST_PAIRS), "pairs of effects", 0.15)
+        self._fit(self._pairs(plain, _MOST_PAIRS), "pairs of effects", 0.3)
         self._rethink_best(plain)
         if self._is_resolved():
             return
-        dear = self._offer([c for c in candidates if c.remembers], "what remembers", 0.2)
+        dear = self._offer([c for c in candidates if c.remembers], 0.5)
         looks = single_looks(self._course, dear)
         best = min(best, self._least(looks))
-        self._fit(promising(self._course, looks, best), "what remembers", 0.4)
+        self._fit(promising(self._course, looks, best), "what remembers", 0.6)
         self._polish(1)
         if not self._is_resolved():
-            self._fit(self._dear_pairs(plain, dear), "pairs with what remembers", 0.7)
+            self._fit(self._dear_pairs(plain, dear), "pairs with what remembers", 0.8)
             self._rethink_best({**plain, **dear})
 
     def _polish(self, most: int) -> None:
@@ -103,7 +103,7 @@ class _Search:
         cost = self._course.cost_of(pair)
         return any(self._course.cost_of(h) < WORTH * cost for h in alone)
 
-    def _offer(self, candidates: Sequence[Candidate], what: str, behind: float) -> Offered:
+    def _offer(self, candidates: Sequence[Candidate], behind: float) -> Offered:
         offered = {}
         looked = self._crew.map(blocks, candidates)
         for k, (candidate, every) in enumerate(zip(candidates, looked, strict=True)):

@@ -11,6 +11,7 @@ from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.hypothesis import Hypothesis
 from cablesense_gap.diagnosis.looking import Look
 from cablesense_gap.diagnosis.refining import refine
+from cablesense_gap.diagnosis.refitting import parameter_of
 from cablesense_gap.diagnosis.scaled import to_scaled
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
@@ -143,8 +144,3 @@ def _shapes(remembering: list[Candidate]) -> list[dict[tuple[str, str], float]]:
         }
         for values in product(*(p.trials for _, p in shapes))
     ]
-
-
-def parameter_of(candidates: dict[str, Candidate], term: Term) -> Parameter:
-    """What a number is, and within which range."""
-    return next(p for p in candidates[term.effect].parameters if p.name == term.parameter)
