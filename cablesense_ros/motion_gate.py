@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_ros.joint_motion import move_duration_s
+from cablesense_sim.joint_motion import move_duration_s
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_msgs_py.load import Load
-from cablesense_ros.joint_motion import JointMotion
 from cablesense_ros.real_time import RealTimePacer
 from cablesense_sim.arm import Sensors
 from cablesense_sim.effects.sensing import Sensing
+from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.sensors import read_tensions_n
 
 Array = NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.joint_motion import SHORTEST_MOVE_S, JointMotion, move_duration_s
+from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion, move_duration_s
 
 STEP_S = 1e-3
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cablesense_ros.joint_motion import JointMotion, move_duration_s
 from cablesense_ros.motion_gate import MotionGate
+from cablesense_sim.joint_motion import JointMotion, move_duration_s
 
 SPEED, SETTLE = 0.5, 0.2
 

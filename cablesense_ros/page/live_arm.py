@@ -16,9 +16,9 @@ from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.joint_state import joint_command_rad
 from cablesense_msgs_py.load import Load, read_load
 from cablesense_msgs_py.named_values import NamedOrder
-from cablesense_ros.joint_motion import JointMotion
 from cablesense_ros.page.snapshot import Array, Contact, Level, Snapshot, Status
 from cablesense_sim.arm import Arm
+from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
 from cablesense_sim.mechanism import Mechanism

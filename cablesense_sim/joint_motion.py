@@ -40,7 +40,7 @@ class JointMotion:
 
     def go_to(self, target_rad: Array) -> None:
         """Head for `target_rad` (2N,) from wherever the motion is now."""
-        angle, speed, acceleration = self._state()
+        angle, speed, acceleration = self.state
         duration = move_duration_s(float(np.abs(target_rad - angle).max()), self._speed_rad_s)
         rest = target_rad - angle - speed * duration - 0.5 * acceleration * duration**2
         lost_speed = -speed - acceleration * duration
@@ -64,9 +64,11 @@ class JointMotion:
     def advance(self, step_s: float) -> Array:
         """Let `step_s` pass and give the set-point (2N,) then."""
         self._elapsed_s += step_s
-        return self._state()[0] if self.moving else self._target_rad
+        return self.state[0] if self.moving else self._target_rad
 
-    def _state(self) -> tuple[Array, Array, Array]:
+    @property
+    def state(self) -> tuple[Array, Array, Array]:
+        """Set-points (2N,) of angle, speed and acceleration, rad, rad/s and rad/s²."""
         if not self.moving:
             still = np.zeros_like(self._target_rad)
             return self._target_rad, still, still
