@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from cablesense_msgs_py.bounded_file import read_bounded_text
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.arm_problem import describe_problem
 
@@ -215,15 +216,7 @@ def read_verdict(path: str | Path) -> Verdict:
         VerdictError: the file cannot be read, is not JSON, has an unknown key or a value that
             cannot be.
     """
-    path = Path(path)
-    try:
-        if not path.is_file():
-            raise VerdictError(f"{path}: no such file")
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise VerdictError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not a verdict")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise VerdictError(f"{path}: cannot be read as text ({error})") from error
+    text = read_bounded_text(path, MAX_FILE_BYTES, "a verdict", VerdictError)
     try:
         return Verdict.model_validate_json(text, strict=True)
     except ValidationError as error:

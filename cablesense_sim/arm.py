@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -24,10 +22,12 @@ from pydantic import (
     model_validator,
 )
 
+from cablesense_msgs_py.bounded_file import read_bounded_text
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.plain_yaml import parse_plain_mapping
 from cablesense_sim.arm_problem import describe_problem
 
-MAX_FILE_BYTES = 1_000_000
+MAX_FILE_BYTES = 200_000
 """An arm file is a page of text; anything larger is not one."""
 
 
@@ -270,16 +270,7 @@ def load_arm(path: str | Path) -> Arm:
         ArmFileError: the file cannot be read, is not YAML, has an unknown key or a value that
             cannot be true.
     """
-    path = Path(path)
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ArmFileError(f"{path}: not a file")
-        if status.st_size > MAX_FILE_BYTES:
-            raise ArmFileError(f"{path}: larger than {MAX_FILE_BYTES} bytes, so not an arm file")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise ArmFileError(f"{path}: cannot be read as text ({error})") from error
+    text = read_bounded_text(path, MAX_FILE_BYTES, "an arm file", ArmFileError)
     return parse_arm(text, source=str(path))
 
 
@@ -289,33 +280,8 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
     Raises:
         ArmFileError: as `load_arm`.
     """
-    try:
-        content = yaml.load(text, Loader=_UniqueKeyLoader)
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # the last three: PyYAML lets through what Python makes of `!!int x`, `!!bool x` and
-        # `!!timestamp x`
-        line = " ".join(str(error).split())
-        raise ArmFileError(f"{source}: not valid YAML ({line})") from error
-    if not isinstance(content, dict):
-        raise ArmFileError(
-            f"{source}: holds {type(content).__name__}, not a mapping with the keys "
-            f"{', '.join(Arm.model_fields)}"
-        )
+    content = parse_plain_mapping(text, source, ", ".join(Arm.model_fields), ArmFileError)
     try:
         return Arm.model_validate(content)
     except ValidationError as error:
-        # not `from error`: its text would spell out a nest of YAML aliases, which can be endless
         raise ArmFileError(f"{source}: {describe_problem(error, Arm)}") from None
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML forbids a key that stands twice; PyYAML would take the last without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"key {twice!r} stands twice", node.start_mark
-            )
-        return super().construct_mapping(node, deep)

@@ -55,10 +55,10 @@ def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
     ("text", "said"),
     [
         ("- 1", "holds list, not a mapping"),
-        ("name: [", "not valid YAML"),
+        ("name: [", "not plain YAML"),
         ("name: a\nname: b", "'name' stands twice"),
         ("name: &a x\ndbc: *a", "write the value out"),
-        ("name: !!python/object/apply:os.getcwd []", "not valid YAML"),
+        ("name: !!python/object/apply:os.getcwd []", "a tag"),
         (BUNDLED.replace("cycle_time_s", "cycle_time"), "cycle_time"),
         (BUNDLED.replace("cycle_time_s: 0.001", "cycle_time_s: 10"), "must be at most 1"),
         (BUNDLED.replace("signal: TENSION_3,", ""), "channels.cable_3.signal is missing"),

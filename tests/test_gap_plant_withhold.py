@@ -103,7 +103,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("name: cdsm_lab", "name: ["), "no arm file"),
+        (("name: cdsm_lab", "name: ["), "not plain YAML"),
         (("mass_kg: 0.50", "mass: 0.5"), "'mass_kg' is missing"),
         (("count: 4", "count: 1"), "identical segments"),
         (("length_m: 0.130", "length_m: long"), "identical segments"),

@@ -134,7 +134,7 @@ def test_not_a_number_is_refused(tmp_path: Path) -> None:
 
 
 def test_places_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
-    with pytest.raises(VerdictError, match="no such file"):
+    with pytest.raises(VerdictError, match="No such file"):
         read_verdict(tmp_path / "verdict.json")
     with pytest.raises(VerdictError, match="cannot be written"):
         write_verdict(tmp_path / "nowhere" / "verdict.json", VERDICT)

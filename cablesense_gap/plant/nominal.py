@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from cablesense_gap.plant.plant_error import PlantError
+from cablesense_msgs_py.bounded_file import read_bounded_text
+from cablesense_msgs_py.plain_yaml import parse_plain_mapping
 
 Array = NDArray[np.float64]
+
+MAX_FILE_BYTES = 200_000
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,12 @@ def read_nominal(path: str | Path) -> Nominal:
         PlantError: the file cannot be read, lacks a number, or tells of another kind of arm.
     """
     try:
-        text: Any = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        return _nominal(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise PlantError(f"{path}: no arm file ({' '.join(str(error).split())})") from error
+        text = read_bounded_text(path, MAX_FILE_BYTES, "an arm file", PlantError)
+        keys = "segments, cables, sensors, gravity_m_s2"
+        return _nominal(parse_plain_mapping(text, str(path), keys, PlantError))
     except KeyError as error:
         raise PlantError(f"{path}: {error} is missing; the plant needs a complete arm") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise PlantError(
             f"{path}: {error}; the plant builds arms of identical segments, as "
             "config/arms/cdsm_lab.yaml"

@@ -10,10 +10,14 @@ from pathlib import Path
 
 from cablesense_gap.scoring.score_error import ScoreError
 from cablesense_gap.verdict import NONE, UNKNOWN
+from cablesense_msgs_py.bounded_file import read_bounded_text
 
 COLUMNS = ("recording", "effects", "where")
 GAP_OVER_FLOOR = "gap_over_floor"
 FORM = "form"
+
+MAX_FILE_BYTES = 10_000_000
+"""Some hundred thousand recordings."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
@@ -49,10 +53,10 @@ def read_answers(path: str | Path) -> tuple[Answer, ...]:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bounded_text(path, MAX_FILE_BYTES, "a table of answers", ScoreError)
         table = csv.DictReader(text.splitlines(), skipinitialspace=True)
         rows = list(table)
-    except (OSError, ValueError, csv.Error) as error:
+    except (ValueError, csv.Error) as error:
         raise ScoreError(f"{path}: cannot be read as CSV text ({error})") from error
     missing = [name for name in COLUMNS if name not in (table.fieldnames or ())]
     if missing:

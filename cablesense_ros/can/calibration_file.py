@@ -8,10 +8,11 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
+from cablesense_msgs_py.bounded_file import read_bounded_text
+from cablesense_msgs_py.plain_yaml import parse_plain_mapping
 from cablesense_ros.can.calibration import Calibration
 from cablesense_ros.can.channel_map import ChannelMapError
-from cablesense_ros.can.channel_map_file import MAX_MAP_BYTES, read_bounded_text
-from cablesense_ros.can.plain_yaml import parse_plain_mapping
+from cablesense_ros.can.channel_map_file import MAX_MAP_BYTES
 from cablesense_sim.arm_problem import describe_problem
 
 _HEAD = """\
@@ -27,8 +28,9 @@ def load_calibration(path: str | Path) -> Calibration:
         ChannelMapError: the file cannot be read, is not YAML, or has a key or value that
             cannot be.
     """
-    text = read_bounded_text(Path(path), MAX_MAP_BYTES, "a calibration")
-    content = parse_plain_mapping(text, str(path), ", ".join(Calibration.model_fields))
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
+    keys = ", ".join(Calibration.model_fields)
+    content = parse_plain_mapping(text, str(path), keys, ChannelMapError)
     try:
         return Calibration.model_validate(content)
     except ValidationError as error:

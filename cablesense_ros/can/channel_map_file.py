@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import stat
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from cablesense_msgs_py.bounded_file import read_bounded_text
+from cablesense_msgs_py.plain_yaml import parse_plain_mapping
 from cablesense_ros.can.channel_map import ChannelMap, ChannelMapError
-from cablesense_ros.can.plain_yaml import parse_plain_mapping
 from cablesense_sim.arm_problem import describe_problem
 from cablesense_sim.config_files import config_path
 
@@ -51,7 +51,7 @@ def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:
             value that cannot be true.
     """
     path = find_channel_map(name_or_path)
-    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map")
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
     channel_map = parse_channel_map(text, source=str(path))
     return channel_map, path.parent / channel_map.dbc
 
@@ -62,25 +62,9 @@ def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
     Raises:
         ChannelMapError: as `load_channel_map`.
     """
-    content = parse_plain_mapping(text, source, ", ".join(ChannelMap.model_fields))
+    keys = ", ".join(ChannelMap.model_fields)
+    content = parse_plain_mapping(text, source, keys, ChannelMapError)
     try:
         return ChannelMap.model_validate(content)
     except ValidationError as error:
         raise ChannelMapError(f"{source}: {describe_problem(error, ChannelMap)}") from None
-
-
-def read_bounded_text(path: Path, max_bytes: int, what: str) -> str:
-    """The text of a regular file that is not too large to be `what`.
-
-    Raises:
-        ChannelMapError: missing, no file, too large, or no UTF-8 text.
-    """
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ChannelMapError(f"{path}: not a file")
-        if status.st_size > max_bytes:
-            raise ChannelMapError(f"{path}: larger than {max_bytes} bytes, so not {what}")
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise ChannelMapError(f"{path}: cannot be read as text ({error})") from error

@@ -11,8 +11,9 @@ from pathlib import Path
 import cantools
 from cantools.database.can import Database, Message, Signal
 
+from cablesense_msgs_py.bounded_file import read_bounded_text
 from cablesense_ros.can.channel_map import Channel, ChannelMap, ChannelMapError
-from cablesense_ros.can.channel_map_file import MAX_DBC_BYTES, load_channel_map, read_bounded_text
+from cablesense_ros.can.channel_map_file import MAX_DBC_BYTES, load_channel_map
 
 _SHOWN_NAMES = 8
 
@@ -33,7 +34,7 @@ def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
         ChannelMapError: either cannot be read, or they do not fit.
     """
     channel_map, path = load_channel_map(name_or_path)
-    text = read_bounded_text(path, MAX_DBC_BYTES, "a DBC file")
+    text = read_bounded_text(path, MAX_DBC_BYTES, "a DBC file", ChannelMapError)
     database = parse_database(text, source=str(path))
     check_fit(channel_map, database, source=str(path))
     return channel_map, database

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
-from cablesense_ros.can.channel_map_file import read_bounded_text
+from cablesense_msgs_py.bounded_file import read_bounded_text
 from cablesense_ros.commissioning.commissioning_error import CommissioningError
 
 MAX_TABLE_BYTES = 1_000_000
@@ -57,14 +57,13 @@ def read_table(
     """Read a table; empty lines and lines that begin with # are left out.
 
     Raises:
-        CableSenseError: no file, too large, no text.
-        CommissioningError: a column missing, unknown or twice, a row with more or fewer cells
-            than the header, or no rows.
+        CommissioningError: no file, too large, no text, a column missing, unknown or
+            twice, a row with more or fewer cells than the header, or no rows.
     """
-    text = read_bounded_text(Path(path), MAX_TABLE_BYTES, "a table written by hand")
+    text = read_bounded_text(path, MAX_TABLE_BYTES, "a table written by hand", CommissioningError)
     lines = [
         (number, line)
-        for number, line in enumerate(text.removeprefix("\ufeff").splitlines(), start=1)
+        for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     try:
