@@ -14,11 +14,11 @@ INTERFACE = InterfaceState("socketcan can0", True, 1, "", BusCondition.ACTIVE, 0
 COUNTS = SampleCounts(frames=4000, samples=1000, withheld=0)
 
 
-def statuses(interface=INTERFACE, recent=COUNTS, stale=False, faults=()):
+def statuses(interface=INTERFACE, recent=COUNTS, total=COUNTS, stale=False, faults=()):
     ledger = FaultLedger()
     for kind, place in faults:
         ledger.note(kind, place)
-    return driver_statuses(interface, recent, 1.0, 0.3, stale, 3e-4, ledger.report())
+    return driver_statuses(interface, recent, total, 1.0, 0.3, stale, 3e-4, ledger.report())
 
 
 def test_all_is_well():
@@ -27,6 +27,14 @@ def test_all_is_well():
     assert interface.values["frames (1/s)"] == "4000"
     assert samples.values["rate (Hz)"] == "1000.0"
     assert samples.values["largest skew (s)"] == "0.000300"
+
+
+def test_totals_stand_beside_what_is_recent():
+    total = SampleCounts(frames=90_000, samples=22_000, withheld=7)
+    interface, samples = statuses(total=total)
+    assert interface.values["frames in all"] == "90000"
+    assert samples.values["samples in all"] == "22000"
+    assert samples.values["withheld in all"] == "7"
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,13 @@ class CanDriver:
         period_s, self._report_s = max(now_s - self._report_s, 1e-9), now_s
         silence_s = now_s - self._last_sample_s
         statuses = driver_statuses(
-            interface, recent, period_s, silence_s, silence_s > stale_after_s, skew_s, faults
+            interface,
+            recent,
+            counts,
+            period_s,
+            silence_s,
+            silence_s > stale_after_s,
+            skew_s,
+            faults,
         )
         return statuses, faults

@@ -44,6 +44,7 @@ class InterfaceState:
 def driver_statuses(
     interface: InterfaceState,
     recent: SampleCounts,
+    total: SampleCounts,
     period_s: float,
     silence_s: float,
     stale: bool,
@@ -55,6 +56,7 @@ def driver_statuses(
     Args:
         interface: at present.
         recent: counts of the last `period_s`.
+        total: counts since the node was configured.
         period_s: length of that time.
         silence_s: time since the last sample.
         stale: whether that is too long.
@@ -62,12 +64,14 @@ def driver_statuses(
         faults: of the period.
     """
     return [
-        _interface_status(interface, recent, period_s),
-        _sample_status(recent, period_s, silence_s, stale, skew_s, faults),
+        _interface_status(interface, recent, total, period_s),
+        _sample_status(recent, total, period_s, silence_s, stale, skew_s, faults),
     ]
 
 
-def _interface_status(interface: InterfaceState, recent: SampleCounts, period_s: float) -> Status:
+def _interface_status(
+    interface: InterfaceState, recent: SampleCounts, total: SampleCounts, period_s: float
+) -> Status:
     level, message = Level.OK, f"receiving on {interface.name}"
     if not interface.connected:
         level, message = Level.ERROR, f"{interface.name} is not open: {interface.last_problem}"
@@ -80,6 +84,7 @@ def _interface_status(interface: InterfaceState, recent: SampleCounts, period_s:
     values = {
         "interface": interface.name,
         "frames (1/s)": f"{recent.frames / period_s:.0f}",
+        "frames in all": str(total.frames),
         "bus": interface.condition.value,
         "recoveries from bus off": str(interface.recoveries),
         "openings": str(interface.openings),
@@ -91,6 +96,7 @@ def _interface_status(interface: InterfaceState, recent: SampleCounts, period_s:
 
 def _sample_status(
     recent: SampleCounts,
+    total: SampleCounts,
     period_s: float,
     silence_s: float,
     stale: bool,
@@ -113,7 +119,9 @@ def _sample_status(
         level, message = Level.WARN, words
     values = {
         "rate (Hz)": f"{recent.samples / period_s:.1f}",
+        "samples in all": str(total.samples),
         "withheld": str(recent.withheld),
+        "withheld in all": str(total.withheld),
         "largest skew (s)": f"{skew_s:.6f}",
     }
     values |= {f"{kind.value} in all": str(faults.total.get(kind, 0)) for kind in FaultKind}
