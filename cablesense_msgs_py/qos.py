@@ -27,3 +27,6 @@ COMMAND: Final = Qos(depth=10, reliable=True)
 
 LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
 """What a late subscriber must still receive: the robot description."""
+
+JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
+"""The estimator's journal: a recorder that comes late gets the latest entries too."""

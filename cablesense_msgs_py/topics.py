@@ -43,6 +43,10 @@ CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
 
+JOURNAL: Final = "~/journal"
+"""`diagnostic_msgs/DiagnosticArray`, transient local: what the estimator's answers rest on beside
+the samples, from the sample in `header.stamp` on (`cablesense_msgs_py.journal`)."""
+
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from typing import Any, NamedTuple, Protocol
 
@@ -15,6 +15,7 @@ from cablesense_msgs_py.contract_error import ContractError
 from cablesense_msgs_py.effort_reader import EffortReader, Efforts
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.joint_state import joint_command_rad
+from cablesense_msgs_py.journal import Event, EventKind, JournalEntry
 from cablesense_msgs_py.named_values import NamedOrder
 from cablesense_ros.input_health import InputHealth
 from cablesense_ros.motion_gate import MotionGate
@@ -80,7 +81,8 @@ class Outcome(NamedTuple):
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
         stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
         problem: why the sample was of no use.
-        new_tare: the tare that was taken from this sample on, by itself.
+        new_tare: the tare that was taken by itself; it counts from the next sample on.
+        entry: what the answers rest on from this sample on, where that has changed.
     """
 
     contact: Contact = NO_CONTACT
@@ -88,10 +90,16 @@ class Outcome(NamedTuple):
     stamp_ns: int = 0
     problem: SampleError | None = None
     new_tare: Tare | None = None
+    entry: JournalEntry | None = None
 
 
 class Estimation:
     """Takes samples and commands as they come; gives no force from what cannot be trusted.
+
+    An answer follows from the samples in order and from what changed between them, never from when
+    they arrived: the clock decides only whether a sample is taken at all. Changes count from the
+    next sample that is taken, whose outcome tells them as a journal entry; `restore` makes another
+    object answer the same from there on.
 
     Attributes:
         largest_force_n: of the contacts since the reporter last set it to zero, N.
@@ -101,14 +109,22 @@ class Estimation:
     """
 
     def __init__(
-        self, arm: Arm, estimator: EstimatesContacts, settings: EstimationSettings, now_s: float
+        self,
+        arm: Arm,
+        estimator: EstimatesContacts,
+        settings: EstimationSettings,
+        now_s: float,
+        described: Mapping[str, str] | None = None,
     ) -> None:
+        """`described` goes into the journal beside the settings."""
+        self._arm_identity = arm.identity
+        self._described = dict(described or {})
+        self._settings = settings
+        self._events = [Event(EventKind.START)]
         self._nominal = Mechanism.from_arm(arm)
         self._mechanism = amended(self._nominal, entries_of(arm))
         self._estimator = estimator
         self._contact_m = self._mechanism.contact_m.tolist()
-        self._contact_threshold = settings.contact_threshold
-        self._stale_after_s = settings.stale_after_s
         self._auto_tare = settings.auto_tare
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
@@ -126,28 +142,35 @@ class Estimation:
 
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
         """Take over settings that may change while running."""
-        self._contact_threshold = contact_threshold
-        self._stale_after_s = self.clock.stale_after_s = stale_after_s
+        self._settings = replace(
+            self._settings,
+            contact_threshold=contact_threshold,
+            stale_after_s=stale_after_s,
+            slack_below_n=slack_below_n,
+        )
+        self.clock.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
+        self._events.append(Event(EventKind.SETTINGS))
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
         self.health = InputHealth(now_s)
         self.tare.forget_readings()
+        self._events.append(Event(EventKind.START))
 
-    def command(self, message: Any, now_s: float) -> None:
+    def command(self, message: Any) -> None:
         """Take note of a `JointState` of commanded angles.
 
         Raises:
             CableSenseError: the message breaks the contract, or the arm has no rest at this
-            command; the
-                command before it stays.
+                command; the command before it stays.
         """
         command = joint_command_rad(message, self._joint_order)
         if not np.array_equal(command, self._command_rad):
             self.tare.command(command)
-            self.gate.command(command, now_s)
+            self.gate.command(command)
             self._command_rad = command
+            self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
         self.command_received = True
 
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Outcome:
@@ -159,15 +182,74 @@ class Estimation:
             now_s: monotonic time.
         """
         self.health.arrived(now_s)
+        stamp_ns, entry = 0, None
         try:
             sample = self._read(raw)
             self.health.aged(self.clock.age_s(sample.stamp_ns, now_ns))
+            stamp_ns = sample.stamp_ns or now_ns
+            moving = self.gate.moving(stamp_ns)
+            entry = self._new_entry(stamp_ns) if self._events else None
             tensions = self._arrange(sample)
             self.check.check(tensions)
-            return self._answer(tensions, sample.stamp_ns, now_ns, now_s)
+            return self._answer(tensions, stamp_ns, moving, entry)
         except SampleError as problem:
             self.health.refused(problem)
-            return Outcome(problem=problem)
+            return Outcome(stamp_ns=stamp_ns, problem=problem, entry=entry)
+
+    def take_tare(self, now_ns: int) -> Tare:
+        """Take the latest readings as the unloaded state, at `now_ns` since the epoch.
+
+        Raises:
+            TareError: too few readings yet, or they do not hold still.
+        """
+        return self._take_tare(now_ns, EventKind.TARE)
+
+    def undo_tare(self) -> Tare | None:
+        """Go back to the tare before the last and give it; none when the last was the first.
+
+        Raises:
+            TareError: there is nothing to undo.
+        """
+        earlier = self.tare.undo()
+        self._events.append(Event(EventKind.TARE_UNDO))
+        return earlier
+
+    def restore(self, entry: JournalEntry) -> None:
+        """Answer from the next sample on as the object that made the entry did.
+
+        With another arm than that object's, unloaded tensions follow from the tare and this arm.
+
+        Raises:
+            CableSenseError: the entry is of an arm with other joints or cables, or of a pose that
+                this arm cannot take.
+        """
+        joints, cables = len(self._joint_order.names), len(self._cable_order.names)
+        lengths = {"joint angles": (entry.command_rad, joints)}
+        lengths["lowest joint angles"] = (entry.lowest_rad, joints)
+        lengths["highest joint angles"] = (entry.highest_rad, joints)
+        if entry.tared_n:
+            lengths["joint angles at the tare"] = (entry.tare_command_rad, joints)
+            lengths["tared tensions"] = (entry.tared_n, cables)
+            lengths["unloaded tensions"] = (entry.unloaded_n, cables)
+        for what, (numbers, wanted) in lengths.items():
+            if len(numbers) != wanted:
+                raise ContractError(
+                    f"journal: {len(numbers)} {what}; the arm {self._arm_identity} has {wanted}"
+                )
+        command = np.array(entry.command_rad)
+        same_arm = entry.arm == self._arm_identity
+        self.tare.restore(
+            command,
+            np.array(entry.unloaded_n) if same_arm else None,
+            np.array(entry.tared_n),
+            np.array(entry.tare_command_rad),
+        )
+        self.gate.restore(
+            command, np.array(entry.lowest_rad), np.array(entry.highest_rad), entry.rest_from_ns
+        )
+        self._command_rad = command
+        self._auto_tare = False
+        self._events.clear()
 
     @property
     def command_deg(self) -> list[float]:
@@ -176,7 +258,7 @@ class Estimation:
 
     def stale(self, now_s: float) -> bool:
         """Whether the last message is too long ago for its answer to stand."""
-        return self.health.silence_s(now_s) > self._stale_after_s
+        return self.health.silence_s(now_s) > self._settings.stale_after_s
 
     def _read(self, raw: bytes) -> Efforts:
         try:
@@ -191,17 +273,18 @@ class Estimation:
             raise SampleError(ProblemKind.NAMES, str(error)) from error
 
     def _answer(
-        self, tensions: tuple[float, ...], stamp_ns: int, now_ns: int, now_s: float
+        self, tensions: tuple[float, ...], stamp_ns: int, moving: bool, entry: JournalEntry | None
     ) -> Outcome:
-        if self.gate.moving(now_s):
-            return Outcome(stamp_ns=stamp_ns)
+        if moving:
+            return Outcome(stamp_ns=stamp_ns, entry=entry)
         self.tare.add(tensions)
         if self._auto_tare and self.tare.ready:
             self._auto_tare = False
-            return Outcome(stamp_ns=stamp_ns, new_tare=self.tare.take(now_ns))
+            tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
+            return Outcome(stamp_ns=stamp_ns, new_tare=tare, entry=entry)
         unloaded = self.tare.unloaded_n
         if unloaded is None:
-            return Outcome(stamp_ns=stamp_ns)
+            return Outcome(stamp_ns=stamp_ns, entry=entry)
         command = self._command_rad if self._estimator.pose_aware else None
         try:
             estimate = self._estimator.estimate(tensions - unloaded, command)
@@ -209,7 +292,7 @@ class Estimation:
             raise SampleError(ProblemKind.ESTIMATE, str(error)) from error
         probabilities = estimate.probabilities.tolist()
         contact = self._contact(probabilities, estimate)
-        return Outcome(contact, probabilities, stamp_ns)
+        return Outcome(contact, probabilities, stamp_ns, entry=entry)
 
     def _contact(self, probabilities: list[float], estimate: Estimate) -> Contact:
         touched = 1.0 - probabilities[0]
@@ -218,11 +301,37 @@ class Estimation:
             raise SampleError(
                 ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
             )
-        if touched < self._contact_threshold or magnitude <= 0.0:
+        if touched < self._settings.contact_threshold or magnitude <= 0.0:
             return NO_CONTACT
         self.largest_force_n = max(self.largest_force_n, magnitude)
         segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
         return Contact(segment, angle, magnitude, self._contact_m[segment - 1])
+
+    def _take_tare(self, now_ns: int, how: EventKind) -> Tare:
+        tare = self.tare.take(now_ns)
+        self._events.append(Event(how))
+        return tare
+
+    def _new_entry(self, before_ns: int) -> JournalEntry:
+        events, self._events = tuple(self._events), []
+        tare, unloaded = self.tare.present, self.tare.unloaded_n
+        lowest, highest = self.gate.range_rad
+        return JournalEntry(
+            before_ns=before_ns,
+            events=events,
+            arm=self._arm_identity,
+            settings={
+                **self._described,
+                **{name: repr(value) for name, value in asdict(self._settings).items()},
+            },
+            command_rad=tuple(self._command_rad.tolist()),
+            lowest_rad=tuple(lowest.tolist()),
+            highest_rad=tuple(highest.tolist()),
+            rest_from_ns=self.gate.rest_from_ns,
+            unloaded_n=() if unloaded is None else tuple(unloaded.tolist()),
+            tared_n=() if tare is None else tuple(tare.measured_n.tolist()),
+            tare_command_rad=() if tare is None else tuple(tare.command_rad.tolist()),
+        )
 
     def _predict_n(self, command_rad: Array) -> Array:
         held = held_lengths_m(self._nominal, command_rad)

@@ -34,7 +34,7 @@ from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
 from cablesense_ros.spin import run_node
-from cablesense_ros.tare import Tare, TareModel
+from cablesense_ros.tare import Tare
 from cablesense_ros.tare_words import tare_status, tare_taken_line, tare_undone_line
 from cablesense_ros.throttled_log import ThrottledLog
 
@@ -132,7 +132,11 @@ class EstimatorNode(LifecycleNode):
         given = parameter_values(self, ESTIMATOR_PARAMETERS)
         self._loaded = load_model(given["arm"], given["model"])
         self._estimation = Estimation(
-            self._loaded.arm, self._loaded.estimator, estimation_settings(given), time.monotonic()
+            self._loaded.arm,
+            self._loaded.estimator,
+            estimation_settings(given),
+            time.monotonic(),
+            self._loaded.described | {"frame_prefix": given["frame_prefix"]},
         )
         frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(self, frames, given["markers"])
@@ -178,7 +182,7 @@ class EstimatorNode(LifecycleNode):
         if self._estimation is None:
             return
         try:
-            self._estimation.command(message, time.monotonic())
+            self._estimation.command(message)
         except CableSenseError as error:
             self._refused_commands += 1
             self._warn(topics.JOINT_COMMANDS, f"{topics.JOINT_COMMANDS}: message refused: {error}")
@@ -210,27 +214,27 @@ class EstimatorNode(LifecycleNode):
         return self._answer(response, self._undo_tare)
 
     def _answer(
-        self, response: Trigger.Response, do: Callable[[TareModel], str]
+        self, response: Trigger.Response, do: Callable[[Estimation], str]
     ) -> Trigger.Response:
         if self._estimation is None or not self._inputs:
             response.success, response.message = False, "the node is not active"
             return response
         try:
-            response.message = do(self._estimation.tare)
+            response.message = do(self._estimation)
             response.success = True
         except CableSenseError as error:
             response.success, response.message = False, str(error)
             self.get_logger().warning(f"tare: {error}")
         return response
 
-    def _take_tare(self, tares: TareModel) -> str:
-        return self._log_tare(tares.take(self._now_ns()), "on request")
+    def _take_tare(self, estimation: Estimation) -> str:
+        return self._log_tare(estimation.take_tare(self._now_ns()), "on request")
 
-    def _undo_tare(self, tares: TareModel) -> str:
-        undone = tares.present
-        earlier = tares.undo()
+    def _undo_tare(self, estimation: Estimation) -> str:
+        undone = estimation.tare.present
+        earlier = estimation.undo_tare()
         assert undone is not None  # or there would have been nothing to undo
-        message = tare_undone_line(undone, earlier, self._cable_names(), tares.undoable)
+        message = tare_undone_line(undone, earlier, self._cable_names(), estimation.tare.undoable)
         self.get_logger().info(message)
         return message
 
@@ -270,9 +274,7 @@ class EstimatorNode(LifecycleNode):
                 self.count_publishers(topics.CABLE_TENSIONS),
             ),
             cable_status(self._estimation),
-            pose_status(
-                self._estimation, self._loaded.estimator.metadata.pose_range_deg, refused, now_s
-            ),
+            pose_status(self._estimation, self._loaded.estimator.metadata.pose_range_deg, refused),
             tare_status(self._estimation.tare),
         ]
 

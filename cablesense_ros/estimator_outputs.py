@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -17,8 +18,9 @@ from cablesense_msgs_py.contact import (
     put_probabilities,
 )
 from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
 from cablesense_msgs_py.markers import ContactMarkers
-from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, Qos
 from cablesense_msgs_py.wrench_writer import WrenchWriter
 from cablesense_ros.estimation import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
@@ -54,6 +56,7 @@ class EstimatorOutputs:
         self._probabilities.layout.dim = [MultiArrayDimension()]
         describe_probabilities(self._probabilities.layout.dim[0], frames.segment_count)
         self._probabilities_out = self._create(Float64MultiArray, topics.CONTACT_PROBABILITIES)
+        self._journal_out = self._create(DiagnosticArray, topics.JOURNAL, JOURNAL)
         self._markers = ContactMarkers(MarkerArray(), Marker, Point) if markers else None
         self._markers_out = self._create(MarkerArray, topics.MARKERS) if markers else None
 
@@ -68,6 +71,8 @@ class EstimatorOutputs:
         contact = outcome.contact
         writer = self._wrench_in[contact.segment]
         self._wrench_out.publish(writer.write(stamp_ns, contact.wrench))
+        if outcome.entry is not None:
+            self._publish_entry(outcome.entry)
         if contact.segment:
             self._publish_contact(contact, stamp_ns)
         if now_s >= self._next_display_s:
@@ -81,15 +86,22 @@ class EstimatorOutputs:
             self._point_out,
             self._direction_out,
             self._probabilities_out,
+            self._journal_out,
             self._markers_out,
         ):
             if publisher is not None:
                 self._node.destroy_lifecycle_publisher(publisher)
 
-    def _create(self, kind: type, topic: str) -> LifecyclePublisher:
+    def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> LifecyclePublisher:
         return self._node.create_lifecycle_publisher(
-            kind, topic, qos_profile(PUBLISHER), qos_overriding_options=overridable()
+            kind, topic, qos_profile(qos), qos_overriding_options=overridable()
         )
+
+    def _publish_entry(self, entry: JournalEntry) -> None:
+        message = DiagnosticArray()
+        message.header.frame_id = self._frames.base
+        put_journal_entry(message, entry, DiagnosticStatus, KeyValue)
+        self._journal_out.publish(message)
 
     def _publish_contact(self, contact: Contact, stamp_ns: int) -> None:
         if self._point_out.get_subscription_count():

@@ -37,9 +37,7 @@ def model_status(loaded: LoadedModel, largest_force_n: float, active: bool) -> S
     return Status("model", Level.OK, "active", values)
 
 
-def pose_status(
-    estimation: Estimation, pose_range_deg: float, refused_commands: int, now_s: float
-) -> Status:
+def pose_status(estimation: Estimation, pose_range_deg: float, refused_commands: int) -> Status:
     """What is known of the arm's pose; the model was trained within ± `pose_range_deg`."""
     values = {
         "commands refused": str(refused_commands),
@@ -47,7 +45,7 @@ def pose_status(
     }
     if refused_commands:
         return Status("joint_commands", Level.ERROR, "a command was refused; see the log", values)
-    if estimation.gate.moving(now_s):
+    if estimation.gate.shut:
         return Status(
             "joint_commands", Level.OK, "moving: no estimate until the arm rests", values
         )

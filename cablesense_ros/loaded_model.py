@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
@@ -17,6 +19,13 @@ class LoadedModel:
     arm: Arm
     estimator: Estimator
     model: str
+
+    @property
+    def described(self) -> dict[str, str]:
+        """The file and the SHA-256 of its content, for who must know which model answered."""
+        with Path(self.model).open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return {"model": self.model, "model SHA-256": digest}
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

@@ -36,12 +36,14 @@ class Tare:
     Attributes:
         measured_n: (M,) average of the readings.
         predicted_n: (M,) what the arm's model says at the same command.
+        command_rad: (2N,) that command.
         sample_count: how many readings were averaged.
         taken_ns: when it was taken, ns since the epoch.
     """
 
     measured_n: Array
     predicted_n: Array
+    command_rad: Array
     sample_count: int
     taken_ns: int
 
@@ -74,6 +76,7 @@ class TareModel:
             CableSenseError: the model has no unloaded state at this command.
         """
         self._predict_n = predict_n
+        self._command_rad = command_rad
         self._predicted_n = predict_n(command_rad)
         self._sample_count = sample_count
         self._steady_n = steady_n
@@ -103,6 +106,7 @@ class TareModel:
             CableSenseError: the model has no unloaded state at this command; nothing has changed.
         """
         self._predicted_n = self._predict_n(command_rad)
+        self._command_rad = command_rad
         self._readings.clear()
         self._carry_over()
 
@@ -137,7 +141,9 @@ class TareModel:
         if unsteady is not None:
             raise TareError(unsteady)
         measured_n = np.mean(self._readings, axis=0)
-        tare = Tare(measured_n, self._predicted_n.copy(), self._sample_count, now_ns)
+        tare = Tare(
+            measured_n, self._predicted_n.copy(), self._command_rad, self._sample_count, now_ns
+        )
         self._tares.append(tare)
         self._carry_over()
         return tare
@@ -153,6 +159,29 @@ class TareModel:
         self._tares.pop()
         self._carry_over()
         return self.present
+
+    def restore(
+        self, command_rad: Array, unloaded_n: Array | None, tared_n: Array, tare_command_rad: Array
+    ) -> None:
+        """Be at a command (2N,) with a tare from elsewhere; readings begin anew.
+
+        Args:
+            command_rad: the present command (2N,).
+            unloaded_n: (M,) at this command; none where this arm's model has to say it.
+            tared_n: (M,) measured at the tare; empty without a tare.
+            tare_command_rad: (2N,) the command then.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at one of the commands.
+        """
+        self._tares.clear()
+        self.command(command_rad)
+        if tared_n.size:
+            predicted_n = self._predict_n(tare_command_rad)
+            self._tares.append(Tare(tared_n, predicted_n, tare_command_rad, 0, 0))
+            self._carry_over()
+        if unloaded_n is not None:
+            self._unloaded_n = unloaded_n if tared_n.size else None
 
     def _carry_over(self) -> None:
         tare = self.present

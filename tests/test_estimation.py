@@ -85,7 +85,7 @@ class Feed:
 
     def command(self, angles_rad):
         self.estimation.command(
-            SimpleNamespace(name=ARM.joint_names, position=angles_rad), self.now_s
+            SimpleNamespace(name=ARM.joint_names, position=angles_rad)
         )
 
 
