@@ -94,7 +94,7 @@ class _PlainLoader(yaml.SafeLoader):
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
-    def refuse(self, what: str, mark: yaml.Mark) -> None:
+    def refuse(self, what: str, mark: Any) -> None:
         raise yaml.constructor.ConstructorError(None, None, what, mark)
 
 

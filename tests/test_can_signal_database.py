@@ -92,3 +92,10 @@ def test_a_multiplexed_message_is_refused():
     text = TEXT.replace("TENSION_1 :", "TENSION_1 M :").replace("TENSION_2 :", "TENSION_2 m0 :")
     with pytest.raises(ChannelMapError, match="multiplexed"):
         check_fit(PACKED, parse_database(text))
+
+
+@pytest.mark.parametrize("factor", ["1e999", "9" * 400, "1e31"])
+def test_a_factor_that_no_sensor_has_is_refused(factor):
+    text = TEXT.replace("(0.1,0)", f"({factor},0)")
+    with pytest.raises(ChannelMapError, match=r"cable_1: factor or offset of TENSION_1"):
+        check_fit(PACKED, parse_database(text))

@@ -14,9 +14,10 @@ from cantools.database.can import Database, Message, Signal
 from cablesense_msgs_py.bounded_file import read_bounded_text
 from cablesense_ros.can.channel_map import Channel, ChannelMap, ChannelMapError
 from cablesense_ros.can.channel_map_file import MAX_DBC_BYTES, load_channel_map
+from cablesense_ros.can.dbc_bounds import require_bounded_sizes
 
 _SHOWN_NAMES = 8
-
+_LARGEST_FACTOR = 1e30
 
 @dataclass(frozen=True)
 class ChannelSignal:
@@ -46,6 +47,7 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
     Raises:
         ChannelMapError: not DBC, or signals that overlap or leave their message.
     """
+    require_bounded_sizes(text, source)
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
     except Exception as error:  # the parser raises whatever a broken file trips it over
@@ -68,7 +70,12 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
         message = message_of(database, channel.message, where)
-        _signal_of(message, channel.signal, where)
+        signal = _signal_of(message, channel.signal, where)
+        if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
+            raise ChannelMapError(
+                f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
+                f"both must be finite, at most {_LARGEST_FACTOR:g}"
+            )
         if channel.status is not None and _signal_of(message, channel.status, where).is_float:
             raise ChannelMapError(
                 f"{where}: status {channel.status} is a floating value; it must be of whole bits"
