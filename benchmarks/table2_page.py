@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ from cablesense_gap.report.figure_style import (
     style,
 )
 from cablesense_gap.report.numbers import newtons, percent
+from cablesense_gap.report.page_file import page_css
 
 if TYPE_CHECKING:
     from table2_gap import Findings
@@ -62,7 +62,7 @@ def _content(found: Findings) -> dict[str, Any]:
     mistaken = sorted(found.rehearsal.mistaken.items(), key=lambda item: (-item[1], item[0]))
     inner = float((found.internal_n**2).sum() / (found.gap_n**2).sum())
     return {
-        "css": _css(),
+        "css": page_css(),
         "headline": (
             f"Table II: no listed effect makes the gap of {newtons(gap.before_n)} "
             f"({percent(verdict.probability)} sure)."
@@ -96,12 +96,6 @@ def _content(found: Findings) -> dict[str, Any]:
         "next": verdict.next_experiment,
         "command": found.command,
     }
-
-
-def _css() -> str:
-    """That of the reports of recordings."""
-    report = resources.files("cablesense_gap.report").joinpath("report.html").read_text("utf-8")
-    return report.partition("<style>")[2].partition("</style>")[0]
 
 
 def _best_listed_n(found: Findings) -> float:

@@ -18,6 +18,7 @@ turn it into one line and a node into one log message::
     ├── ReportError         a report that cannot be written        cablesense_gap.report
     ├── RetrainingError     no loads to judge an estimator by      cablesense_gap.retraining
     ├── PlantError          a plant that cannot be built or run    cablesense_gap.plant
+    ├── PaperError          what cannot be reproduced              cablesense_paper
     ├── ParameterError      a node parameter out of place          cablesense_ros
     ├── SampleError         a sample that is of no use             cablesense_ros
     ├── TareError           a tare that cannot be taken            cablesense_ros

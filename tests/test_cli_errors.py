@@ -16,7 +16,7 @@ from cablesense_ros.cli.app import app
 from cablesense_sim.arm_files import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
-VERBS = ("demo", "dataset", "train", "evaluate", "info", "gap", "sensors")
+VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
 GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
 
 
@@ -83,6 +83,8 @@ def test_version_is_shown():
         (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
         (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
         (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
+        (["paper", "--out", "p", "--only", "fig99"], "no study 'fig99'; there are"),
+        (["paper", "--out", "/proc/none"], "give another --out"),
         (["sensors", "check", "none.csv"], "none.csv: no such file"),
         (["sensors", "calibrate", "none.csv", "--out", "c.yaml"], "none.csv: cannot be read"),
         (["gap", "record", "--arm", "nonsense", "--out", "r.mcap"], "bundled arms are cdsm"),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import base64
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
+from html_page import Page
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.report.inputs import ReportInputs
@@ -41,32 +41,6 @@ def inputs_of(verdict, **changes):
         predicted_after_n=SMALL.tensions_n + NOISE,
     )
     return replace(inputs, **changes)
-
-
-class Page(HTMLParser):
-    """Text, tags and sources of a page, and whether every tag is closed."""
-
-    VOID = ("meta", "img", "br", "!doctype")
-
-    def __init__(self, html):
-        super().__init__()
-        self.text, self.sources, self.open, self.h1 = "", [], [], ""
-        self.feed(html)
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in self.VOID:
-            self.open.append(tag)
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not self.open or self.open[-1] != "style":
-            self.text += data
-        if "h1" in self.open:
-            self.h1 += data
 
 
 @pytest.fixture(scope="module")

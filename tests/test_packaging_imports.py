@@ -11,7 +11,10 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-ROOMS = ["cablesense_msgs_py", "cablesense_sim", "training", "cablesense_ros", "cablesense_gap"]
+ROOMS = [
+    "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap", "cablesense_paper",
+    "cablesense_ros",
+]  # fmt: skip
 _BROUGHT_BY = packages_distributions()
 
 
@@ -57,6 +60,7 @@ def ros_modules() -> set[str]:
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_gap/plant"], [""]),
+        (["cablesense_paper"], ["", "gap"]),
         (["cablesense_ros"], ["", "page", "ros", "can"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),
     ],

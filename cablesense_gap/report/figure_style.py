@@ -50,14 +50,24 @@ def style() -> Iterator[None]:
 
 def as_uri(figure: Any, kind: str = "svg") -> str:
     """A drawn figure as the `src` of an image, `svg` or `png`; the figure is closed."""
+    return image_uri(image_bytes(figure, kind), kind)
+
+
+def image_bytes(figure: Any, kind: str, dpi: int = PNG_DPI) -> bytes:
+    """A drawn figure as a file, `svg` or `png`; the figure is closed."""
     import matplotlib.pyplot as plt
 
     buffer = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else {"Software": None}
-    figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=metadata)
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     plt.close(figure)
+    return buffer.getvalue()
+
+
+def image_uri(image: bytes, kind: str) -> str:
+    """A file of an image, `svg` or `png`, as the `src` of an image."""
     mime = "image/svg+xml" if kind == "svg" else "image/png"
-    return f"data:{mime};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    return f"data:{mime};base64,{base64.b64encode(image).decode()}"
 
 
 def plain_log_ticks(axis: Any) -> None:

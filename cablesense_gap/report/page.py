@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ from cablesense_gap.report.figure_style import style
 from cablesense_gap.report.gap_figures import cable_figure, regime_figure, set_figure
 from cablesense_gap.report.inputs import ReportInputs
 from cablesense_gap.report.numbers import newtons, percent, with_interval
-from cablesense_gap.report.report_error import ReportError
+from cablesense_gap.report.page_file import rendered, write_whole
 from cablesense_gap.report.time_figure import time_figure
 from cablesense_gap.report.wording import (
     all_places,
@@ -38,28 +36,13 @@ def write_report(path: str | Path, inputs: ReportInputs) -> None:
     Raises:
         ReportError: the place cannot be written to.
     """
-    path = Path(path)
-    page = report_page(inputs)
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
-        beside.write_text(page, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise ReportError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    write_whole(Path(path), report_page(inputs))
 
 
 def report_page(inputs: ReportInputs) -> str:
     """The report as HTML text."""
-    from jinja2 import Environment, StrictUndefined
-
-    template = resources.files(__package__).joinpath("report.html").read_text(encoding="utf-8")
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters.update(newtons=newtons, percent=percent)
-    return environment.from_string(template).render(_content(inputs))
+    filters = {"newtons": newtons, "percent": percent}
+    return rendered("cablesense_gap.report", "report.html", _content(inputs), filters)
 
 
 def _content(inputs: ReportInputs) -> dict[str, Any]:

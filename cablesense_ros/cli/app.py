@@ -17,6 +17,7 @@ from cablesense_ros.cli.demo import demo
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info
+from cablesense_ros.cli.paper import paper
 from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import train
 
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, dataset, train, evaluate, info):
+for verb in (demo, dataset, train, evaluate, info, paper):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

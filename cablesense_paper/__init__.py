@@ -1,0 +1,1 @@
+"""The paper, reproduced: every study, table and figure, in one report."""

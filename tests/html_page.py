@@ -1,0 +1,29 @@
+"""A page as a reader of HTML sees it."""
+
+from html.parser import HTMLParser
+
+
+class Page(HTMLParser):
+    """Text, tags and sources of a page, and whether every tag is closed."""
+
+    VOID = ("meta", "img", "br", "!doctype")
+
+    def __init__(self, html):
+        super().__init__()
+        self.text, self.sources, self.open, self.h1 = "", [], [], ""
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] != "style":
+            self.text += data
+        if "h1" in self.open:
+            self.h1 += data
