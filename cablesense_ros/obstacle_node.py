@@ -1,0 +1,144 @@
+"""The `obstacle` node: an elastic wall that presses on a segment of the simulated arm."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.exceptions import ROSInterruptException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.qos import COMMAND, PUBLISHER
+from cablesense_ros.admittance.arm_contact import compliance_m_n, contact_point_m, wall_beside
+from cablesense_ros.admittance.elastic_wall import Approach, WallPressing
+from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
+from cablesense_ros.node_parameters import ParameterError, declare_parameters, parameter_values
+from cablesense_ros.obstacle_parameters import LIVE_PARAMETERS, OBSTACLE_PARAMETERS
+from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_ros.spin import run_node
+from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.mechanism import Mechanism
+
+LONGEST_LOOK_S = 0.1
+"""A pause longer than this between two `joint_states` does not move the wall on."""
+
+
+class ObstacleNode(Node):
+    """Answers every `joint_states` with the load that the wall puts on the arm."""
+
+    def __init__(self) -> None:
+        super().__init__("obstacle")
+        declare_parameters(self, OBSTACLE_PARAMETERS, read_only=False)
+        self._given = parameter_values(self, OBSTACLE_PARAMETERS)
+        arm = open_arm(self._given["arm"])
+        self._mechanism = Mechanism.from_arm(arm)
+        self._segment = self._given["segment"]
+        if self._segment > arm.segment_count:
+            raise ParameterError(
+                f"parameter segment is {self._segment}; this arm has 1 to {arm.segment_count}"
+            )
+        frames = Frames(arm.segment_count, self._given["frame_prefix"])
+        self._load = WrenchStamped()
+        self._load.header.frame_id = frames.segment(self._segment)
+        self._joint_order = NamedOrder(arm.joint_names, "joints")
+        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
+        self._pressing: WallPressing | None = None
+        self._approach = Approach(-self._given["clearance_m"], self._given["speed_m_s"])
+        self._since_s = self._look_s = time.monotonic()
+        self._loads_out = self.create_publisher(
+            WrenchStamped,
+            topics.APPLIED_WRENCH,
+            qos_profile(PUBLISHER),
+            qos_overriding_options=overridable(),
+        )
+        self.create_subscription(
+            JointState,
+            topics.JOINT_STATES,
+            self._on_joint_states,
+            qos_profile(COMMAND),
+            qos_overriding_options=overridable(),
+        )
+        self.add_post_set_parameters_callback(self._on_parameters)
+        DiagnosticsPublisher(self, self._statuses, lambda: arm.identity)
+        self.get_logger().info(
+            f"arm {arm.identity}: a wall of {self._given['stiffness_n_m']:g} N/m beside segment "
+            f"{self._segment}"
+        )
+
+    def destroy_node(self) -> None:
+        """Let go of the arm."""
+        with suppress(ROSInterruptException):
+            self._press(np.zeros(3))
+        super().destroy_node()
+
+    def _on_joint_states(self, message: JointState) -> None:
+        now_s = time.monotonic()
+        elapsed_s, self._look_s = min(now_s - self._look_s, LONGEST_LOOK_S), now_s
+        try:
+            angles = self._joint_order.arrange(message.name, message.position, "position")
+            if self._pressing is None:
+                self._pressing = self._wall_at(angles)
+                self._since_s = now_s
+            point = contact_point_m(self._mechanism, angles, self._segment)
+        except CableSenseError as error:
+            self._warn(topics.JOINT_STATES, f"{topics.JOINT_STATES}: message refused: {error}")
+            return
+        advance_m = self._approach.advance_m
+        if now_s - self._since_s >= self._given["delay_s"]:
+            advance_m = self._approach.towards(self._given["depth_m"], elapsed_s)
+        self._press(self._pressing.look(point, advance_m, elapsed_s))
+
+    def _wall_at(self, angles_rad: np.ndarray) -> WallPressing:
+        wall = wall_beside(
+            self._mechanism,
+            angles_rad,
+            self._segment,
+            self._given["angle_deg"],
+            self._given["stiffness_n_m"],
+            self._given["damping_n_s_m"],
+        )
+        compliance = compliance_m_n(self._mechanism, angles_rad, self._segment, wall.normal)
+        return WallPressing(wall, compliance)
+
+    def _press(self, force_n: np.ndarray) -> None:
+        self._load.header.stamp = self.get_clock().now().to_msg()
+        force = self._load.wrench.force
+        force.x, force.y, force.z = force_n.tolist()
+        self._loads_out.publish(self._load)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        self._given |= {p.name: p.value for p in parameters if p.name in LIVE_PARAMETERS}
+        self._approach.speed_m_s = self._given["speed_m_s"]
+
+    def _statuses(self) -> list[Status]:
+        if self._pressing is None:
+            return [Status("wall", Level.WARN, "no joint_states yet")]
+        force_n = self._pressing.force_n
+        message = f"presses on segment {self._segment}" if force_n else "does not touch"
+        values = {
+            "force (N)": f"{force_n:.2f}",
+            "advance (mm)": f"{1e3 * self._approach.advance_m:.2f}",
+            "stiffness (N/m)": f"{self._given['stiffness_n_m']:g}",
+        }
+        return [Status("wall", Level.OK, message, values)]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+    return run_node(ObstacleNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
