@@ -15,6 +15,7 @@ from cablesense_gap.recordings.mcap_file import read_mcap, write_mcap
 from cablesense_gap.recordings.reading import read_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_msgs_py.topic_types import INPUTS
 from cablesense_sim.arm_files import open_arm
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
@@ -112,7 +113,7 @@ def test_a_folder_with_metadata_is_read_too(tmp_path):
     folder = tmp_path / "folder"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as out:
         for topic, log_ns, message in mcap_file._messages(path):
-            kind = mcap_file.TYPES[topic]
+            kind = INPUTS[topic].kind
             known = {c.topic: c for c in out.connections}
             name = f"/lab/{topic}"
             connection = known.get(name) or out.add_connection(name, kind, typestore=store)

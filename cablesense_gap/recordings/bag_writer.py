@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
-from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_gap.recordings.topic_file import TopicFile
 from cablesense_msgs_py import topics
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-WRENCH = "geometry_msgs/msg/WrenchStamped"
-NUMBER = "std_msgs/msg/Int32"
-
-TYPES = {
-    topics.CABLE_TENSIONS: JOINT_STATE,
-    topics.JOINT_COMMANDS: JOINT_STATE,
-    topics.APPLIED_WRENCH: WRENCH,
-    topics.TRIAL: NUMBER,
-}
-"""What a recording holds, by topic."""
-
-_BAG_VERSION: Final = 9
-"""That of ROS 2 Jazzy."""
+from cablesense_msgs_py.topic_types import INPUTS, JOINT_STATE, NUMBER, WRENCH, resolved
 
 
 class BagWriter:
@@ -44,28 +27,9 @@ class BagWriter:
         Raises:
             RecordingError: the name does not end in .mcap, or the place cannot be written to.
         """
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-
-        self._path = Path(path)
-        if self._path.suffix != ".mcap":
-            raise RecordingError(f"{self._path}: a recording of topics must be named ….mcap")
-        if self._path.is_dir():
-            raise RecordingError(f"{self._path}: is a folder; give the name of a file")
-        self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._writer = Writer(
-            self._beside, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP
-        )
-        self._connections: dict[str, Any] = {}
-        if not self._path.parent.is_dir():
-            raise RecordingError(f"{self._path}: there is no folder {self._path.parent}")
-        try:
-            self._writer.open()
-        except OSError as error:
-            raise RecordingError(
-                f"{self._path}: cannot be written ({error.strerror or error})"
-            ) from error
+        self._file = TopicFile(path, growing=False)
+        self._store = self._file.store
+        self._channels: dict[str, Any] = {}
 
     def tensions(
         self, log_ns: int, stamp_ns: int, names: Sequence[str], efforts_n: Sequence[float]
@@ -106,31 +70,18 @@ class BagWriter:
         Raises:
             RecordingError: it cannot be written.
         """
-        try:
-            self._writer.close()
-            (self._beside / f"{self._beside.name}.mcap").replace(self._path)
-        except OSError as error:
-            raise RecordingError(
-                f"{self._path}: cannot be written ({error.strerror or error})"
-            ) from error
-        finally:
-            self.discard()
+        self._file.close()
 
     def discard(self) -> None:
-        """Leave nothing behind but a file that is closed already."""
-        with suppress(Exception):
-            self._writer.abort()
-        shutil.rmtree(self._beside, ignore_errors=True)
+        """Leave nothing behind."""
+        self._file.discard()
 
     def _write(self, topic: str, log_ns: int, message: Any) -> None:
-        kind = TYPES[topic]
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
-                f"/{topic}", kind, typestore=self._store
-            )
-        self._writer.write(
-            self._connections[topic], log_ns, self._store.serialize_cdr(message, kind)
-        )
+        kind = INPUTS[topic].kind
+        if topic not in self._channels:
+            self._channels[topic] = self._file.add(resolved(topic), kind, INPUTS[topic].offered)
+        raw = bytes(self._store.serialize_cdr(message, kind))
+        self._file.write(self._channels[topic], log_ns, raw)
 
     def _joint_state(self, stamp_ns: int, names: Sequence[str], **fields: Sequence[float]) -> Any:
         values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}

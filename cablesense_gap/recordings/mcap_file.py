@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,19 @@ from typing import Any
 import numpy as np
 
 from cablesense_gap.recordings.bag_rows import BagRows
-from cablesense_gap.recordings.bag_writer import TYPES, BagWriter
+from cablesense_gap.recordings.bag_writer import BagWriter
+from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.recording_error import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.topic_types import INPUTS
 from cablesense_sim.arm import Arm
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
+
+_LOG = logging.getLogger(__name__)
 
 _REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
 _START_NS = 1_000_000_000
@@ -89,7 +94,6 @@ def is_bag(path: Path) -> bool:
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     """Topic, time in ns and content of the messages to read, in the order they came."""
-    from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
     if not path.exists():
@@ -102,12 +106,16 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
             "record the contract's topics alone"
         )
     store = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, str] = {}
+    others: set[str] = set()
     try:
-        with Reader(path) as reader:
-            chosen, contract = _connections(path, reader)
-            for connection, log_ns, data in reader.messages(connections=chosen):
-                message = _message(store, connection.msgtype, data)
-                yield contract[connection.topic], log_ns, message
+        for raw in _raw_messages(path):
+            topic = raw.topic.rpartition("/")[2]
+            if topic not in INPUTS:
+                others.add(raw.topic)
+                continue
+            _check(path, raw, topic, found.setdefault(topic, raw.topic))
+            yield topic, raw.log_ns, _message(store, raw.kind, raw.data)
     except CableSenseError:
         raise
     except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …
@@ -115,39 +123,41 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
         raise RecordingError(
             f"{path}: cannot be read as rosbag2 MCAP ({line}); `ros2 bag info` should know it"
         ) from error
-
-
-def _connections(path: Path, reader: Any) -> tuple[list[Any], dict[str, str]]:
-    """The connections to read, and what each of their topics is in the contract.
-
-    `/arm/cable_tensions` is `cable_tensions`; each publisher of a topic has its own connection.
-    """
-    found: dict[str, list[Any]] = {topic: [] for topic in TYPES}
-    for connection in reader.connections:
-        topic = connection.topic.rpartition("/")[2]
-        if topic in found:
-            found[topic].append(connection)
-    for topic, connections in found.items():
-        named = sorted({connection.topic for connection in connections})
-        if len(named) > 1:
-            raise RecordingError(
-                f"{path}: {' and '.join(named)} are both {topic}; record one arm alone"
-            )
-        for connection in connections:
-            if connection.msgtype != TYPES[topic]:
-                raise RecordingError(
-                    f"{path}: {connection.topic} is of type {connection.msgtype}; it must be "
-                    f"{TYPES[topic]}"
-                )
-    missing = [topic for topic in _REQUIRED if not found[topic]]
+    missing = [topic for topic in _REQUIRED if topic not in found]
     if missing:
-        there = ", ".join(sorted({c.topic for c in reader.connections})[:8]) or "nothing"
+        there = ", ".join(sorted({*others, *found.values()})[:8]) or "nothing"
         raise RecordingError(
             f"{path}: misses {' and '.join(missing)}, and has {there}; record with: cablesense "
             "gap record"
         )
-    chosen = [connection for connections in found.values() for connection in connections]
-    return chosen, {c.topic: c.topic.rpartition("/")[2] for c in chosen}
+
+
+def _raw_messages(path: Path) -> Iterator[RawMessage]:
+    """Of a file, also of one that breaks off; of a folder, by its metadata."""
+    if not path.is_dir():
+        messages = McapMessages(path)
+        yield from messages
+        if messages.cut:
+            _LOG.warning("%s: %s; what came before is used", path, messages.cut)
+        return
+    from rosbags.rosbag2 import Reader
+
+    with Reader(path) as reader:
+        for connection, log_ns, data in reader.messages():
+            yield RawMessage(connection.topic, connection.msgtype, log_ns, data)
+
+
+def _check(path: Path, raw: RawMessage, topic: str, first: str) -> None:
+    """`/arm/cable_tensions` is `cable_tensions`, as long as there is one."""
+    if raw.topic != first:
+        named = sorted((raw.topic, first))
+        raise RecordingError(
+            f"{path}: {' and '.join(named)} are both {topic}; record one arm alone"
+        )
+    if raw.kind != INPUTS[topic].kind:
+        raise RecordingError(
+            f"{path}: {raw.topic} is of type {raw.kind}; it must be {INPUTS[topic].kind}"
+        )
 
 
 def _message(store: Any, kind: str, data: bytes) -> Any:
