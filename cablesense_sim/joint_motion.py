@@ -9,6 +9,8 @@ Array = NDArray[np.float64]
 
 SHORTEST_MOVE_S = 0.1
 _PEAK_TO_MEAN_SPEED = 1.875
+_PEAK_ACCELERATION = 3.08
+"""Of a move from rest, in peak speeds by its duration."""
 
 
 def move_duration_s(largest_turn_rad: float, joint_speed_rad_s: float) -> float:
@@ -21,7 +23,9 @@ class JointMotion:
 
     The curve is the fifth-order polynomial that starts with the present angle, speed and
     acceleration and ends at rest (Flash and Hogan 1985), so the actuators never jump: a jump of
-    half a degree would pull some cables of a stiff arm with thousands of newtons.
+    half a degree would pull some cables of a stiff arm with thousands of newtons. An acceleration
+    harder than a move of this duration has from rest is let go at once: after a short step it
+    would carry a long move far beyond its target.
     """
 
     def __init__(self, angles_rad: Array, joint_speed_rad_s: float) -> None:
@@ -42,6 +46,8 @@ class JointMotion:
         """Head for `target_rad` (2N,) from wherever the motion is now."""
         angle, speed, acceleration = self.state
         duration = move_duration_s(float(np.abs(target_rad - angle).max()), self._speed_rad_s)
+        hardest = _PEAK_ACCELERATION * self._speed_rad_s / duration
+        acceleration = np.clip(acceleration, -hardest, hardest)
         rest = target_rad - angle - speed * duration - 0.5 * acceleration * duration**2
         lost_speed = -speed - acceleration * duration
         lost_acceleration = -acceleration

@@ -44,3 +44,14 @@ def test_a_stream_of_targets_is_followed():
         path(motion, 10)
     path(motion, round(SHORTEST_MOVE_S / STEP_S) + 200)
     np.testing.assert_allclose(motion.advance(STEP_S), [0.198])
+
+
+def test_a_long_move_after_a_stream_of_steps_does_not_shoot_beyond_its_target():
+    motion = JointMotion(np.zeros(1), np.deg2rad(20.0))
+    for k in range(25):
+        motion.go_to(np.array([0.02 * (-1) ** k]))
+        path(motion, 20)
+    motion.go_to(np.array([0.15]))
+    angles = path(motion, 3000)
+    assert angles.max() < 0.17
+    assert angles.min() > -0.05
