@@ -133,7 +133,7 @@ def test_one_thread_runs_it(tmp_path):
 
 def test_no_file_is_said_to_be_none(tmp_path):
     assert "No such file" in _refused(tmp_path / "none.onnx")
-    assert "directory" in _refused(tmp_path)
+    assert "not a file" in _refused(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00", b"not a model", os.urandom(5000)])
@@ -261,6 +261,9 @@ def test_nested_graphs_and_functions_are_refused(tmp_path):
     truth = helper.make_tensor("truth", TensorProto.BOOL, [], [True])
     node = helper.make_node("If", ["truth"], ["direction"], then_branch=body, else_branch=body)
     model = _small_model(nodes=[node], initializers=[truth])
+    assert "uses operator 'If'" in _refused(_written(tmp_path, model))
+    node.op_type = "Identity"
+    model = _small_model(nodes=[node], initializers=[truth])
     assert "graph of its own" in _refused(_written(tmp_path, model))
     model = _small_model()
     model.functions.append(
@@ -285,12 +288,48 @@ def test_a_graph_that_makes_huge_tensors_is_refused(tmp_path, size):
     nodes = [
         helper.make_node("ConstantOfShape", ["shape"], ["huge"]),
         helper.make_node("ReduceSum", ["huge"], ["sum"], keepdims=0),
-        helper.make_node("CastLike", ["sum", "classes"], ["none"]),
+        helper.make_node("Cast", ["sum"], ["none"], to=DOUBLE),
         helper.make_node("MatMul", ["tension_difference_n", "turn"], ["turned"]),
         helper.make_node("Add", ["turned", "none"], ["direction"]),
     ]
     model = _small_model(nodes=nodes, initializers=[shape])
     assert "'huge'" in _refused(_written(tmp_path, model))
+
+
+@pytest.mark.parametrize(
+    ("domain", "operator"),
+    [("", "Loop"), ("", "NonZero"), ("com.microsoft", "Attention"), ("own", "Add"), ("", "")],
+)
+def test_operators_that_no_network_here_needs_are_refused(tmp_path, domain, operator):
+    node = helper.make_node(operator, ["tension_difference_n"], ["direction"], domain=domain)
+    assert "uses operator" in _refused(_written(tmp_path, _small_model(nodes=[node])))
+
+
+def test_a_size_that_depends_on_the_tensions_is_refused(tmp_path):
+    nodes = [
+        helper.make_node("ReduceSum", ["tension_difference_n"], ["sum"], keepdims=0),
+        helper.make_node("Cast", ["sum"], ["shape"], to=TensorProto.INT64),
+        helper.make_node("Reshape", ["shape", "one"], ["row"]),
+        helper.make_node("Expand", ["last_of", "row"], ["wide"]),
+        helper.make_node("ReduceSum", ["wide"], ["direction"], keepdims=0),
+    ]
+    one = helper.make_tensor("one", TensorProto.INT64, [1], [1])
+    model = _small_model(
+        nodes=nodes, initializers=[one, helper.make_tensor("last_of", DOUBLE, [1], [1.0])]
+    )
+    assert "is open until the model is run" in _refused(_written(tmp_path, model))
+
+
+def test_more_work_than_a_sample_is_worth_is_refused(tmp_path):
+    names = [f"step_{i}" for i in range(600)]
+    large = helper.make_tensor("large", DOUBLE, [256, 256], [0.0] * 2**16)
+    nodes = [
+        helper.make_node("MatMul", [left, "large"], [right])
+        for left, right in zip(["large", *names], names, strict=False)
+    ]
+    assert "multiplications a sample" in _refused(
+        _written(tmp_path, _small_model(nodes=nodes, initializers=[large]))
+    )
 
 
 @settings(max_examples=300, deadline=None)

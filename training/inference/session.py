@@ -12,9 +12,11 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto
 
+from cablesense_msgs_py.bounded_file import read_bounded_bytes
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
-from cablesense_training.inference.model_safety import require_bounded, require_harmless
+from cablesense_training.inference.model_safety import require_harmless
+from cablesense_training.inference.model_size import require_bounded
 
 Array = NDArray[np.float64]
 
@@ -70,7 +72,7 @@ class ModelSession:
         _require_outputs(model, metadata, outputs, source)
         _require_inputs(model, metadata, source)
         try:
-            require_bounded(onnx.shape_inference.infer_shapes(model, data_prop=True), source)
+            require_bounded(model, source)
             session = cls(source, metadata, model, tuple(outputs), open_session(model))
         except ModelFileError:
             raise
@@ -145,23 +147,13 @@ def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
     Raises:
         ModelFileError: unreadable, not ONNX, or not a CableSense model.
     """
-    model = _read(Path(path))
+    model = _read(path)
     properties = {entry.key: entry.value for entry in model.metadata_props}
     return model, ModelMetadata.from_properties(properties, str(path))
 
 
-def _read(path: Path) -> onnx.ModelProto:
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ModelFileError(
-                f"{path}: larger than {MAX_FILE_BYTES} bytes, so not a model file"
-            )
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else str(error)
-        raise ModelFileError(
-            f"{path}: cannot be read ({why}); give the path of a .onnx file"
-        ) from error
+def _read(path: str | Path) -> onnx.ModelProto:
+    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
     try:
         model = onnx.load_model_from_string(content)
         require_harmless(model, str(path))
