@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -34,6 +35,7 @@ from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
 from cablesense_ros.spin import run_node
+from cablesense_ros.state_file import StateFile
 from cablesense_ros.tare import Tare
 from cablesense_ros.tare_words import tare_status, tare_taken_line, tare_undone_line
 from cablesense_ros.throttled_log import ThrottledLog
@@ -53,6 +55,7 @@ class EstimatorNode(LifecycleNode):
         self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._loaded: LoadedModel | None = None
         self._estimation: Estimation | None = None
+        self._state = StateFile("", 0.0)
         self._outputs: EstimatorOutputs | None = None
         self._tare_services: list[Service] = []
         self._inputs: list[Subscription] = []
@@ -131,13 +134,9 @@ class EstimatorNode(LifecycleNode):
     def _configure(self) -> None:
         given = parameter_values(self, ESTIMATOR_PARAMETERS)
         self._loaded = load_model(given["arm"], given["model"])
-        self._estimation = Estimation(
-            self._loaded.arm,
-            self._loaded.estimator,
-            estimation_settings(given),
-            time.monotonic(),
-            self._loaded.described | {"frame_prefix": given["frame_prefix"]},
-        )
+        self._estimation = self._make_estimation(given, self._loaded)
+        self._state = StateFile(given["state_file"], given["state_within_s"])
+        self._go_on(given, self._loaded)
         frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(self, frames, given["markers"])
         self._tare_services = [
@@ -146,6 +145,31 @@ class EstimatorNode(LifecycleNode):
         ]
         self.get_logger().info(
             f"arm {self._loaded.arm.identity}, model {self._loaded.model}: configured"
+        )
+
+    def _make_estimation(self, given: Mapping[str, Any], loaded: LoadedModel) -> Estimation:
+        return Estimation(
+            loaded.arm,
+            loaded.estimator,
+            estimation_settings(given),
+            time.monotonic(),
+            loaded.described | {"frame_prefix": given["frame_prefix"]},
+        )
+
+    def _go_on(self, given: Mapping[str, Any], loaded: LoadedModel) -> None:
+        """From where an estimator that was killed a moment ago left off."""
+        try:
+            entry = self._state.read(loaded.arm.identity)
+            if entry is None or self._estimation is None:
+                return
+            self._estimation.restore(entry)
+        except CableSenseError as error:
+            self._estimation = self._make_estimation(given, loaded)
+            self.get_logger().warning(f"starts anew, without tare: {error}")
+            return
+        self.get_logger().info(
+            f"goes on with the tare and the command of {given['state_file']}; if the arm was "
+            "changed since, call ~/tare with nothing touching it"
         )
 
     def _stop_listening(self) -> None:
@@ -177,6 +201,8 @@ class EstimatorNode(LifecycleNode):
             )
         if outcome.new_tare is not None:
             self._log_tare(outcome.new_tare, "by itself at start (auto_tare)")
+        if outcome.entry is not None:
+            self._state.keep(outcome.entry)
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation is None:
@@ -193,6 +219,7 @@ class EstimatorNode(LifecycleNode):
 
     def _check_stale(self) -> None:
         self._simulated_time = self.get_clock().ros_time_is_active
+        self._keep_state()
         now_s = time.monotonic()
         if self._estimation is None or not self._estimation.stale(now_s):
             return
@@ -202,6 +229,12 @@ class EstimatorNode(LifecycleNode):
             "silence",
             f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; the wrench is zero",
         )
+
+    def _keep_state(self) -> None:
+        try:
+            self._state.flush()
+        except CableSenseError as error:
+            self._warn("state", f"what the answers rest on is not kept: {error}")
 
     def _publish_zero(self) -> None:
         if self._outputs is not None:

@@ -20,7 +20,7 @@ from cablesense_msgs_py.contact import (
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
 from cablesense_msgs_py.markers import ContactMarkers
-from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, Qos
+from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.wrench_writer import WrenchWriter
 from cablesense_ros.estimation import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
@@ -36,7 +36,7 @@ class EstimatorOutputs:
         self._node = node
         self._frames = frames
         self._next_display_s = float("-inf")
-        self._wrench_out = self._create(WrenchStamped, topics.WRENCH)
+        self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
         self._wrench_in = [
             WrenchWriter(frame)
             for frame in (

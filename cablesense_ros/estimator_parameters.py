@@ -52,6 +52,19 @@ ESTIMATOR_PARAMETERS: Final = (
         "Take the first readings at rest as the unloaded state; else wait for ~/tare.",
     ),
     NodeParameter(
+        "state_file",
+        "",
+        "File that keeps tare and command, so that an estimator that was killed goes on with them "
+        "instead of taking a loaded arm for the unloaded one; empty: none is kept.",
+    ),
+    NodeParameter(
+        "state_within_s",
+        60.0,
+        "The file is gone on from when its estimator was alive at most this long ago, s.",
+        1.0,
+        86_400.0,
+    ),
+    NodeParameter(
         "joint_speed_deg_s",
         20.0,
         "Peak speed at which joints approach a command, degrees per second.",

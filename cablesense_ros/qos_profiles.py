@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from cablesense_msgs_py.qos import Qos
@@ -10,7 +17,7 @@ from cablesense_msgs_py.qos import Qos
 
 def qos_profile(qos: Qos) -> QoSProfile:
     """A new profile: rclpy writes overrides into the one it is given."""
-    return QoSProfile(
+    profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=qos.depth,
         reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -18,6 +25,10 @@ def qos_profile(qos: Qos) -> QoSProfile:
             DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE
         ),
     )
+    if qos.lease_s:
+        profile.liveliness = LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
+    return profile
 
 
 def overridable() -> QoSOverridingOptions:

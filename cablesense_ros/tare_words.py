@@ -46,7 +46,9 @@ def tare_status(tares: TareModel) -> Status:
 
 
 def time_text(time_ns: int) -> str:
-    """A time in ns since the epoch, to the second, in UTC."""
+    """A time in ns since the epoch, to the second, in UTC; 0 is one that was not kept."""
+    if not time_ns:
+        return "before the estimator's start"
     return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 

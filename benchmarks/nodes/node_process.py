@@ -1,4 +1,4 @@
-"""One process under test: started as a user would, with its output in a file, and ended for sure."""
+"""One process under test: started as a user would, its output in a file, ended for sure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -33,6 +33,16 @@ def node_command(
         text = str(value).lower() if isinstance(value, bool) else str(value)
         command += ["-p", f"{name}:={text}"]
     return command
+
+
+def wait_until(true: Callable[[], object], within_s: float) -> bool:
+    """Look every 20 ms; give whether it became true in time."""
+    deadline_s = time.monotonic() + within_s
+    while not true():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 class NodeProcess:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
 import sys
 import time
 from pathlib import Path
@@ -15,6 +17,7 @@ from cablesense_ros.can.signal_database import open_channel_map
 from cablesense_sim.arm_files import open_arm
 from soak.marked_course import marked_course
 
+REAL_TIME_PRIORITY = 10
 BLOCK = 1000
 """Cycles whose tensions are made at once: in a cycle's own time numpy would be dear."""
 
@@ -23,7 +26,8 @@ def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, l
     """Wait for a line on stdin, play `cycles`, write the log.
 
     The log's `written_ns` is when the last frame of each cycle was on the pseudo-terminal, and
-    `dropped` how many of its frames the terminal did not take.
+    `dropped` how many of its frames the terminal did not take, `real_time` whether the process
+    was scheduled as such.
     """
     arm = open_arm(arm_name)
     channel_map, database = open_channel_map(map_name)
@@ -39,6 +43,9 @@ def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, l
     rows: list[list[float]] = []
     gc.collect()
     gc.freeze()
+    with contextlib.suppress(OSError):  # hardware does not wait for this machine's scheduler
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+    real_time = os.sched_getscheduler(0) == os.SCHED_FIFO
     began_s = time.monotonic()
     for cycle in range(cycles):
         at = cycle % BLOCK
@@ -51,7 +58,7 @@ def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, l
         emulator.cycle(rows[at])
         written_ns[cycle] = time.time_ns()
         dropped[cycle] = port.dropped - before
-    np.savez(log, written_ns=written_ns, dropped=dropped)
+    np.savez(log, written_ns=written_ns, dropped=dropped, real_time=real_time)
     print("played", flush=True)
     sys.stdin.readline()  # the port stays until the benchmark has heard all
     emulator.close()

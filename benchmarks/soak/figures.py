@@ -24,7 +24,7 @@ def delivery(
     tensions: Log,
     rate_hz: float,
 ) -> tuple[dict[str, Any], NDArray[np.int64]]:
-    """What came of what was sent, value by value; also the cycle (C,) of every sample, -1 for none.
+    """What came of what was sent, value by value; also the cycle (C,) of each sample, -1 for none.
 
     A sample's number is spelt modulo `course.modulo`; which one it is, its time of arrival tells.
     """

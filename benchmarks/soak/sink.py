@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from nodes.process_figures import cpu_s, rss_mb
 from numpy.typing import NDArray
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -16,7 +17,6 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.qos_profiles import qos_profile
-from nodes.process_figures import cpu_s, rss_mb
 
 SINK_QOS = Qos(depth=5000, reliable=True)
 _STAMP = struct.Struct("<iI")

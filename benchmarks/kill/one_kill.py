@@ -1,0 +1,161 @@
+"""One kill: push, wait until the answer is right, kill at a random moment, watch, start again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.executors import Executor
+
+from cablesense_sim.arm import Arm
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from kill.chain import Chain
+from kill.watcher import Heard, Watcher
+
+PATIENCE_S = 20.0
+STEADY = 10
+"""So many right wrenches in a row are right."""
+
+SETTLED_S = 1.0
+"""A change of load has swung out by then; a wrench that differs from the load later is wrong."""
+
+DEAD_S = (0.15, 0.6)
+AT_ANY_MOMENT_S = 0.5
+
+
+@dataclass(frozen=True)
+class Kill:
+    """What was seen of one; times in s, NaN where it does not apply.
+
+    Attributes:
+        others_lived: whether every other process kept its id.
+        stale_s: from the kill to the first zero wrench, or for the estimator to the word of the
+            subscriber's own middleware that it is gone.
+        last_force_s: from the kill to the last wrench with a force.
+        zero_age_s: largest age of the zero wrenches' stamps when they came.
+        set_up_s: from the start to the process's own word that it is set up.
+        first_sample_s: from the start to the first sample from the driver.
+        right_s: from the start to the first wrench of those that are right and stay so.
+        wrong: wrenches with another force than the load's, a second after the load last changed.
+    """
+
+    victim: str
+    others_lived: bool
+    stale_s: float
+    last_force_s: float
+    zero_age_s: float
+    set_up_s: float
+    first_sample_s: float
+    right_s: float
+    wrong: int
+
+    @property
+    def right_after_set_up_s(self) -> float:
+        """From the process's word that it is set up to the first right wrench."""
+        return self.right_s - self.set_up_s
+
+
+class KillTrials:
+    """Kills in a running chain."""
+
+    def __init__(
+        self, arm: Arm, chain: Chain, watcher: Watcher, executor: Executor, seed: int
+    ) -> None:
+        self._arm, self._mechanism = arm, Mechanism.from_arm(arm)
+        self._chain, self._watcher, self._executor = chain, watcher, executor
+        self._rng = np.random.default_rng(seed)
+
+    def bring_up(self) -> None:
+        """Wait until the unloaded arm is tared and answers follow the load."""
+        self._until(lambda: len(self._watcher.sample_s) > 100, "samples")
+        self._watcher.spin(self._executor, 2.0)
+        self._push()
+        self._until_right("the first right answer")
+
+    def kill(self, victim: str) -> Kill:
+        """Kill one and see it come back.
+
+        Raises:
+            TimeoutError: what should come did not come within `PATIENCE_S`.
+        """
+        watcher, process = self._watcher, self._chain.processes[victim]
+        self._push()
+        self._until_right(f"a right answer before {victim} is killed")
+        watcher.spin(self._executor, float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
+        before, ups = self._chain.pids(), self._chain.ups(victim)
+        watcher.forget()
+        killed_s = process.kill()
+        if self._rng.random() < 0.5:
+            self._push()  # who comes back must not come back to the old load
+        watcher.spin(self._executor, float(self._rng.uniform(*DEAD_S)))
+        until_start = list(watcher.wrenches)
+        gone_s = [at for at, alive in watcher.liveliness if alive == 0 and at >= killed_s]
+        silent_from_s = watcher.sample_s[-1] if watcher.sample_s else killed_s
+        started_epoch_s = time.time()
+        process.start()
+        started_s = process.started_s
+        self._until(lambda: self._chain.ups(victim) > ups, f"{victim} to be set up again")
+        right_s = self._until_right(f"a right answer after {victim} came back", since_s=started_s)
+        after = self._chain.pids()
+        del before[victim], after[victim]
+        forces = [one.arrived_s - killed_s for one in until_start if not one.zero]
+        zeros = [one for one in until_start if one.zero and one.arrived_s >= killed_s]
+        first_zero_s = zeros[0].arrived_s - killed_s if zeros else float("nan")
+        if victim == "estimator":
+            first_zero_s = gone_s[0] - killed_s if gone_s else float("nan")
+        later = [at for at in watcher.sample_s if at > max(started_s, silent_from_s)]
+        return Kill(
+            victim=victim,
+            others_lived=before == after,
+            stale_s=first_zero_s,
+            last_force_s=max(forces, default=float("nan")),
+            zero_age_s=max((one.arrived_epoch_s - one.stamp_s for one in zeros), default=np.nan),
+            set_up_s=self._chain.up_epoch_s(victim) - started_epoch_s,
+            first_sample_s=later[0] - started_s if later else float("nan"),
+            right_s=right_s - started_s,
+            wrong=sum(map(self._wrong, watcher.wrenches)),
+        )
+
+    def _wrong(self, heard: Heard) -> bool:
+        settled = heard.arrived_s > self._watcher.load_since_s + SETTLED_S
+        return settled and not heard.zero and not self._watcher.right(heard)
+
+    def _push(self) -> None:
+        segment = int(self._rng.integers(1, self._arm.segment_count + 1))
+        forces = normal_force_n(
+            self._mechanism,
+            np.zeros(self._arm.joint_count),
+            segment=segment,
+            angle_deg=float(self._rng.uniform(0.0, 360.0)),
+            magnitude_n=float(self._rng.uniform(20.0, 100.0)),
+        )
+        self._watcher.push(segment, np.asarray(forces)[segment - 1])
+
+    def _until_right(self, what: str, since_s: float = 0.0) -> float:
+        """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
+        wrenches = self._watcher.wrenches
+
+        def steady() -> bool:
+            last = wrenches[-STEADY:]
+            return len(last) == STEADY and all(
+                one.arrived_s >= since_s and self._watcher.right(one) for one in last
+            )
+
+        self._until(steady, what)
+        first_s = wrenches[-1].arrived_s
+        for one in reversed(wrenches):
+            if one.arrived_s < since_s or not self._watcher.right(one):
+                break
+            first_s = one.arrived_s
+        return first_s
+
+    def _until(self, true: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not true():
+            if time.monotonic() > deadline_s:
+                last = self._watcher.wrenches[-1:]
+                raise TimeoutError(f"waited {PATIENCE_S:g} s in vain for {what}; last: {last}")
+            self._watcher.spin(self._executor, 0.02)

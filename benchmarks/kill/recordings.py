@@ -1,0 +1,90 @@
+"""What became of recordings: of one through all kills, and of those whose recorder was killed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nodes.node_process import NodeProcess
+from numpy.typing import NDArray
+
+from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_gap.recordings.reading import read_recording
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.effort_reader import EffortReader
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_sim.arm import Arm
+from kill.chain import recorder_command
+
+WRITING_S = (1.2, 3.0)
+"""A recorder is killed so long after its file has appeared."""
+
+UP_WITHIN_S = 20.0
+
+
+def whole(path: Path, heard_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
+    """Whether a recording has every sample between its first and its last that was heard here."""
+    try:
+        stamps_ns, _ = _samples(path)
+        rows = len(read_recording(path, arm))
+    except (CableSenseError, OSError) as error:
+        return {"readable": False, "why": str(error), "samples missing": -1}
+    heard = np.unique(np.array(heard_ns))
+    between = heard[(heard >= stamps_ns.min()) & (heard <= stamps_ns.max())]
+    return {
+        "readable": True,
+        "size (MB)": round(path.stat().st_size / 1e6, 2),
+        "samples": len(stamps_ns),
+        "samples heard in its time": len(between),
+        "samples missing": int((~np.isin(between, stamps_ns)).sum()),
+        "rows as the diagnosis reads it": rows,
+    }
+
+
+def kill_recorders(
+    times: int, folder: Path, spin: Callable[[float], None], arm: Arm
+) -> dict[str, Any]:
+    """Kill recorders while they write, and read what they leave."""
+    rng = np.random.default_rng(1)
+    lost_s: list[float] = []
+    problems: list[str] = []
+    for number in range(times):
+        path = folder / f"killed_{number}.mcap"
+        with NodeProcess("killed", recorder_command(path), folder / "killed.log") as recorder:
+            deadline_s = time.monotonic() + UP_WITHIN_S
+            while not path.exists() and time.monotonic() < deadline_s:
+                spin(0.05)
+            spin(float(rng.uniform(*WRITING_S)))
+            recorder.kill()
+            killed_ns = time.time_ns()
+        try:
+            stamps_ns, logged_ns = _samples(path)
+            if len(read_recording(path, arm)) > len(stamps_ns):
+                problems.append(f"{number}: more rows than samples")
+            lost_s.append((killed_ns - int(logged_ns.max())) * 1e-9)
+        except (CableSenseError, OSError, ValueError) as error:
+            problems.append(f"{number}: {error}")
+    spread = np.percentile(lost_s, (50, 95, 100)).round(3).tolist() if lost_s else []
+    return {
+        "killed": times,
+        "read": times - len(problems),
+        "lost at the end (s): median, 95 %, worst": spread,
+        "problems": problems[:10],
+    }
+
+
+def _samples(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Stamps of the tensions in a file, and when each was recorded, ns."""
+    read = EffortReader().read
+    pairs = [
+        (read(one.data).stamp_ns, one.log_ns)
+        for one in McapMessages(path)
+        if one.topic.rpartition("/")[2] == topics.CABLE_TENSIONS
+    ]
+    if not pairs:
+        raise OSError(f"{path.name}: holds no tensions")
+    columns = np.array(pairs, dtype=np.int64)
+    return columns[:, 0], columns[:, 1]
