@@ -40,7 +40,9 @@ EXTRAS = {
         "viser",  # the 3D page in the browser
     ],
     "gap": [
+        "backports.zstd",  # unpacks the chunks of a recording; rosbags packs with it
         "jinja2",  # the report's page
+        "lz4",  # unpacks chunks that other recorders packed so; rosbags brings it
         "matplotlib",  # the report's pictures
         "pandas",  # recordings and tables of residuals
         "rosbags",  # reads and writes rosbag2 without a ROS installation
@@ -58,6 +60,7 @@ EXTRAS = {
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
         "import-linter",  # the arrows between the rooms
+        "mcap",  # a second reader of recordings, beside our own and rosbags
         "mypy",  # types
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test

@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from cablesense_msgs_py.frames import Frames
+
 _LITTLE_ENDIAN = b"\0\1\0\0"
 
 
@@ -30,3 +32,9 @@ class WrenchWriter:
             self._text,
             *wrench,
         )
+
+
+def wrench_writers(frames: Frames) -> list[WrenchWriter]:
+    """Writers in the base frame, for no contact, and in the frames of segments 1 … N."""
+    names = (frames.base, *(frames.segment(n + 1) for n in range(frames.segment_count)))
+    return [WrenchWriter(name) for name in names]

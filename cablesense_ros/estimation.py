@@ -322,6 +322,7 @@ class Estimation:
             arm=self._arm_identity,
             settings={
                 **self._described,
+                "joints": " ".join(self._joint_order.names),
                 **{name: repr(value) for name, value in asdict(self._settings).items()},
             },
             command_rad=tuple(self._command_rad.tolist()),

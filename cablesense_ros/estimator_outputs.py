@@ -21,7 +21,7 @@ from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
 from cablesense_msgs_py.markers import ContactMarkers
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
-from cablesense_msgs_py.wrench_writer import WrenchWriter
+from cablesense_msgs_py.wrench_writer import wrench_writers
 from cablesense_ros.estimation import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
 
@@ -37,13 +37,7 @@ class EstimatorOutputs:
         self._frames = frames
         self._next_display_s = float("-inf")
         self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
-        self._wrench_in = [
-            WrenchWriter(frame)
-            for frame in (
-                frames.base,
-                *(frames.segment(n + 1) for n in range(frames.segment_count)),
-            )
-        ]
+        self._wrench_in = wrench_writers(frames)
         self._point, self._point_out = (
             PointStamped(),
             self._create(PointStamped, topics.CONTACT_POINT),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -16,14 +17,30 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rich.console import Console
 
+from cablesense_msgs_py.topic_types import TopicType
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import Arm
 
 _WAKE_S = 0.25
 
 
-def record_topics(path: Path, duration_s: float | None, arm: Arm | None, console: Console) -> None:
+def record_topics(
+    path: Path,
+    wanted: Mapping[str, TopicType],
+    duration_s: float | None,
+    arm: Arm | None,
+    console: Console,
+    namespace: str = "",
+) -> None:
     """Record until `duration_s` have passed, SIGINT or SIGTERM; the file is whole then.
+
+    Args:
+        path: of the file.
+        wanted: topics of the contract.
+        duration_s: how long, or until a signal.
+        arm: whose contract is checked, if any.
+        console: for people.
+        namespace: of the nodes to listen to.
 
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
@@ -35,11 +52,11 @@ def record_topics(path: Path, duration_s: float | None, arm: Arm | None, console
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("recorder")
+    node = Node("recorder", namespace=namespace or None)
     executor = EventsExecutor()
     executor.add_node(node)
     try:
-        recorder = Recorder(node, path, arm, say)
+        recorder = Recorder(node, path, wanted, arm, say)
         try:
             _spin(executor, recorder, wanted_end, duration_s, console)
         finally:

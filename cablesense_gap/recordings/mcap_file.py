@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cablesense_gap.recordings.bag_rows import BagRows
+from cablesense_gap.recordings.bag_types import BagTypes
 from cablesense_gap.recordings.bag_writer import BagWriter
 from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage
 from cablesense_gap.recordings.recording import Recording
@@ -94,8 +93,6 @@ def is_bag(path: Path) -> bool:
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     """Topic, time in ns and content of the messages to read, in the order they came."""
-    from rosbags.typesys import Stores, get_typestore
-
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     files = path.iterdir() if path.is_dir() else [path]
@@ -105,7 +102,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
             f"{path}: {size / 1e9:.1f} GB; a recording has at most {MAX_FILE_BYTES / 1e9:g} GB: "
             "record the contract's topics alone"
         )
-    store = get_typestore(Stores.ROS2_JAZZY)
+    types = BagTypes()
     found: dict[str, str] = {}
     others: set[str] = set()
     try:
@@ -115,7 +112,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
                 others.add(raw.topic)
                 continue
             _check(path, raw, topic, found.setdefault(topic, raw.topic))
-            yield topic, raw.log_ns, _message(store, raw.kind, raw.data)
+            yield topic, raw.log_ns, types.message(raw.kind, raw.data)
     except CableSenseError:
         raise
     except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …
@@ -158,11 +155,3 @@ def _check(path: Path, raw: RawMessage, topic: str, first: str) -> None:
         raise RecordingError(
             f"{path}: {raw.topic} is of type {raw.kind}; it must be {INPUTS[topic].kind}"
         )
-
-
-def _message(store: Any, kind: str, data: bytes) -> Any:
-    """A message of its bytes; what publishers leave behind its end is not looked at."""
-    definition = store.get_msgdef(kind)
-    little = bytes(data[:2]) == b"\x00\x01"
-    read = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
-    return read(np.frombuffer(data, dtype=np.uint8)[4:].tobytes(), 0, definition.cls, store)[0]

@@ -150,7 +150,7 @@ def _profile(qos: Qos) -> Any:
         QosTime,
     )
 
-    without_end = QosTime(0x7FFFFFFF, 0xFFFFFFFF)
+    without_end = QosTime(9_223_372_036, 854_775_807)  # as rmw writes infinity
     return BagQos(
         history=QosHistory.KEEP_LAST,
         depth=qos.depth,

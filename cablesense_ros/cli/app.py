@@ -18,6 +18,8 @@ from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info
 from cablesense_ros.cli.paper import paper
+from cablesense_ros.cli.record import record
+from cablesense_ros.cli.replay import replay
 from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import train
 
@@ -34,7 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, dataset, train, evaluate, info, paper):
+for verb in (demo, dataset, train, evaluate, info, record, replay, paper):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

@@ -30,12 +30,13 @@ def record(
     """
     from rich.console import Console
 
+    from cablesense_msgs_py.topic_types import INPUTS
     from cablesense_ros.recording_session import record_topics
     from cablesense_sim.arm_files import open_arm
 
     description = None if arm is None else open_arm(arm)
     console = Console()
-    record_topics(out, duration, description, console)
+    record_topics(out, INPUTS, duration, description, console)
     if description is None:
         return
     from cablesense_gap.recordings.checks import check_recording

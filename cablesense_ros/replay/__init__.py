@@ -1,0 +1,1 @@
+"""A recorded run once more: through the same code, or through a live node."""

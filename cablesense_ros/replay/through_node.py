@@ -1,0 +1,177 @@
+"""A recorded run through an estimator node that runs: inputs out, answers in, compared."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import rclpy
+import rclpy.utilities
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.journal import Event, EventKind
+from cablesense_msgs_py.stamped_bytes import restamped
+from cablesense_ros.replay.comparison import Comparison
+from cablesense_ros.replay.live_estimator import LiveEstimator
+from cablesense_ros.replay.recorded_run import RecordedRun, Step
+
+LONGEST_AGE_NS = 10_000_000
+"""Samples keep the age that they had when recorded, up to this: a recorder's clock may be off."""
+
+_SETTLE_S = 0.5
+_WAKE_S = 0.2
+_SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
+
+
+def replay_through_node(
+    run: RecordedRun, rate: float, namespace: str, say: Callable[[str], object]
+) -> Comparison:
+    """Publish what the recorded estimator took, at the recorded pace, and compare the answers.
+
+    Every stamp is shifted by the same time, so that the first sample is one of now; at another
+    rate the time between stamps shrinks with it. Commands and tares go where the journal has them:
+    after the answer to the sample before, and before the next sample. The estimator must have been
+    started afresh, for it to be in the state that the recorded one was in at its start.
+
+    Args:
+        run: the recording.
+        rate: how many times as fast as recorded.
+        namespace: of the estimator.
+        say: takes a line for people.
+
+    Raises:
+        RecordingError: no estimator listens, or it refuses a tare that is in the recording.
+    """
+    with _spinning_node() as node:
+        live = LiveEstimator(node, namespace)
+        live.wait_until_there()
+        time.sleep(_SETTLE_S)  # that the estimator knows of this node as well
+        return _Player(run, rate, live, say).play()
+
+
+@contextmanager
+def _spinning_node() -> Iterator[Node]:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("replay")
+    executor, end = EventsExecutor(), Future()
+    executor.add_node(node)
+
+    def spin() -> None:
+        while not end.done():
+            executor.spin_until_future_complete(end, timeout_sec=_WAKE_S)
+
+    thread = threading.Thread(target=spin, name="answers")
+    thread.start()
+    try:
+        yield node
+    finally:
+        end.set_result(None)
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        with suppress(RuntimeError):
+            rclpy.utilities.try_shutdown()
+
+
+class _Player:
+    """Walks through the recording once."""
+
+    def __init__(
+        self, run: RecordedRun, rate: float, live: LiveEstimator, say: Callable[[str], object]
+    ) -> None:
+        self._run, self._rate, self._live, self._say = run, rate, live, say
+        self._comparison = Comparison()
+        self._others = deque(run.other_inputs)
+        self._open: deque[tuple[int, int, bytes]] = deque()
+        self._begun = False
+        self._first_log_ns = self._first_stamp_ns = 0
+        self._start_s, self._start_ns = 0.0, 0
+
+    def play(self) -> Comparison:
+        """Publish and compare everything."""
+        counts = self._comparison
+        for step in self._run.steps():
+            counts.samples += 1
+            if self._run.has_answers and step.pair.answer is None:
+                counts.unanswered += 1
+                continue
+            if not self._begun:
+                self._begin(step)
+            self._pace(step.pair.log_ns)
+            self._repeat([event for entry in step.entries for event in entry.events])
+            stamp_ns = self._shifted(step.pair.stamp_ns)
+            self._live.publish(topics.CABLE_TENSIONS, restamped(step.pair.sample, stamp_ns))
+            if step.pair.answer is not None:
+                self._open.append((stamp_ns, step.pair.stamp_ns, step.pair.answer))
+            self._compare()
+        self._await_answers()
+        self._compare(to_the_end=True)
+        pairs = self._run.pairs
+        counts.unstamped, counts.lone_contacts = pairs.unstamped, pairs.lone_contacts
+        counts.lone_zeros = pairs.lone_zeros
+        return counts
+
+    def _begin(self, step: Step) -> None:
+        self._begun = True
+        self._first_log_ns, self._first_stamp_ns = step.pair.log_ns, step.pair.stamp_ns
+        age_ns = min(max(step.pair.log_ns - step.pair.stamp_ns, 0), LONGEST_AGE_NS)
+        self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
+        entries = self._run.entries
+        if not entries:
+            self._say("no ~/journal in the recording: commands go as they came, tares not at all")
+        elif not any(event.kind is EventKind.START for event in entries[0].events):
+            self._say(
+                "the recording begins after its estimator, so the tare before is not in it; the "
+                "estimator that runs takes its own"
+            )
+            self._live.command(self._run.joint_names, entries[0].command_rad)
+
+    def _pace(self, log_ns: int) -> None:
+        """Wait for a sample's turn; what else came before it goes out before it."""
+        while self._others and self._others[0].log_ns <= log_ns:
+            other = self._others.popleft()
+            self._sleep_until(other.log_ns)
+            self._live.publish(other.topic, other.data)
+        self._sleep_until(log_ns)
+
+    def _sleep_until(self, log_ns: int) -> None:
+        due_s = self._start_s + (log_ns - self._first_log_ns) * 1e-9 / self._rate
+        wait_s = due_s - time.monotonic()
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+
+    def _shifted(self, stamp_ns: int) -> int:
+        since_ns = stamp_ns - self._first_stamp_ns
+        return self._start_ns + (since_ns if self._rate == 1.0 else round(since_ns / self._rate))
+
+    def _repeat(self, events: list[Event]) -> None:
+        """Between the sample before and the next one, as when recorded."""
+        if any(event.kind is EventKind.COMMAND or event.kind in _SERVICES for event in events):
+            self._await_answers()
+        for event in events:
+            if event.kind is EventKind.COMMAND:
+                self._live.command(self._run.joint_names, event.command_rad)
+            elif event.kind in _SERVICES:
+                self._live.call(_SERVICES[event.kind])
+            elif event.kind is EventKind.SETTINGS:
+                self._say("parameters of the estimator were changed here: set them by hand")
+
+    def _await_answers(self) -> None:
+        if self._open:
+            self._live.wait_for(self._open[-1][0])
+
+    def _compare(self, to_the_end: bool = False) -> None:
+        answers = self._live.answers
+        while self._open and (to_the_end or self._open[0][0] in answers):
+            stamp_ns, recorded_ns, recorded = self._open.popleft()
+            answer = answers.pop(stamp_ns, None)
+            self._comparison.compare(
+                recorded, None if answer is None else restamped(answer, recorded_ns)
+            )
