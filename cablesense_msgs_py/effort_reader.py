@@ -137,8 +137,10 @@ def _string(raw: bytes, at: int, order: str, field: str) -> tuple[str, int]:
             f"{field}: {length} bytes announced, {len(raw) - at} left in the message"
         )
     content = raw[at : at + length]
+    if content[-1:] not in (b"\0", b""):
+        raise ContractError(f"{field}: {length} bytes that do not end with a NUL; a string does")
     try:
-        text = content.removesuffix(b"\0").decode("utf-8")
+        text = content[:-1].decode("utf-8")
     except UnicodeDecodeError as error:
         raise ContractError(f"{field}: not UTF-8 text ({error.reason})") from error
     return text, at + length

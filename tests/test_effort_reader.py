@@ -109,3 +109,10 @@ def test_not_finite_values_are_read_as_they_are():
 def test_says_what_is_wrong(raw, complaint):
     with pytest.raises(ContractError, match=complaint):
         EffortReader().read(raw)
+
+
+def test_a_text_that_is_not_closed_is_refused():
+    raw = serialized(["a"], [1.0], frame="base_link")
+    for text in (b"base_link\0", b"a\0"):
+        with pytest.raises(ContractError, match="do not end with a NUL"):
+            EffortReader().read(raw.replace(text, text[:-1] + b"x"))
