@@ -10,4 +10,4 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each othe
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))  # above 101, ports may clash
 
-from model_fixtures import model_files  # noqa: F401 (a fixture)
+from model_fixtures import model_files, temporal_model_file  # noqa: F401 (fixtures)

@@ -55,3 +55,31 @@ def model_files(tmp_path_factory):
         return path
 
     return model_file
+
+
+@pytest.fixture(scope="session")
+def temporal_model_file(tmp_path_factory):
+    """The model file of a network with memory and weights by chance, for `cdsm`."""
+    import torch
+
+    from cablesense_training.export import export_model
+    from cablesense_training.inference.metadata import COURSE_UNITS
+    from cablesense_training.networks.temporal import TemporalNetwork
+
+    arm = open_arm("cdsm")
+    path = tmp_path_factory.mktemp("temporal") / "cdsm_temporal.onnx"
+    metadata = metadata_for(
+        arm,
+        network="temporal",
+        units=dict(COURSE_UNITS),
+        memory=96,
+        tick_s=0.02,
+        joint_speed_deg_s=20.0,
+    )
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        network = TemporalNetwork.for_arm(arm)
+        for head in (network.shift, network.log_std):
+            torch.nn.init.normal_(head.weight, std=0.3)
+    export_model(network, path, metadata)
+    return path

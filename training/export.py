@@ -19,9 +19,11 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
-from cablesense_training.inference.session import COMMAND, TAUT, TENSION
+from cablesense_training.inference.session import TAUT, input_widths
+from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 from cablesense_training.physics.corrected import CorrectedClosedForm
 
 OPSET = 20
@@ -32,7 +34,7 @@ AGREEMENT = 1e-5
 _TRIAL_ROWS = 64
 
 
-def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
+def export_model(network: Network | TemporalNetwork, path: Path, metadata: ModelMetadata) -> None:
     """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
 
     The file is written beside and then renamed, so a failure leaves nothing behind.
@@ -43,7 +45,7 @@ def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
     """
     answers = _answers(network).double().eval()
     trial = _trial_inputs(metadata)
-    inputs = [TENSION, COMMAND] if metadata.pose_aware else [TENSION]
+    inputs = list(input_widths(metadata))
     model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, _outputs(network))
     properties = metadata.to_properties()
     onnx.helper.set_model_props(model, properties)
@@ -53,7 +55,9 @@ def export_model(network: Network, path: Path, metadata: ModelMetadata) -> None:
     _write_whole(path, content)
 
 
-def _outputs(network: Network) -> list[str]:
+def _outputs(network: Network | TemporalNetwork) -> list[str]:
+    if isinstance(network, TemporalNetwork):
+        return list(TEMPORAL_OUTPUTS)
     if isinstance(network, MultiContactNetwork):
         return list(MULTI_OUTPUTS)
     if isinstance(network, CorrectedClosedForm):
@@ -85,6 +89,16 @@ class _StaticsAnswers(nn.Module):
         return *_single_answers(output, output.direction), taut
 
 
+class _TemporalAnswers(nn.Module):
+    def __init__(self, network: TemporalNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        output, following = self.network(Ticks(*inputs[:-1]), inputs[-1])
+        return *_single_answers(output, output.direction), following
+
+
 def _single_answers(output: SingleContactOutput, direction: Tensor) -> tuple[Tensor, ...]:
     return (
         torch.softmax(output.contact_logits, dim=-1),
@@ -105,11 +119,13 @@ class _MultiAnswers(nn.Module):
         return torch.sigmoid(output.contact_logits), output.magnitude_n, output.magnitude_std_n
 
 
-def _answers(network: Network) -> nn.Module:
+def _answers(network: Network | TemporalNetwork) -> nn.Module:
     if isinstance(network, MultiContactNetwork):
         return _MultiAnswers(network)
     if isinstance(network, CorrectedClosedForm):
         return _StaticsAnswers(network)
+    if isinstance(network, TemporalNetwork):
+        return _TemporalAnswers(network)
     return _SingleAnswers(network)
 
 
@@ -121,7 +137,12 @@ def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
         return (tension,)
     reach = np.deg2rad(metadata.pose_range_deg)
     command = rng.uniform(-reach, reach, (_TRIAL_ROWS, metadata.arm.joint_count))
-    return tension, torch.as_tensor(command)
+    course = [tension, torch.as_tensor(command)]
+    if metadata.memory:
+        speed = np.deg2rad(metadata.joint_speed_deg_s)
+        course += [torch.as_tensor(rng.uniform(-v, v, command.shape)) for v in (speed, 5 * speed)]
+        course.append(torch.as_tensor(rng.uniform(-1.0, 1.0, (_TRIAL_ROWS, metadata.memory))))
+    return tuple(course)
 
 
 def _to_onnx(

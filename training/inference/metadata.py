@@ -25,6 +25,15 @@ UNITS = {
 }
 """Unit of every input and output."""
 
+COURSE_UNITS = {
+    **UNITS,
+    "joint_speed_rad_s": "rad/s",
+    "joint_acceleration_rad_s2": "rad/s²",
+    "state": "1",
+    "next_state": "1",
+}
+"""The same of a model with memory."""
+
 _KEY = "cablesense"
 
 _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -49,6 +58,9 @@ class ModelMetadata(BaseModel):
         pose_range_deg: joint angles within ± this were trained on.
         force_range_n: forces up to this were trained on.
         tare_samples: readings averaged into the unloaded state in training.
+        memory: size of the state that the model carries from tick to tick; 0 of one without.
+        tick_s: time from tick to tick; 0 of a model without memory.
+        joint_speed_deg_s: peak speed of the moves it was trained on; 0 of a model without memory.
         command, seed: what makes the file again.
         version: of CableSense.
     """
@@ -67,13 +79,17 @@ class ModelMetadata(BaseModel):
     pose_range_deg: _Finite
     force_range_n: _Finite
     tare_samples: Annotated[int, Field(ge=1)]
+    memory: Annotated[int, Field(ge=0, le=4096)] = 0
+    tick_s: _Finite = 0.0
+    joint_speed_deg_s: _Finite = 0.0
     command: str
     seed: int
     version: str
 
     def to_properties(self) -> dict[str, str]:
-        """As ONNX metadata properties."""
-        content = _without_infinities(self.model_dump(mode="json"))
+        """As ONNX metadata properties; a model without memory does not speak of it."""
+        left_out = set() if self.memory else {"memory", "tick_s", "joint_speed_deg_s"}
+        content = _without_infinities(self.model_dump(mode="json", exclude=left_out))
         return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
 
     @classmethod

@@ -28,6 +28,11 @@ _ROWS_AT_ONCE = 2048
 
 TENSION = "tension_difference_n"
 COMMAND = "joint_command_rad"
+SPEED = "joint_speed_rad_s"
+ACCELERATION = "joint_acceleration_rad_s2"
+STATE = "state"
+NEXT_STATE = "next_state"
+"""An output of models with memory: their `STATE` at the next tick."""
 TAUT = "taut"
 """An output that some models give beside what is asked: 1 for taut cables, 0 for slack ones."""
 
@@ -94,19 +99,18 @@ class ModelSession:
         Raises:
             ModelFileError: ONNX Runtime cannot run the model.
         """
-        return self._ask(self.outputs, tension_differences_n, joint_commands_rad)
-
-    def _ask(
-        self,
-        outputs: Sequence[str],
-        tension_differences_n: Array,
-        joint_commands_rad: Array | None,
-    ) -> list[Array]:
         inputs = {TENSION: tension_differences_n}
         if self.metadata.pose_aware and joint_commands_rad is not None:
             inputs[COMMAND] = joint_commands_rad
+        return self.run_inputs(inputs)
+
+    def run_inputs(self, inputs: Mapping[str, Array]) -> list[Array]:
+        """The same for all the inputs that `input_widths` names, each (B, width)."""
+        return self._ask(self.outputs, inputs)
+
+    def _ask(self, outputs: Sequence[str], inputs: Mapping[str, Array]) -> list[Array]:
         parts = []
-        for start in range(0, len(tension_differences_n), _ROWS_AT_ONCE):
+        for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
             part = {name: value[rows] for name, value in inputs.items()}
             try:
@@ -126,8 +130,8 @@ class ModelSession:
         arm = self.metadata.arm
         if self.tells_taut:
             widths = {**widths, TAUT: (arm.cable_count,)}
-        idle = np.zeros((2, arm.cable_count)), np.zeros((2, arm.joint_count))
-        answers = self._ask(list(widths), *idle)
+        idle = {name: np.zeros((2, width)) for name, width in input_widths(self.metadata).items()}
+        answers = self._ask(list(widths), idle)
         for (name, width), answer in zip(widths.items(), answers, strict=True):
             if answer.dtype != np.float64 or answer.shape != (2, *width):
                 raise ModelFileError(
@@ -139,6 +143,17 @@ class ModelSession:
                     f"{self.source}: gives {name} that is not finite for an arm at rest; "
                     "train it again"
                 )
+
+
+def input_widths(metadata: ModelMetadata) -> dict[str, int]:
+    """What a model with these metadata takes, and how many numbers of each for one sample."""
+    joints = metadata.arm.joint_count
+    widths = {TENSION: metadata.arm.cable_count}
+    if metadata.pose_aware:
+        widths[COMMAND] = joints
+    if metadata.memory:
+        widths |= {SPEED: joints, ACCELERATION: joints, STATE: metadata.memory}
+    return widths
 
 
 def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
@@ -180,9 +195,7 @@ def _require_outputs(
 
 
 def _require_inputs(model: onnx.ModelProto, metadata: ModelMetadata, source: str) -> None:
-    expected = {TENSION: metadata.arm.cable_count}
-    if metadata.pose_aware:
-        expected[COMMAND] = metadata.arm.joint_count
+    expected = input_widths(metadata)
     needed = ", ".join(f"{name} (batch, {width})" for name, width in expected.items())
     found = [entry.name for entry in model.graph.input]
     if sorted(found) != sorted(expected):
@@ -203,7 +216,11 @@ def _widths(outputs: Sequence[str], metadata: ModelMetadata) -> list[tuple[int, 
     count = metadata.arm.segment_count
     if metadata.kind == "multi-contact":
         return [(count,)] * len(outputs)
-    widths = {"contact_probability": (count + 1,), "direction": (2,)}
+    widths = {
+        "contact_probability": (count + 1,),
+        "direction": (2,),
+        NEXT_STATE: (metadata.memory,),
+    }
     return [widths.get(name, ()) for name in outputs]
 
 

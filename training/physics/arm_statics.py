@@ -23,8 +23,16 @@ _JUDGED_SAMPLES = 256
 _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
 
 
-def exact_statics(arm: Arm, tare_samples: int, pose_corrections: int | None = None) -> ClosedForm:
-    """The closed form of an arm, with as many pose corrections as it calls for, or as given."""
+def exact_statics(
+    arm: Arm,
+    tare_samples: int,
+    pose_corrections: int | None = None,
+    unexplained_n2: float | None = None,
+) -> ClosedForm:
+    """The closed form of an arm, with as many pose corrections as it calls for, or as given.
+
+    `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
+    """
     nominal = Mechanism.from_arm(arm)
     mechanism = amended(nominal, entries_of(arm))
     if pose_corrections is None:
@@ -35,7 +43,7 @@ def exact_statics(arm: Arm, tare_samples: int, pose_corrections: int | None = No
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
-        unexplained_variance_n2(arm),
+        unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
         nominal if _holds_other_lengths(mechanism, nominal) else None,
     )
 

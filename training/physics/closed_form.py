@@ -169,7 +169,7 @@ class ClosedForm(nn.Module):
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
         """See `Candidates`."""
-        return self._least_squares(self.balance(tension_difference_n, joint_command_rad))
+        return self.least_squares(self.balance(tension_difference_n, joint_command_rad))
 
     def weigh(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
@@ -258,7 +258,7 @@ class ClosedForm(nn.Module):
         assert self.held_by is not None
         return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
 
-    def _least_squares(self, balance: Balance) -> Candidates:
+    def least_squares(self, balance: Balance) -> Candidates:
         """Generalised least squares of the torques on every segment's two force components."""
         n = self.kinematics.segment_count
         lever, precision, torque, taut = balance

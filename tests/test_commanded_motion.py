@@ -1,0 +1,39 @@
+"""Courses of set-points: within reach, smooth, and the same for the same seed."""
+
+import numpy as np
+import pytest
+
+from cablesense_training.motion.commanded_motion import STEP_S, drawn_motion
+from cablesense_training.motion.motion_protocol import MotionProtocol
+
+PROTOCOL = MotionProtocol(duration_s=12.0)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return drawn_motion(PROTOCOL, 8, np.random.default_rng(3))
+
+
+def test_it_stays_within_the_range_but_for_a_little_overshoot(motion):
+    assert np.abs(np.rad2deg(motion.angle_rad)).max() < 1.1 * PROTOCOL.pose_range_deg
+    assert np.abs(np.rad2deg(motion.speed_rad_s)).max() < 1.3 * PROTOCOL.joint_speed_deg_s
+
+
+def test_speeds_are_those_of_the_fine_course(motion):
+    fine = motion.fine_rad.reshape(-1, 8)
+    inner = motion.fine_rad.shape[1]
+    speed = np.gradient(fine, STEP_S, axis=0)[inner - 1 :: inner]
+    moved = np.abs(speed - motion.speed_rad_s)[:-1]
+    assert np.quantile(moved, 0.99) < 0.02
+    np.testing.assert_array_equal(motion.angle_rad, fine[inner - 1 :: inner])
+
+
+def test_some_of_the_time_it_rests_and_some_it_moves(motion):
+    moving = (motion.speed_rad_s != 0.0).any(axis=1)
+    assert 0.1 < moving.mean() < 0.95
+
+
+def test_a_seed_is_a_course():
+    again = [drawn_motion(PROTOCOL, 8, np.random.default_rng(s)).angle_rad for s in (5, 5, 6)]
+    np.testing.assert_array_equal(again[0], again[1])
+    assert not np.array_equal(again[0], again[2])

@@ -1,0 +1,110 @@
+"""A model with memory, opened: ticks, pauses, and the same answers to the same samples."""
+
+import numpy as np
+import pytest
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.inference.estimator import EstimateError, Estimator
+from cablesense_training.inference.metadata import ModelFileError
+from cablesense_training.inference.open_estimator import open_estimator
+from cablesense_training.inference.temporal_estimator import LONGEST_GAP_S, TemporalEstimator
+
+CDSM = open_arm("cdsm")
+STILL = np.zeros(8)
+
+
+@pytest.fixture
+def estimator(temporal_model_file):
+    return TemporalEstimator.load(temporal_model_file, CDSM)
+
+
+@pytest.fixture(scope="module")
+def course():
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(rng.normal(0.0, 1.0, (60, 12)), axis=0)
+    angles = 0.1 * np.sin(np.linspace(0.0, 3.0, 60))[:, None] * np.ones(8)
+    speeds = np.gradient(angles, 0.02, axis=0)
+    return walk, angles, speeds, np.gradient(speeds, 0.02, axis=0)
+
+
+def _through(estimator, course, times):
+    return [
+        estimator.estimate(*(part[row] for part in course), time)
+        for row, time in enumerate(times)
+    ]
+
+
+def _bytes(estimates):
+    return [np.concatenate([e.probabilities, e[2:]]).tobytes() for e in estimates]
+
+
+def test_the_same_samples_after_forgetting_give_the_same_bytes(estimator, course):
+    times = 100.0 + 0.02 * np.arange(60)
+    first = _bytes(_through(estimator, course, times))
+    estimator.forget()
+    assert _bytes(_through(estimator, course, times)) == first
+    goes_on = _bytes(_through(estimator, course, times[-1] + 0.02 * np.arange(1, 61)))
+    assert goes_on != first  # the past counts
+
+
+def test_courses_side_by_side_are_answered_as_one_by_one(estimator, course):
+    single = _through(estimator, course, 0.02 * np.arange(60))
+    both = estimator.estimate_courses(*(np.stack([part, 0.5 * part]) for part in course))
+    np.testing.assert_allclose(both.magnitude_n[0], [e.magnitude_n for e in single], rtol=1e-9)
+    np.testing.assert_allclose(both.probabilities[0], [e.probabilities for e in single], atol=1e-9)
+
+
+def test_samples_between_ticks_are_answered_and_leave_the_state_alone(estimator, course):
+    ticks = 0.02 * np.arange(60)
+    plain = _through(estimator, course, ticks)
+    estimator.forget()
+    tension, *rest = course
+    for row, time in enumerate(ticks):
+        setpoint = [part[row] for part in rest]
+        answer = estimator.estimate(tension[row], *setpoint, time)
+        assert answer.magnitude_n == plain[row].magnitude_n
+        estimator.estimate(tension[row] + 1.0, *setpoint, time + 0.005)
+        estimator.estimate(tension[row] - 1.0, *setpoint, time + 0.010)
+
+
+def test_missed_ticks_are_made_up_for_with_what_came(estimator, course):
+    twice = [np.repeat(part[:10], 2, axis=0) for part in course]
+    known = _through(estimator, twice, 0.02 * np.arange(20))
+    estimator.forget()
+    tension, angle, speed, acceleration = (part[:10] for part in course)
+    estimator.estimate(tension[0], angle[0], speed[0], acceleration[0], 0.0)
+    estimator.estimate(tension[0], angle[0], speed[0], acceleration[0], 0.02)
+    late = estimator.estimate(tension[1], angle[1], speed[1], acceleration[1], 0.06)
+    assert late.magnitude_n == known[3].magnitude_n
+
+
+@pytest.mark.parametrize("leap_s", [-0.5, LONGEST_GAP_S + 0.1])
+def test_a_leap_of_time_begins_a_new_past(estimator, course, leap_s):
+    _through(estimator, course, 0.02 * np.arange(60))
+    after = _through(estimator, course, 1.18 + leap_s + 0.02 * np.arange(60))
+    estimator.forget()
+    assert _bytes(after) == _bytes(_through(estimator, course, 0.02 * np.arange(60)))
+
+
+def test_a_wrong_shape_or_a_number_that_is_none_is_refused_and_remembered_by_no_one(
+    estimator, course
+):
+    first = _through(estimator, course, 0.02 * np.arange(60))
+    estimator.forget()
+    with pytest.raises(EstimateError, match="this model needs 12"):
+        estimator.estimate(np.zeros(11), STILL, STILL, STILL, 0.0)
+    with pytest.raises(EstimateError, match="must be finite"):
+        estimator.estimate(np.full(12, np.nan), STILL, STILL, STILL, 0.0)
+    assert _bytes(_through(estimator, course, 0.02 * np.arange(60))) == _bytes(first)
+
+
+def test_each_kind_of_model_is_opened_as_what_it_is(temporal_model_file, model_files):
+    assert isinstance(open_estimator(temporal_model_file, CDSM), TemporalEstimator)
+    assert isinstance(open_estimator(model_files(), CDSM), Estimator)
+
+
+def test_neither_kind_is_taken_for_the_other(temporal_model_file, model_files):
+    with pytest.raises(ModelFileError, match="needed are"):
+        Estimator.load(temporal_model_file)
+    with pytest.raises(ModelFileError, match="needed are"):
+        TemporalEstimator.load(model_files())

@@ -1,0 +1,76 @@
+"""The network with memory: untrained it is statics, and its corrections are bounded."""
+
+import numpy as np
+import pytest
+import torch
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.networks.temporal import (
+    LARGEST_CORRECTION,
+    TemporalNetwork,
+    Ticks,
+)
+
+CDSM = open_arm("cdsm")
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    return TemporalNetwork.for_arm(CDSM).double().eval()
+
+
+def _ticks(dataset):
+    still = torch.zeros(len(dataset), CDSM.joint_count, dtype=torch.float64)
+    difference = torch.as_tensor(dataset.tension_difference_n)
+    return Ticks(difference, torch.as_tensor(dataset.command_rad), still, still)
+
+
+def test_one_tick_at_a_time_is_the_whole_sequence(network):
+    encoded, state = torch.randn(3, 7, 96).double(), torch.randn(3, 96).double()
+    states, last = network.remember(encoded, state)
+    for tick in range(7):
+        state = network.next_state(encoded[:, tick], state)
+        torch.testing.assert_close(state, states[:, tick])
+    torch.testing.assert_close(state, last)
+
+
+def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
+    network.error.std.fill_(1e-6)
+    protocol = SingleContact(samples=200, pose="random", noise=False, force_low_n=5.0)
+    dataset = Dataset.from_protocol(CDSM, protocol)
+    with torch.no_grad():
+        output, _ = network(_ticks(dataset), torch.zeros(200, 96).double())
+    touched = dataset.segment > 0
+    assert (output.contact_logits.argmax(-1).numpy() == dataset.segment)[touched].mean() > 0.98
+    off = np.abs(output.magnitude_n.numpy() - dataset.magnitude_n)[touched]
+    assert np.quantile(off, 0.9) < 0.05
+
+
+def test_whatever_the_state_the_torques_move_by_a_bounded_amount(network):
+    torch.nn.init.normal_(network.shift.weight, std=50.0)
+    network.error.std.fill_(0.3)
+    dataset = Dataset.from_protocol(CDSM, SingleContact(samples=50, pose="random"))
+    ticks = _ticks(dataset)
+    with torch.no_grad():
+        balance = network.balance(ticks)
+        encoded = network.encode(network.joint_torque_n_m(balance), ticks)
+        answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double())
+    moved = (answer.torque_n_m - balance.torque_n_m[..., 0]).abs().max()
+    assert 0.3 < moved <= LARGEST_CORRECTION * 0.3 + 1e-9
+
+
+def test_the_two_orders_of_joints_are_inverse(network):
+    joints = torch.arange(8.0)
+    assert network.pitches_first(joints).tolist() == [0, 2, 4, 6, 1, 3, 5, 7]
+    torch.testing.assert_close(network.in_joint_order(network.pitches_first(joints)), joints)
+
+
+def test_the_peer_without_memory_answers_the_same_in_any_state():
+    peer = TemporalNetwork.for_arm(CDSM, remembers=False).double().eval()
+    ticks = _ticks(Dataset.from_protocol(CDSM, SingleContact(samples=20, pose="random")))
+    with torch.no_grad():
+        here, _ = peer(ticks, torch.zeros(20, 96).double())
+        there, _ = peer(ticks, torch.ones(20, 96).double())
+    torch.testing.assert_close(here.magnitude_n, there.magnitude_n)

@@ -1,0 +1,178 @@
+"""The estimator with memory: samples along a course in, one contact for each out."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablesense_sim.arm import Arm
+from cablesense_training.inference.estimator import (
+    NO_ANSWER,
+    OUTPUTS,
+    Estimate,
+    EstimateError,
+    Estimates,
+    finite_table,
+)
+from cablesense_training.inference.metadata import ModelMetadata
+from cablesense_training.inference.session import (
+    ACCELERATION,
+    COMMAND,
+    NEXT_STATE,
+    SPEED,
+    STATE,
+    TENSION,
+    ModelSession,
+)
+
+Array = NDArray[np.float64]
+
+TEMPORAL_OUTPUTS = (*OUTPUTS, NEXT_STATE)
+
+LONGEST_GAP_S = 1.0
+"""After a longer pause of the samples the past is forgotten."""
+
+
+class TemporalEstimator:
+    """A single-contact model that carries a state from tick to tick; for one thread at a time.
+
+    Its state follows from the samples given since `forget`, their times and their set-points
+    alone, so the same samples give the same answers again.
+
+    Attributes:
+        metadata: what the model file says about itself.
+    """
+
+    pose_aware = True
+
+    def __init__(self, session: ModelSession) -> None:
+        self.metadata: ModelMetadata = session.metadata
+        self._session = session
+        self._state = np.zeros((1, session.metadata.memory))
+        self._tick_s: float | None = None
+
+    @classmethod
+    def load(cls, path: str | Path, arm: Arm | None = None) -> TemporalEstimator:
+        """Open a model file, for a certain arm where one is given.
+
+        Raises:
+            ModelFileError: the file is no single-contact model with memory, or not for this arm.
+        """
+        return cls(ModelSession.open(path, TEMPORAL_OUTPUTS, arm))
+
+    def forget(self) -> None:
+        """Begin without a past, as after a tare."""
+        self._state = np.zeros_like(self._state)
+        self._tick_s = None
+
+    def estimate(
+        self,
+        tension_difference_n: ArrayLike,
+        joint_command_rad: ArrayLike,
+        joint_speed_rad_s: ArrayLike,
+        joint_acceleration_rad_s2: ArrayLike,
+        time_s: float,
+    ) -> Estimate:
+        """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
+
+        The state goes on by whole ticks of the model; a sample that comes sooner is answered from
+        the state of the last tick and leaves it alone. Time that runs back, or leaps by more than
+        `LONGEST_GAP_S`, begins a new past.
+
+        Raises:
+            EstimateError: a wrong shape, or numbers that are not finite.
+        """
+        ticks = self._ticks(time_s)
+        arm = self.metadata.arm
+        inputs = {
+            TENSION: _row(tension_difference_n, arm.cable_count, "tension differences"),
+            COMMAND: _row(joint_command_rad, arm.joint_count, "set-point angles"),
+            SPEED: _row(joint_speed_rad_s, arm.joint_count, "set-point speeds"),
+            ACCELERATION: _row(joint_acceleration_rad_s2, arm.joint_count, "accelerations"),
+        }
+        state = self._state
+        answers = self._session.run_inputs({**inputs, STATE: state})
+        for _ in range(1, ticks):
+            answers = self._session.run_inputs({**inputs, STATE: answers[-1]})
+        if not all(np.isfinite(answer).all() for answer in answers):
+            raise EstimateError(NO_ANSWER)
+        if ticks:
+            self._state, self._tick_s = answers[-1], time_s
+        probability, direction, magnitude, std, angle_std = (answer[0] for answer in answers[:5])
+        beliefs = probability.tolist()
+        return Estimate(
+            probabilities=probability,
+            segment=beliefs.index(max(beliefs)),
+            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
+            magnitude_n=float(magnitude),
+            magnitude_std_n=float(std),
+            angle_std_deg=float(angle_std),
+        )
+
+    def estimate_courses(
+        self,
+        tension_differences_n: Array,
+        joint_commands_rad: Array,
+        joint_speeds_rad_s: Array,
+        joint_accelerations_rad_s2: Array,
+    ) -> Estimates:
+        """Estimates (S, T) of S courses of T ticks side by side, inputs (S, T, …), from no past.
+
+        The estimator's own state is left alone.
+
+        Raises:
+            EstimateError: an answer is not finite.
+        """
+        inputs = (
+            tension_differences_n,
+            joint_commands_rad,
+            joint_speeds_rad_s,
+            joint_accelerations_rad_s2,
+        )
+        names = (TENSION, COMMAND, SPEED, ACCELERATION)
+        state = np.zeros((len(tension_differences_n), self.metadata.memory))
+        ticks = []
+        for tick in range(tension_differences_n.shape[1]):
+            now = {
+                name: np.ascontiguousarray(values[:, tick], dtype=np.float64)
+                for name, values in zip(names, inputs, strict=True)
+            }
+            *answers, state = self._session.run_inputs({**now, STATE: state})
+            ticks.append(answers)
+        probability, direction, magnitude, std, angle_std = (
+            np.stack(answer, axis=1) for answer in zip(*ticks, strict=True)
+        )
+        if not np.isfinite(magnitude).all():
+            raise EstimateError(NO_ANSWER)
+        return Estimates(
+            probabilities=probability,
+            segment=probability.argmax(axis=-1),
+            angle_deg=np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0,
+            magnitude_n=magnitude,
+            magnitude_std_n=std,
+            angle_std_deg=angle_std,
+        )
+
+    def _ticks(self, time_s: float) -> int:
+        """How many ticks have passed since the last; at least one at the first sample."""
+        if self._tick_s is None:
+            return 1
+        passed_s = time_s - self._tick_s
+        if not 0.0 <= passed_s <= LONGEST_GAP_S:
+            self.forget()
+            return 1
+        return math.floor(passed_s / self.metadata.tick_s + _EARLY)
+
+
+_EARLY = 0.25
+"""A tick may come so much early, in ticks: stamps jitter."""
+
+
+def _row(values: ArrayLike, count: int, what: str) -> Array:
+    table = finite_table(values, what)
+    if table.shape != (1, count):
+        raise EstimateError(f"{what} of shape {np.shape(values)}; this model needs {count}")
+    return table

@@ -1,0 +1,221 @@
+"""Training of a network with memory: along sequences, with the state carried from part to part."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from cablesense_training.errors import TrainingError
+from cablesense_training.fit import NORMAL_95, EpochRecord, FitHistory
+from cablesense_training.losses import (
+    LossTerms,
+    LossWeights,
+    SingleContactTarget,
+    angle_error_deg,
+    gaussian_nll,
+    single_contact_loss,
+)
+from cablesense_training.motion.sequence_samples import SequenceSamples
+from cablesense_training.motion.sequences import Sequences
+from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.networks.temporal import TemporalNetwork, Ticks
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceFitSettings:
+    """How to train.
+
+    Attributes:
+        seed: of the validation split, the order and the resets.
+        epochs: passes over all sequences; the learning rate falls to nothing along a cosine.
+        batch_size: sequences side by side.
+        part_ticks: ticks through which gradients flow; the state flows on through all.
+        judged_every: the loss looks at one tick in so many, as neighbours say the same.
+        reset_share: of the parts that begin with an empty state, so that the network learns to
+            find its way without a past.
+        magnitude_scale_n: what a force is counted in by the loss.
+        weights: of equation (8).
+    """
+
+    seed: int = 0
+    epochs: int = 30
+    batch_size: int = 32
+    part_ticks: int = 150
+    judged_every: int = 5
+    reset_share: float = 0.05
+    learning_rate: float = 3e-3
+    magnitude_scale_n: float = 1.0
+    weights: LossWeights = field(default_factory=LossWeights)
+    validation_share: float = 0.1
+    threads: int = 2
+
+
+_LARGEST_GRADIENT = 1.0
+
+
+def fit_sequences(
+    network: TemporalNetwork,
+    sequences: Sequences,
+    settings: SequenceFitSettings,
+    on_epoch: Callable[[EpochRecord], None] | None = None,
+) -> FitHistory:
+    """Train in place; the network keeps the weights of its best epoch, calibrated.
+
+    Raises:
+        TrainingError: fewer than four sequences, or a loss that is not finite.
+    """
+    if len(sequences) < 4:
+        raise TrainingError(f"{len(sequences)} sequences are too few to train on; give at least 4")
+    before = torch.get_num_threads()
+    torch.set_num_threads(settings.threads)
+    try:
+        return _Fit(network, sequences, settings).run(on_epoch)
+    finally:
+        torch.set_num_threads(before)
+
+
+class _Fit:
+    def __init__(
+        self, network: TemporalNetwork, sequences: Sequences, settings: SequenceFitSettings
+    ) -> None:
+        self.network, self.settings = network, settings
+        self.generator = torch.Generator().manual_seed(settings.seed)
+        samples = SequenceSamples.of(network, sequences)
+        order = torch.randperm(len(samples), generator=self.generator)
+        held_out = max(1, round(settings.validation_share * len(samples)))
+        every = slice(None)
+        self.validation = samples.part(order[:held_out], every)
+        self.training = samples.part(order[held_out:], every)
+        error = self.training.torque_n_m - self.training.true_torque_n_m
+        network.adapt(
+            self.training.torque_n_m.flatten(0, 1),
+            self.training.ticks.flat(),
+            error.flatten(0, 1),
+        )
+        self.optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+        self.scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(
+            self.optimiser, settings.epochs
+        )
+
+    def run(self, on_epoch: Callable[[EpochRecord], None] | None) -> FitHistory:
+        start, records = time.perf_counter(), []
+        best, best_state = math.inf, {}
+        best_epoch = 0
+        for epoch in range(1, self.settings.epochs + 1):
+            rate = float(self.optimiser.param_groups[0]["lr"])
+            means = self._epoch()
+            held_out = self._held_out_loss()
+            if not math.isfinite(held_out):
+                raise TrainingError(
+                    f"the loss is not finite in epoch {epoch}; lower the rate of {rate:g}"
+                )
+            self.scheduler.step()
+            records.append(
+                EpochRecord(
+                    epoch=epoch,
+                    learning_rate=rate,
+                    validation=held_out,
+                    seconds=time.perf_counter() - start,
+                    **{name: float(value) for name, value in means._asdict().items()},
+                )
+            )
+            if on_epoch is not None:
+                on_epoch(records[-1])
+            if held_out < best:
+                best, best_epoch = held_out, epoch
+                state = self.network.state_dict()
+                best_state = {name: value.clone() for name, value in state.items()}
+        self.network.load_state_dict(best_state)
+        self.network.eval()
+        self._calibrate()
+        return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
+
+    def _epoch(self) -> LossTerms:
+        self.network.train()
+        settings, generator = self.settings, self.generator
+        order = torch.randperm(len(self.training), generator=generator)
+        sums, count = torch.zeros(len(LossTerms._fields)), 0
+        for rows in order.split(settings.batch_size):
+            state = torch.zeros(len(rows), self.network.memory)
+            for ticks in _parts(self.training.tick_count, settings.part_ticks):
+                part = self.training.part(rows, ticks)
+                lost = torch.rand(len(rows), 1, generator=generator) < settings.reset_share
+                state = torch.where(lost, torch.zeros_like(state), state)
+                phase = int(torch.randint(settings.judged_every, (1,), generator=generator))
+                terms, state = self._terms(part, state, phase)
+                self.optimiser.zero_grad(set_to_none=True)
+                (terms.total + terms.spread).backward()
+                torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
+                self.optimiser.step()
+                state = state.detach()
+                sums, count = sums + torch.stack(terms).detach(), count + 1
+        return LossTerms(*(sums / count))
+
+    def _terms(
+        self, part: SequenceSamples, state: Tensor, phase: int
+    ) -> tuple[LossTerms, Tensor]:
+        output, target, unexplained, following = self._answers(part, state, phase)
+        terms = single_contact_loss(
+            output,
+            target,
+            torch.tensor(self.settings.magnitude_scale_n, dtype=output.magnitude_n.dtype),
+            self.settings.weights,
+        )
+        return terms._replace(total=terms.total + unexplained), following
+
+    def _answers(
+        self, part: SequenceSamples, state: Tensor, phase: int
+    ) -> tuple[SingleContactOutput, SingleContactTarget, Tensor, Tensor]:
+        """Answers and truths of the judged ticks, the torques' misfit, and the last state."""
+        network, kind = self.network, torch.float32
+        encoded = network.encode(
+            part.torque_n_m.to(kind), Ticks(*(value.to(kind) for value in part.ticks))
+        )
+        states, following = network.remember(encoded, state)
+        judged = slice(phase, None, self.settings.judged_every)
+        seen = part.part(slice(None), judged)
+        balance = network.balance(seen.ticks.flat())
+        answer = network.answer(
+            balance, encoded[:, judged].flatten(0, 1), states[:, judged].flatten(0, 1)
+        )
+        error = network.in_joint_order(answer.torque_n_m) - seen.true_torque_n_m.flatten(0, 1)
+        scale = network.error.std.double()
+        misfit = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
+        target = SingleContactTarget(*(value.flatten() for value in seen.target))
+        return answer.output, target, misfit, following
+
+    def _held_out_loss(self) -> float:
+        """The loss of equation (8) along whole sequences."""
+        with torch.no_grad():
+            totals = []
+            state = torch.zeros(len(self.validation), self.network.memory)
+            for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
+                terms, state = self._terms(self.validation.part(slice(None), ticks), state, 0)
+                totals.append(float(terms.total))
+        return sum(totals) / len(totals)
+
+    def _calibrate(self) -> None:
+        """Scale the stated deviations until 95 % of the held-out errors lie within 1.96."""
+        ratios = []
+        state = torch.zeros(len(self.validation), self.network.memory)
+        with torch.no_grad():
+            for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
+                part = self.validation.part(slice(None), ticks)
+                output, target, _, state = self._answers(part, state, 0)
+                found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
+                off_n = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
+                turned = angle_error_deg(output.direction, target.angle_deg).abs()
+                ratios.append(torch.stack([off_n, turned / output.angle_std_deg], -1)[found])
+            together = torch.cat(ratios)
+            if len(together):
+                self.network.spread.factor *= torch.quantile(together, 0.95, dim=0) / NORMAL_95
+
+
+def _parts(ticks: int, size: int) -> Iterator[slice]:
+    for start in range(0, ticks, size):
+        yield slice(start, min(start + size, ticks))

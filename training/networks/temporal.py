@@ -1,0 +1,219 @@
+"""Statics on joint torques that a recurrent network has cleared of motion and friction.
+
+Statics turns tensions into torques of the environment on the joints. In motion these hold inertia
+too, and with friction what the cables' past left on guides and pulleys. A gated recurrent unit
+(Cho et al., Learning phrase representations using RNN encoder-decoder, 2014) sees every tick's
+torques, tensions and set-points, remembers, and says by how much the torques are off and how sure
+that is. The contact is then sought by statics as in `physics.corrected`, on torques so corrected.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from cablesense_sim.arm import Arm
+from cablesense_training.networks.layers import one_hot_of_argmax
+from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.networks.spread import StatedSpread
+from cablesense_training.physics.arm_statics import exact_statics
+from cablesense_training.physics.closed_form import NUDGE_N, Balance, ClosedForm, inverse
+from cablesense_training.scaling import Standardiser
+
+LARGEST_CORRECTION = 6.0
+"""In standard deviations of what is to be corrected in training, joint by joint."""
+
+_LOG_STD_RANGE = (-7.0, 3.0)
+
+
+class Ticks(NamedTuple):
+    """Inputs of one or more ticks, leading axes alike.
+
+    Attributes:
+        tension_difference_n: (…, M) tensions less the unloaded ones at the set-point.
+        joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (…, 2N) the set-point.
+    """
+
+    tension_difference_n: Tensor
+    joint_command_rad: Tensor
+    joint_speed_rad_s: Tensor
+    joint_acceleration_rad_s2: Tensor
+
+    def flat(self) -> Ticks:
+        """All leading axes as one."""
+        return Ticks(*(part.flatten(0, -2) for part in self))
+
+
+class CorrectedAnswer(NamedTuple):
+    """What the network says of B ticks.
+
+    Attributes:
+        output: contacts with their uncertainty.
+        torque_n_m: (B, 2N) of the environment as corrected, pitches first.
+        torque_std_n_m: (B, 2N) its stated deviation, in the order of the joints.
+    """
+
+    output: SingleContactOutput
+    torque_n_m: Tensor
+    torque_std_n_m: Tensor
+
+
+class TemporalNetwork(nn.Module):
+    """One contact from a course of ticks.
+
+    Args:
+        arm: the arm.
+        closed_form: its statics.
+        memory: size of the state that is carried from tick to tick.
+        force_range_n: largest force expected, see `CorrectedClosedForm`.
+
+    Attributes:
+        remembers: where false, every tick is answered as the first: the peer that shows what
+            memory is worth.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        closed_form: ClosedForm,
+        memory: int = 96,
+        force_range_n: float = 200.0,
+        remembers: bool = True,
+    ) -> None:
+        super().__init__()
+        joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
+        self.cable_count, self.segment_count, self.memory = cables, segments, memory
+        self.remembers = remembers
+        self.closed_form = closed_form
+        self.torque = Standardiser(joints)
+        self.tension = Standardiser(cables)
+        self.course = Standardiser(3 * joints)
+        self.error = Standardiser(joints)
+        self.encoder = nn.Sequential(nn.Linear(4 * joints + cables, memory), nn.Tanh())
+        self.cell = nn.GRU(memory, memory, batch_first=True)
+        self.reader = nn.Sequential(nn.Linear(2 * memory, memory), nn.SiLU())
+        self.shift = nn.Linear(memory, joints)
+        self.log_std = nn.Linear(memory, joints)
+        self.belief = nn.Linear(memory, segments)
+        for head in (self.shift, self.log_std, self.belief):
+            nn.init.zeros_(head.weight)
+            nn.init.zeros_(head.bias)
+        self.log_trust = nn.Parameter(torch.zeros(()))
+        self.log_prior = -2.0 * math.log(force_range_n)
+        self.spread = StatedSpread(2)
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50, remembers: bool = True) -> TemporalNetwork:
+        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
+        statics = exact_statics(arm, tare_samples, unexplained_n2=0.0)
+        return cls(arm, statics, remembers=remembers)
+
+    def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
+        """Set all scales from training rows: torques, inputs, and what the torques are off by."""
+        self.torque.adapt(torque_n_m)
+        self.tension.adapt(ticks.tension_difference_n)
+        self.course.adapt(torch.cat(ticks[1:], dim=-1))
+        self.error.adapt(error_n_m)
+
+    def balance(self, ticks: Ticks) -> Balance:
+        """Statics at the set-points of flat ticks, in float64."""
+        return self.closed_form.balance(
+            ticks.tension_difference_n.double(), ticks.joint_command_rad.double()
+        )
+
+    def encode(self, torque_n_m: Tensor, ticks: Ticks) -> Tensor:
+        """(…, memory) of torques (…, 2N) and ticks alike."""
+        seen = [
+            self.torque(torque_n_m),
+            self.tension(ticks.tension_difference_n),
+            self.course(torch.cat(ticks[1:], dim=-1)),
+        ]
+        encoded: Tensor = self.encoder(torch.cat(seen, dim=-1))
+        return encoded
+
+    def remember(self, encoded: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """States (S, T, memory) along T ticks from a state (S, memory), and the last of them."""
+        if not self.remembers:
+            return torch.zeros_like(encoded), state
+        states, last = self.cell(encoded, state[None])
+        return states, last[0]
+
+    def next_state(self, encoded: Tensor, state: Tensor) -> Tensor:
+        """What `remember` does, for one tick of B rows and in operators that any runtime has."""
+        weights_in, weights_kept, bias_in, bias_kept = self.cell.all_weights[0]
+        given = encoded @ weights_in.T + bias_in
+        kept = state @ weights_kept.T + bias_kept
+        reset_in, update_in, new_in = given.chunk(3, dim=-1)
+        reset_kept, update_kept, new_kept = kept.chunk(3, dim=-1)
+        reset = torch.sigmoid(reset_in + reset_kept)
+        update = torch.sigmoid(update_in + update_kept)
+        new = torch.tanh(new_in + reset * new_kept)
+        following: Tensor = (1.0 - update) * new + update * state
+        return following
+
+    def answer(
+        self, balance: Balance, encoded: Tensor, states: Tensor
+    ) -> CorrectedAnswer:
+        """Answers for B flat ticks, of what was encoded and remembered (B, memory) of each."""
+        read = self.reader(torch.cat([encoded, states], dim=-1))
+        bounded = LARGEST_CORRECTION * torch.tanh(self.shift(read) / LARGEST_CORRECTION)
+        shift = (bounded * self.error.std + self.error.mean).double()
+        std = torch.exp(self.log_std(read).clamp(*_LOG_STD_RANGE)).double()
+        std = std * self.error.std.double()
+        torque = balance.torque_n_m - self.pitches_first(shift)[..., None]
+        noise = inverse(balance.precision)
+        precision = inverse(noise + torch.diag_embed(self.pitches_first(std * std)))
+        found = self.closed_form.least_squares(
+            balance._replace(torque_n_m=torque, precision=precision)
+        )
+        force = found.force_n + NUDGE_N
+        covariance = found.covariance_n2
+        determinant = covariance[..., 0, 0] * covariance[..., 1, 1] - covariance[..., 0, 1] ** 2
+        occam = 0.5 * torch.log(determinant) + math.log(2.0) + self.log_prior
+        explained = (force[:, :, None] @ found.information * force[:, :, None]).sum((2, 3))
+        evidence = 0.5 * torch.exp(self.log_trust) * explained + occam + self.belief(read)
+        none = torch.zeros_like(evidence[:, :1])
+        chosen = one_hot_of_argmax(evidence)
+        weight = chosen[..., None].to(force.dtype)
+        best = (weight * force).sum(1)
+        spread = (weight[..., None] * covariance).sum(1)
+        magnitude = torch.sqrt((best * best).sum(-1))
+        along = best / magnitude[:, None]
+        across = torch.stack([-along[:, 1], along[:, 0]], dim=-1)
+        std_n, turned_n = (
+            torch.sqrt(((axis[:, None] @ spread)[:, 0] * axis).sum(-1)) for axis in (along, across)
+        )
+        output = SingleContactOutput(
+            contact_logits=torch.cat([none, evidence], dim=-1),
+            direction=along,
+            magnitude_n=magnitude,
+            magnitude_std_n=std_n * self.spread.factor[0],
+            angle_std_deg=torch.rad2deg(turned_n / magnitude) * self.spread.factor[1],
+        )
+        return CorrectedAnswer(output, torque[..., 0], std)
+
+    def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor]:
+        """One tick: answers for inputs of B rows with states (B, memory), and the next states."""
+        balance = self.balance(ticks)
+        kind = self.log_trust.dtype
+        encoded = self.encode(
+            self.in_joint_order(balance.torque_n_m[..., 0]).to(kind),
+            Ticks(*(part.to(kind) for part in ticks)),
+        )
+        following = self.next_state(encoded, state) if self.remembers else 0.0 * state
+        return self.answer(balance, encoded, following).output, following
+
+    def joint_torque_n_m(self, balance: Balance) -> Tensor:
+        """(B, 2N) torques of the environment in the order of the joints, by statics alone."""
+        return self.in_joint_order(balance.torque_n_m[..., 0])
+
+    def pitches_first(self, joints: Tensor) -> Tensor:
+        """From the order of the joints to that of `Balance`."""
+        return joints.unflatten(-1, (self.segment_count, 2)).transpose(-1, -2).flatten(-2)
+
+    def in_joint_order(self, pitches_first: Tensor) -> Tensor:
+        """From the order of `Balance` to that of the joints."""
+        return pitches_first.unflatten(-1, (2, self.segment_count)).transpose(-1, -2).flatten(-2)
