@@ -1,0 +1,132 @@
+"""The law: away from the force, within its limits, passive; its loop gain is that of the docs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_ros.admittance.admittance_law import AdmittanceLaw, AdmittanceSettings, FeltForce
+from cablesense_ros.admittance.reach import Reach
+from cablesense_sim import kinematics
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+
+ARM = Mechanism.from_arm(open_arm("cdsm"))
+REACH = Reach.of(ARM, np.deg2rad(10.0))
+DEFAULT = AdmittanceSettings()
+LAW = AdmittanceLaw(ARM, REACH, DEFAULT)
+UNLIMITED = AdmittanceSettings(
+    step_limit_rad=10.0, speed_limit_rad_s=100.0, smallest_step_rad=0.0, touch_n=1e9
+)
+
+poses = st.lists(st.floats(-5.0, 5.0), min_size=8, max_size=8).map(np.deg2rad)
+segments = st.integers(1, 4)
+angles = st.floats(0.0, 360.0)
+
+
+def felt_force(command, segment, angle_deg, magnitude_n):
+    force = normal_force_n(ARM, command, segment, angle_deg, magnitude_n)[segment - 1]
+    return FeltForce(segment, force)
+
+
+def contact_jacobian(command, segment):
+    return kinematics.contact_jacobians_m(ARM, command)[segment - 1]
+
+
+@given(poses, segments, angles, st.floats(2.5, 500.0), st.floats(0.05, 5.0))
+def test_the_contact_point_moves_with_the_force(command, segment, angle, magnitude, elapsed):
+    felt = felt_force(command, segment, angle, magnitude)
+    step = LAW.step(command, command, felt, elapsed) - command
+    assert felt.force_base_n @ contact_jacobian(command, segment) @ step >= 0.0
+    assert np.all(step[2 * segment :] == 0.0)  # joints beyond the contact cannot help
+
+
+@given(poses, poses, segments, angles, st.floats(0.0, 500.0), st.floats(0.05, 5.0))
+def test_limits_hold_whatever_is_felt(command, home, segment, angle, magnitude, elapsed):
+    for felt in (None, felt_force(command, segment, angle, magnitude)):
+        target = LAW.step(command, home, felt, elapsed)
+        limit = min(DEFAULT.step_limit_rad, DEFAULT.speed_limit_rad_s * elapsed)
+        assert np.abs(target - command).max() <= limit + 1e-12
+        assert REACH.holds(target)
+
+
+@given(poses, poses, segments, angles, st.floats(0.0, 100.0), st.floats(0.05, 1.0))
+def test_it_takes_no_more_energy_from_the_contact_than_it_stores(
+    command, home, segment, angle, magnitude, elapsed
+):
+    """Passivity: work of the contact on the arm is at least what the return spring gains."""
+    law = AdmittanceLaw(ARM, REACH, UNLIMITED)
+    felt = felt_force(command, segment, angle, magnitude)
+    stiffness = UNLIMITED.return_stiffness_n_m_rad
+    step = law.step(command, home, felt, elapsed) - command
+    if not REACH.holds(command + 1.001 * step):
+        return  # the edge of the reach holds against the spring, which the next test looks at
+    work = felt.force_base_n @ contact_jacobian(command, segment) @ step
+    away = command - home
+    gained = 0.5 * stiffness * ((away + step) @ (away + step) - away @ away)
+    assert work >= gained - 1e-9
+
+
+@given(poses, segments, angles, st.floats(3.0, 500.0))
+def test_the_edge_of_the_reach_never_turns_a_step_round(command, segment, angle, magnitude):
+    command = REACH.nearest(4.0 * command)
+    felt = felt_force(command, segment, angle, magnitude)
+    step = LAW.step(command, command, felt, 1.0) - command
+    assert felt.force_base_n @ contact_jacobian(command, segment) @ step >= -1e-12
+
+
+@pytest.mark.parametrize("magnitude", [0.0, 1.0, 1.999])
+def test_a_force_within_the_deadband_moves_nothing_at_home(magnitude):
+    home = np.full(8, 0.02)
+    assert LAW.step(home, home, felt_force(home, 3, 40.0, magnitude), 1.0) is home
+
+
+def test_a_step_solves_the_law_with_the_worst_contact_taken_off():
+    """The linear system of the module's docstring, solved by a library."""
+    command, home, elapsed = np.deg2rad(np.linspace(-3, 4, 8)), np.full(8, 0.01), 0.7
+    felt = felt_force(command, 3, 77.0, 30.0)
+    law = AdmittanceLaw(ARM, REACH, UNLIMITED)
+    j = contact_jacobian(command, 3).T @ (felt.force_base_n / 30.0)
+    tau = 30.0 * j - (command - home)
+    tau *= 1.0 - 2.0 * np.linalg.norm(j) / np.linalg.norm(tau)
+    matrix = (5.0 / elapsed + 1.0) * np.eye(8) + 20_000.0 * np.outer(j, j)
+    expected = command + np.linalg.solve(matrix, tau)
+    assert np.allclose(law.step(command, home, felt, elapsed), expected, atol=1e-12)
+
+
+@given(poses, segments, angles, st.floats(100.0, 60_000.0))
+def test_the_loop_gain_is_the_share_of_the_force_that_a_step_takes_away(
+    command, segment, angle, stiffness
+):
+    law = AdmittanceLaw(ARM, REACH, UNLIMITED)
+    felt = felt_force(command, segment, angle, 2.01)
+    step = law.step(command, command, felt, 0.7) - command
+    direction = felt.force_base_n / 2.01
+    lost = stiffness * direction @ contact_jacobian(command, segment) @ step
+    gain = law.loop_gain(command, segment, direction, stiffness, 0.7)
+    assert lost == pytest.approx(gain * 0.01, rel=1e-6)
+    assert gain < stiffness / DEFAULT.worst_stiffness_n_m
+
+
+@given(poses, poses)
+def test_the_way_home_never_meets_a_wall_with_more_than_the_touch(command, home):
+    step = LAW.step(command, home, None, 1.0) - command
+    moved = np.linalg.norm(kinematics.contact_jacobians_m(ARM, command) @ step, axis=-1).max()
+    assert moved * DEFAULT.worst_stiffness_n_m <= DEFAULT.touch_n * (1.0 + 1e-9)
+    assert (command - home) @ step <= 0.0
+
+
+@settings(max_examples=20)
+@given(poses)
+def test_it_comes_home_when_nothing_touches(home):
+    command = home + np.deg2rad(0.3)
+    for _ in range(300):
+        command = LAW.step(command, home, None, 0.7)
+    assert np.abs(command - home).max() < np.deg2rad(0.03)
+
+
+def test_without_return_stiffness_it_stays_where_it_is():
+    law = AdmittanceLaw(ARM, REACH, AdmittanceSettings(return_stiffness_n_m_rad=0.0))
+    command = np.full(8, 0.05)
+    assert law.step(command, np.zeros(8), None, 1.0) is command
