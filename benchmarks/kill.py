@@ -69,7 +69,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
                 for victim in VICTIMS:
                     kills[victim].append(trials.kill(victim))
             watcher.spin(executor, 1.0)
-            recorders = kill_recorders(times, folder, lambda s: watcher.spin(executor, s), arm)
+            recorders = kill_recorders(times, folder, lambda s: watcher.spin(executor, s))
             codes = chain.end()
             recording = whole(chain.recording, watcher.samples, arm)
         except TimeoutError as error:

@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from cablesense_msgs_py.errors import CableSenseError
+from cablesense_ros.discovery import prefer_quick_discovery
 
 _WAKE_S = 0.2
 _RCLError = rclpy_implementation.RCLError
@@ -30,6 +31,7 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
     cannot start.
     """
+    prefer_quick_discovery()
     wanted_end = Future()
     try:
         rclpy.init(

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
+from cablesense_ros.discovery import prefer_quick_discovery
+
 END_WITHIN_S = 20.0
 
 
@@ -20,6 +22,7 @@ def own_graph() -> None:
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
+    prefer_quick_discovery()
 
 
 def node_command(
