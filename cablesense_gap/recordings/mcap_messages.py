@@ -68,10 +68,11 @@ class McapMessages:
             raise RecordingError(f"{self._path}: no such file") from error
         except (OSError, ValueError) as error:
             raise RecordingError(f"{self._path}: cannot be read ({error})") from error
+        status = os.fstat(number)
+        if not stat.S_ISREG(status.st_mode):
+            os.close(number)
+            raise RecordingError(f"{self._path}: not a file")
         with open(number, "rb") as file:  # noqa: PTH123  (a number has no path)
-            status = os.fstat(number)
-            if not stat.S_ISREG(status.st_mode):
-                raise RecordingError(f"{self._path}: not a file")
             try:
                 yield from self._messages(file, status.st_size)
             except (struct.error, UnicodeDecodeError, IndexError) as error:

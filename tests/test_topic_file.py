@@ -1,0 +1,230 @@
+"""Recordings in chunks: other readers take them, and kill -9 or a cut costs the last chunk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_gap.recordings.topic_file import CHUNK_S, TopicFile
+from cablesense_msgs_py.qos import LATCHED, PUBLISHER
+
+ROOT = Path(__file__).parents[1]
+S = 1_000_000_000
+STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+
+
+def written(path, count=2000, step_ns=S // 1000):
+    """A file of two topics over some seconds."""
+    file = TopicFile(path, growing=True)
+    states = file.add("/cable_tensions", STATE, PUBLISHER)
+    texts = file.add("/robot_description", TEXT, LATCHED)
+    for i in range(count):
+        file.write(
+            states if i % 10 else texts, 5 * S + i * step_ns, b"\0\1\0\0" + bytes([i % 256]) * 90
+        )
+    file.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("whole") / "whole.mcap")
+
+
+def test_our_reader_gives_what_was_written(whole):
+    messages = McapMessages(whole)
+    got = list(messages)
+    assert messages.cut == ""
+    assert len(got) == 2000
+    assert [message.log_ns for message in got] == [5 * S + i * S // 1000 for i in range(2000)]
+    assert {message.topic: message.kind for message in got} == {
+        "/cable_tensions": STATE,
+        "/robot_description": TEXT,
+    }
+    assert [message.data[4] for message in got] == [i % 256 for i in range(2000)]
+    assert [path.name for path in whole.parent.iterdir()] == ["whole.mcap"]
+
+
+def test_rosbags_and_the_mcap_library_read_it_too(whole):
+    from mcap.reader import make_reader
+    from rosbags.rosbag2 import Reader
+
+    with Reader(whole) as reader:
+        assert reader.message_count == 2000
+        assert [data[4] for *_, data in reader.messages()] == [i % 256 for i in range(2000)]
+        (latched,) = (c for c in reader.connections if c.topic == "/robot_description")
+        assert latched.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+    with whole.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == 2000
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 2.0 / CHUNK_S
+        assert {index.compression for index in summary.chunk_indexes} == {"zstd"}
+        kinds = {schema.name: schema for schema in summary.schemas.values()}
+        assert {schema.encoding for schema in kinds.values()} == {"ros2msg"}
+        text = kinds[STATE].data.decode()
+        assert "string[] name" in text
+        assert "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp" in text
+        assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+        assert all("offered_qos_profiles" in c.metadata for c in summary.channels.values())
+        assert sum(1 for _ in reader.iter_messages(starting_at=6 * S)) == 1000
+        assert next(iter(reader.iter_metadata())).name == "rosbag2"
+
+
+@given(share=st.floats(0.0, 1.0, exclude_max=True))
+@settings(max_examples=200, deadline=None)
+def test_a_file_cut_anywhere_gives_all_but_its_last_chunk(whole, share, tmp_path_factory):
+    content = whole.read_bytes()
+    size = int(share * len(content))
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    path.write_bytes(content[:size])
+    messages = McapMessages(path)
+    if size < 8:
+        with pytest.raises(RecordingError, match="no MCAP file"):
+            list(messages)
+        return
+    got = list(messages)
+    ends, data_end = _layout(content)
+    kept = sum(1 for end in ends if end <= size)
+    assert len(got) == 500 * kept
+    assert ("breaks off" in messages.cut) == (size < data_end + 9)
+
+
+def _layout(content):
+    """Where chunks end, and where the data do."""
+    ends, at = [], 8
+    while content[at] != 15:
+        length = int.from_bytes(content[at + 1 : at + 9], "little")
+        if content[at] == 6:
+            ends.append(at + 9 + length)
+        at += 9 + length
+    return ends, at
+
+
+@given(at=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
+@settings(max_examples=200, deadline=None)
+def test_a_damaged_byte_is_refused_or_read_and_never_raises_another_error(
+    whole, at, flip, tmp_path_factory
+):
+    content = bytearray(whole.read_bytes())
+    content[int(at * len(content))] ^= flip
+    path = tmp_path_factory.mktemp("damaged") / "damaged.mcap"
+    path.write_bytes(content)
+    try:
+        count = len(list(McapMessages(path)))
+    except RecordingError as error:
+        said = str(error)
+    else:
+        said = "damaged.mcap"
+        assert count <= 2000
+    assert "damaged.mcap" in said
+    assert "\n" not in said
+
+
+HEAD = b"\x89MCAP0\r\n"
+
+
+def record(kind, content, length=None):
+    return (
+        bytes([kind])
+        + (len(content) if length is None else length).to_bytes(8, "little")
+        + content
+    )
+
+
+def chunk(packed, packing, unpacked_bytes):
+    head = bytes(16) + unpacked_bytes.to_bytes(8, "little") + bytes(4)
+    name = len(packing).to_bytes(4, "little") + packing
+    return record(6, head + name + len(packed).to_bytes(8, "little") + packed)
+
+
+def bomb():
+    from backports.zstd import compress
+
+    return compress(bytes(1 << 28))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "no MCAP file"),
+        (b"PK" * 100, "no MCAP file"),
+        (HEAD + chunk(b"", b"", 1 << 40), "a chunk of 1099511627776 bytes"),
+        (HEAD + chunk(bomb(), b"zstd", 1000), "not of the 1000 bytes"),
+        (HEAD + chunk(b"junk", b"zstd", 4), "cannot be unpacked"),
+        (HEAD + chunk(b"junk" * 9, b"lz4", 4), "cannot be unpacked"),
+        (HEAD + chunk(b"junk", b"zip", 4), "packed as 'zip'"),
+        (HEAD + record(5, bytes(22)), "unknown channel 0"),
+        (HEAD + record(5, bytes(3)), "damaged at byte"),
+        (HEAD + record(3, b"\1\0\xff\xff\xff\xff"), "a string of 4294967295 bytes"),
+    ],
+    ids=range(10),
+)
+def test_what_cannot_be_is_refused_unread(content, said, tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    started = time.monotonic()
+    with pytest.raises(RecordingError, match=said):
+        list(McapMessages(path))
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_length_beyond_the_file_is_a_cut_and_other_places_are_refused(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(HEAD + record(6, b"", 1 << 62))
+    messages = McapMessages(path)
+    assert list(messages) == []
+    assert "breaks off at byte 8 of 17" in messages.cut
+    with pytest.raises(RecordingError, match="no such file"):
+        list(McapMessages(tmp_path / "none.mcap"))
+    with pytest.raises(RecordingError, match="not a file"):
+        list(McapMessages(tmp_path))
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(RecordingError, match="not a file"):
+        list(McapMessages(tmp_path / "pipe.mcap"))
+
+
+ENDLESS = """
+import sys, time
+from cablesense_gap.recordings.topic_file import TopicFile
+from cablesense_msgs_py.qos import PUBLISHER
+file = TopicFile(sys.argv[1], growing=True)
+channel = file.add("/cable_tensions", "sensor_msgs/msg/JointState", PUBLISHER)
+number = 0
+while True:
+    file.write(channel, time.time_ns(), number.to_bytes(8, "little") * 40)
+    number += 1
+    print(number, flush=True)
+    time.sleep(0.0005)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after_s", [0.7, 1.3, 1.9])
+def test_a_killed_process_loses_no_more_than_its_last_chunk(after_s, tmp_path):
+    path = tmp_path / "killed.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", ENDLESS, path], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(after_s)
+        killed_ns = time.time_ns()
+        process.send_signal(signal.SIGKILL)
+        said = process.stdout.read().split()
+    messages = McapMessages(path)
+    got = list(messages)
+    assert "breaks off" in messages.cut
+    assert [int.from_bytes(m.data[:8], "little") for m in got] == list(range(len(got)))
+    assert len(got) < int(said[-1])
+    assert killed_ns - got[-1].log_ns < (CHUNK_S + 0.3) * 1e9
