@@ -1,0 +1,1 @@
+"""What `benchmarks/fuzz.py` throws at the readers of CableSense, and how it watches them."""

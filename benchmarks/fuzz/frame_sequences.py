@@ -1,0 +1,310 @@
+"""Sequences of CAN frames into the driver's reading path, and what may come out of it.
+
+What the oracle knows does not come from the reader: values are read off the frames' bytes by
+`struct`, as the amplifiers' manuals say, and beside it by cantools. A sample is right if each of
+its tensions was carried, in the range, by a well-formed frame of that channel since the cycle was
+opened, and no frame served two samples. That bytes which say another plausible value are wrong
+nobody can tell.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable, Iterator, Sequence
+
+import can
+
+from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_ros.can.interface import CanInterface
+from cablesense_ros.can.sample_assembler import Sample
+from cablesense_ros.can.signal_database import open_channel_map
+from cablesense_ros.can.slcan_lines import frame_line, line_frame
+from cablesense_ros.can.tension_reader import SCATTER_OF_READING_S, TensionReader
+from fuzz.byte_mutation import mutated_bytes
+from fuzz.target import FalseAnswerError, Outcome, Run, item_random
+
+CYCLES = 60
+START_S = 1.7e9
+_STAMPS = (0.0, -1.0, math.nan, math.inf, 1e300, 5.0, 1e-3)
+
+
+class _Amplifier:
+    """One of the bundled maps with the oracle's own reading of its bytes."""
+
+    def __init__(self, name: str) -> None:
+        self.map, self.database = open_channel_map(name)
+        self.packed = self.map.counter is not None
+        self.ids = {m.frame_id: m for m in self.database.messages}
+
+    def cycle(self, rng: random.Random, number: int, start_s: float) -> list[can.Message]:
+        """Frames of a cycle of the real amplifier, tensions as drawn."""
+        step_s = 1e-4
+        if self.packed:
+            frames = [_frame(0x120, bytes([number % 256]), start_s)]
+            for group in range(3):
+                raws = [rng.randint(-400, 30_000) for _ in range(4)]
+                stamp_s = start_s + step_s * (group + 1)
+                frames.append(_frame(0x121 + group, struct.pack("<4h", *raws), stamp_s))
+            return frames
+        return [
+            _frame(
+                0x180 + node,
+                struct.pack("<iB", rng.randint(-40_000, 4_900_000), 0),
+                start_s + step_s * (node - 1),
+            )
+            for node in range(1, 13)
+        ]
+
+    def opens(self, frame: can.Message) -> bool:
+        """Whether it is a counter frame as the manual has it."""
+        return (
+            self.packed
+            and _plain(frame)
+            and frame.arbitration_id == 0x120
+            and len(frame.data) == 1
+        )
+
+    def values(self, frame: can.Message) -> Iterator[tuple[int, float]]:
+        """(channel, N) of a well-formed frame, those in range alone."""
+        if not _plain(frame):
+            return
+        low, high = self.map.range_n
+        found: Sequence[tuple[int, float]] = ()
+        if self.packed and 0x121 <= frame.arbitration_id <= 0x123 and len(frame.data) == 8:
+            first = 4 * (frame.arbitration_id - 0x121)
+            raws = struct.unpack("<4h", frame.data)
+            found = [(first + k, 0.1 * raw) for k, raw in enumerate(raws)]
+        elif not self.packed and 0x181 <= frame.arbitration_id <= 0x18C and len(frame.data) == 5:
+            raw, status = struct.unpack("<iB", frame.data)
+            if not status & 0x07:
+                found = [(frame.arbitration_id - 0x181, 1e-3 * raw)]
+        for channel, tension_n in found:
+            if low < tension_n < high:
+                self._agrees(frame, channel, tension_n)
+                yield channel, tension_n
+
+    def _agrees(self, frame: can.Message, channel: int, tension_n: float) -> None:
+        cable = self.map.channels[self.map.cable_names[channel]]
+        decoded = self.ids[frame.arbitration_id].decode(bytes(frame.data), decode_choices=False)
+        value = float(decoded[cable.signal])  # type: ignore[index,arg-type]
+        if not math.isclose(cable.tension_n(value), tension_n, rel_tol=1e-9, abs_tol=1e-9):
+            raise FalseAnswerError(f"cantools says {value} where the bytes say {tension_n} N")
+
+
+def _plain(frame: can.Message) -> bool:
+    odd = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or frame.is_extended_id
+    return not odd
+
+
+def _frame(number: int, data: bytes, stamp_s: float) -> can.Message:
+    return can.Message(arbitration_id=number, is_extended_id=False, data=data, timestamp=stamp_s)
+
+
+class _Witness:
+    """Hears every frame beside the reader, and says whether a sample may be."""
+
+    def __init__(self, amplifier: _Amplifier, skew_limit_s: float) -> None:
+        self._amplifier = amplifier
+        self._skew_limit_s = skew_limit_s
+        self._carried: list[list[float]] = []
+        self._forget()
+
+    def hear(self, frame: can.Message) -> None:
+        if self._amplifier.opens(frame):
+            self._forget()
+        for channel, tension_n in self._amplifier.values(frame):
+            self._carried[channel].append(tension_n)
+
+    def judge(self, sample: Sample, now_s: float) -> None:
+        low, high = self._amplifier.map.range_n
+        for channel, tension_n in enumerate(sample.tensions_n.tolist()):
+            carried = any(abs(tension_n - said) < 1e-9 for said in self._carried[channel])
+            if not (low < tension_n < high and carried):
+                raise FalseAnswerError(
+                    f"channel {channel} reads {tension_n} N; the frames of its cycle carried "
+                    f"{self._carried[channel][:5]}"
+                )
+        if not abs(sample.skew_s) <= self._skew_limit_s + 1e-6:
+            raise FalseAnswerError(f"a sample over {sample.skew_s} s")
+        if not abs(sample.time_s - now_s) < 10.0:
+            raise FalseAnswerError(f"a sample of {sample.time_s} s, taken at {now_s} s")
+        self._forget()
+
+    def _forget(self) -> None:
+        self._carried = [[] for _ in self._amplifier.map.channels]
+
+
+def make_frames(seed: int) -> Run:
+    """Items are sequences of some hundred frames into a reader of their own."""
+    amplifiers = [_Amplifier("twelve_channel_amplifier"), _Amplifier("cia404_amplifier")]
+
+    def run(item: int) -> Outcome:
+        rng = item_random("frames", seed, item)
+        amplifier = amplifiers[item % 2]
+        interface = rng.choice(("virtual", "slcan"))
+        reader, skew_s = _reader(amplifier, interface)
+        witness = _Witness(amplifier, skew_s)
+        sent = taken = 0
+        arrival_s = START_S
+        for frame, gap_s in _SEQUENCES[rng.randrange(len(_SEQUENCES))](rng, amplifier):
+            arrival_s += gap_s
+            sent += 1
+            witness.hear(frame)
+            sample = reader.take(frame, arrival_s, arrival_s - START_S + 100.0)
+            if sample is not None:
+                witness.judge(sample, arrival_s)
+                taken += 1
+            elif rng.random() < 0.002:
+                reader.silence(arrival_s - START_S + 100.0)
+            if rng.random() < 0.0005:
+                reader.reopened()
+        return Outcome(inputs=sent, taken=taken, refused=reader.withheld)
+
+    return run
+
+
+def _reader(amplifier: _Amplifier, interface: str) -> tuple[TensionReader, float]:
+    skew_s = amplifier.map.skew_limit_s
+    if interface == "slcan":
+        skew_s = max(skew_s, SCATTER_OF_READING_S)
+    reader = TensionReader(
+        amplifier.map, amplifier.database, CanInterface(interface, "fuzz"), FaultLedger()
+    )
+    return reader, skew_s
+
+
+Timed = tuple[can.Message, float]
+
+
+def _stream(rng: random.Random, amplifier: _Amplifier) -> list[can.Message]:
+    frames: list[can.Message] = []
+    for number in range(CYCLES):
+        frames += amplifier.cycle(rng, number, START_S + number * amplifier.map.cycle_time_s)
+    return frames
+
+
+def _timed(frames: Sequence[can.Message], amplifier: _Amplifier) -> Iterator[Timed]:
+    """As they would arrive, a tenth of a millisecond after their stamps, never flooding."""
+    gap_s = amplifier.map.cycle_time_s / (4 if amplifier.packed else 12)
+    for frame in frames:
+        yield frame, gap_s
+
+
+def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
+    """Dropped, repeated, exchanged, moved far, and old ones again."""
+    frames = _stream(rng, amplifier)
+    for _ in range(rng.randint(1, 40)):
+        at = rng.randrange(len(frames))
+        action = rng.randrange(5)
+        if action == 0:
+            del frames[at : at + rng.choice((1, 1, 2, 7))]
+        elif action == 1:
+            frames.insert(at, frames[at])
+        elif action == 2:
+            other = min(len(frames) - 1, at + rng.choice((1, 1, 3)))
+            frames[at], frames[other] = frames[other], frames[at]
+        elif action == 3:
+            frames.insert(rng.randrange(len(frames)), frames[at])
+        else:
+            block = frames[at : at + 12]
+            rng.shuffle(block)
+            frames[at : at + 12] = block
+        if len(frames) < 20:
+            break
+    return _timed(frames, amplifier)
+
+
+def _changed(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
+    """Bits, lengths, ids and kinds of frames turned."""
+    frames = _stream(rng, amplifier)
+    share = rng.choice((0.01, 0.1, 0.5))
+    for at, frame in enumerate(frames):
+        if rng.random() < share:
+            frames[at] = _changed_frame(rng, frame)
+    return _timed(frames, amplifier)
+
+
+def _changed_frame(rng: random.Random, frame: can.Message) -> can.Message:
+    data, more = bytes(frame.data), {}
+    number, stamp_s, extended = frame.arbitration_id, frame.timestamp, False
+    action = rng.randrange(8)
+    if action <= 1:
+        turned = bytearray(data)
+        turned[rng.randrange(len(turned))] ^= 1 << rng.randrange(8)
+        data = bytes(turned)
+    elif action == 2:
+        data = mutated_bytes(rng, data)[: rng.choice((8, 8, 64))]
+        more["is_fd"] = len(data) > 8
+    elif action == 3:
+        data = data[: rng.randrange(len(data))]
+    elif action == 4:
+        number = rng.choice((number ^ (1 << rng.randrange(11)), rng.randrange(2**11)))
+    elif action == 5:
+        extended = True
+    elif action == 6:
+        kind = rng.choice(("is_remote_frame", "is_error_frame", "is_fd"))
+        more[kind] = True
+        data = b"" if kind == "is_remote_frame" else data
+    else:
+        stamp_s = rng.choice((*_STAMPS, stamp_s + rng.uniform(-0.01, 0.01)))
+    if more.get("is_fd"):
+        size = next(size for size in (0, 8, 12, 16, 20, 24, 32, 48, 64) if size >= len(data))
+        data = data.ljust(size, b"\x00")
+    return can.Message(
+        arbitration_id=number, is_extended_id=extended, data=data, timestamp=stamp_s, **more
+    )
+
+
+def _random(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
+    """Frames of random bytes, most of them with ids of the map."""
+    known = list(amplifier.ids)
+    for number in range(400):
+        extended = rng.random() < 0.1
+        id_ = (
+            rng.choice(known)
+            if rng.random() < 0.8
+            else rng.randrange(2**29 if extended else 2**11)
+        )
+        data = rng.randbytes(rng.choice((0, 1, 2, 5, 5, 8, 8, 8)))
+        stamp_s = START_S + number * 1e-4 + rng.uniform(-1e-3, 1e-3)
+        if rng.random() < 0.05:
+            stamp_s = rng.choice(_STAMPS)
+        yield (
+            can.Message(
+                arbitration_id=id_,
+                is_extended_id=extended,
+                is_error_frame=rng.random() < 0.02,
+                is_remote_frame=False,
+                data=data,
+                timestamp=stamp_s,
+            ),
+            rng.choice((1e-6, 2.5e-4, 2.5e-4, 0.01)),
+        )
+
+
+def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
+    """Through the lines of a serial adapter, which lose and change characters."""
+    for frame in _stream(rng, amplifier):
+        line = frame_line(frame) or b""
+        if rng.random() < 0.2:
+            line = mutated_bytes(rng, line, most=2)
+        try:
+            received = line_frame(line, frame.timestamp)
+        except ValueError:
+            continue
+        again = frame_line(received) or b""
+        if not line.upper().startswith(again.upper()):
+            raise FalseAnswerError(f"the line {line!r} was read as {again!r}")
+        yield received, 2.5e-4
+
+
+_SEQUENCES: tuple[Callable[[random.Random, _Amplifier], Iterator[Timed]], ...] = (
+    _reordered,
+    _reordered,
+    _changed,
+    _changed,
+    _random,
+    _lines,
+)

@@ -1,0 +1,181 @@
+"""Runs a target in child processes that may crash, hang or grow, and tells which item did it.
+
+The child notes the number of the item it is at in shared memory. The parent looks in twenty times
+a second: a child that ends by a signal, stays at one item too long or takes too much memory is a
+finding of that item; another child goes on behind it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any
+
+from cablesense_msgs_py.errors import CableSenseError
+from fuzz.target import FalseAnswerError, Target
+
+MOST_GROWTH_MB = 1_500.0
+START_LIMIT_S = 120.0
+"""To import and to make what is fuzzed."""
+
+_LOOK_S = 0.05
+_FINDINGS_KEPT = 20
+_ITEM, _SINCE_S, _INPUTS, _REFUSED, _TAKEN, _LONGEST_S, _BASE_MB, _GROWTH_MB = range(8)
+
+
+@dataclass
+class Result:
+    """Of one target."""
+
+    items: int = 0
+    inputs: int = 0
+    refused: int = 0
+    taken: int = 0
+    longest_item_s: float = 0.0
+    largest_growth_mb: float = 0.0
+    crashes: int = 0
+    hangs: int = 0
+    memory: int = 0
+    escaped: int = 0
+    false_answers: int = 0
+    findings: list[str] = field(default_factory=list)
+
+    @property
+    def clean(self) -> bool:
+        """Nothing was found."""
+        return not (
+            self.crashes or self.hangs or self.memory or self.escaped or self.false_answers
+        )
+
+    def add(self, other: Result) -> None:
+        """Take another share of the same target's items in."""
+        for name, value in vars(other).items():
+            mine = getattr(self, name)
+            largest = name in ("longest_item_s", "largest_growth_mb")
+            setattr(self, name, max(mine, value) if largest else mine + value)
+
+
+def run_watched(
+    target: Target, seed: int, first: int, end: int, on_progress: Callable[[int], None]
+) -> Result:
+    """Items `first` to `end` - 1, each watched; `on_progress` hears how many more are done."""
+    result = Result(items=end - first)
+    at = first
+    while at < end:
+        at = _run_child(target, seed, at, end, result, on_progress)
+    return result
+
+
+def _run_child(
+    target: Target,
+    seed: int,
+    first: int,
+    end: int,
+    result: Result,
+    on_progress: Callable[[int], None],
+) -> int:
+    """Runs one child until it ends or must be ended; gives the item to go on with."""
+    context = multiprocessing.get_context("spawn")
+    shared = context.RawArray("d", 8)
+    shared[_ITEM], shared[_SINCE_S] = -1.0, time.monotonic()
+    reader, writer = context.Pipe(duplex=False)
+    child = context.Process(
+        target=_child, args=(target, seed, first, end, shared, writer), daemon=True
+    )
+    child.start()
+    writer.close()
+    told, stopped = first, ""
+    while not stopped:
+        child.join(_LOOK_S)
+        while reader.poll():
+            try:
+                kind, text = reader.recv()
+            except EOFError:
+                break
+            setattr(result, kind, getattr(result, kind) + 1)
+            _keep(result, text)
+        item, since_s = int(shared[_ITEM]), shared[_SINCE_S]
+        if item > told:
+            on_progress(item - told)
+            told = item
+        if not child.is_alive():
+            break
+        if time.monotonic() - since_s > (target.limit_s if item >= 0 else START_LIMIT_S):
+            stopped = "hangs"
+        elif shared[_BASE_MB] and _memory_mb(child.pid) - shared[_BASE_MB] > MOST_GROWTH_MB:
+            stopped = "memory"
+    if stopped:
+        child.kill()
+        child.join()
+    reader.close()
+    item = int(shared[_ITEM])
+    if not stopped and child.exitcode != 0:
+        stopped = "crashes"
+    if stopped:
+        setattr(result, stopped, getattr(result, stopped) + 1)
+        _keep(result, f"{target.name} item {item}: {stopped}, exit code {child.exitcode}")
+    _add(result, shared)
+    if item < first:
+        raise RuntimeError(f"{target.name}: its child did not start (exit code {child.exitcode})")
+    following = end if not stopped else item + 1
+    on_progress(following - told)
+    return following
+
+
+def _keep(result: Result, text: str) -> None:
+    if len(result.findings) < _FINDINGS_KEPT:
+        result.findings.append(text)
+
+
+def _add(result: Result, shared: Any) -> None:
+    result.inputs += int(shared[_INPUTS])
+    result.refused += int(shared[_REFUSED])
+    result.taken += int(shared[_TAKEN])
+    result.longest_item_s = max(result.longest_item_s, shared[_LONGEST_S])
+    result.largest_growth_mb = max(result.largest_growth_mb, shared[_GROWTH_MB])
+
+
+def _child(
+    target: Target, seed: int, first: int, end: int, shared: Any, writer: Connection
+) -> None:
+    silence = os.open(os.devnull, os.O_WRONLY)  # readers tell people what they left out
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    run = target.make(seed)
+    shared[_BASE_MB] = base_mb = _memory_mb(os.getpid())
+    for item in range(first, end):
+        started_s = shared[_SINCE_S] = time.monotonic()
+        shared[_ITEM] = item
+        try:
+            outcome = run(item)
+        except FalseAnswerError as error:
+            writer.send(("false_answers", f"{target.name} item {item}: {error}"[:500]))
+            continue
+        except CableSenseError as error:
+            writer.send(("escaped", f"{target.name} item {item}: not caught by its run: {error}"))
+            continue
+        except BaseException:  # whatever escapes is a finding, be it an exit
+            where = traceback.format_exc().strip().splitlines()
+            writer.send(("escaped", f"{target.name} item {item}: {' | '.join(where[-6:])}"[:900]))
+            continue
+        finally:
+            shared[_LONGEST_S] = max(shared[_LONGEST_S], time.monotonic() - started_s)
+        shared[_INPUTS] += outcome.inputs
+        shared[_REFUSED] += outcome.refused
+        shared[_TAKEN] += outcome.taken
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    shared[_GROWTH_MB] = max(0.0, peak_mb - base_mb)
+
+
+def _memory_mb(pid: int | None) -> float:
+    try:
+        with open(f"/proc/{pid}/statm", encoding="ascii") as file:  # noqa: PTH123
+            return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+    except (OSError, IndexError):  # it has just ended
+        return 0.0
