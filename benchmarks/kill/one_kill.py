@@ -13,7 +13,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from kill.chain import Chain
-from kill.watcher import Heard, Watcher
+from kill.watcher import Watcher
 
 PATIENCE_S = 20.0
 STEADY = 10
@@ -22,6 +22,7 @@ STEADY = 10
 SETTLED_S = 1.0
 """A change of load has swung out by then; a wrench that differs from the load later is wrong."""
 
+SWING_S = 0.2
 DEAD_S = (0.15, 0.6)
 AT_ANY_MOMENT_S = 0.5
 
@@ -116,12 +117,20 @@ class KillTrials:
             set_up_s=self._chain.up_epoch_s(victim) - started_epoch_s,
             first_sample_s=later[0] - started_s if later else float("nan"),
             right_s=right_s - started_s,
-            wrong=sum(map(self._wrong, watcher.wrenches)),
+            wrong=self._wrong(victim, started_s),
         )
 
-    def _wrong(self, heard: Heard) -> bool:
-        settled = heard.arrived_s > self._watcher.load_since_s + SETTLED_S
-        return settled and not heard.zero and not self._watcher.right(heard)
+    def _wrong(self, victim: str, started_s: float) -> int:
+        """How many wrenches tell another force than there is.
+
+        A sim that comes back is unloaded, and swings when it takes the load again.
+        """
+        forces = [one for one in self._watcher.wrenches if not one.zero]
+        settled_s = self._watcher.load_since_s + SETTLED_S
+        back = [one.arrived_s for one in forces if one.arrived_s > started_s]
+        if victim == "sim" and back:
+            settled_s = max(settled_s, back[0] + SWING_S)
+        return sum(one.arrived_s > settled_s and not self._watcher.right(one) for one in forces)
 
     def _push(self) -> None:
         segment = int(self._rng.integers(1, self._arm.segment_count + 1))

@@ -19,8 +19,8 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.arm import Arm
 from kill.chain import recorder_command
 
-WRITING_S = (1.2, 3.0)
-"""A recorder is killed so long after its file has appeared."""
+WRITING_S = (0.0, 2.0)
+"""A recorder is killed so long after the first tensions stand in its file."""
 
 UP_WITHIN_S = 20.0
 DRIVER_AWAY_S = 0.1
@@ -72,8 +72,8 @@ def kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> d
         path = folder / f"killed_{number}.mcap"
         with NodeProcess("killed", recorder_command(path), folder / "killed.log") as recorder:
             deadline_s = time.monotonic() + UP_WITHIN_S
-            while not path.exists() and time.monotonic() < deadline_s:
-                spin(0.05)
+            while not _begun(path) and time.monotonic() < deadline_s:
+                spin(0.1)
             spin(float(rng.uniform(*WRITING_S)))
             recorder.kill()
             killed_ns = time.time_ns()
@@ -89,6 +89,14 @@ def kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> d
         "lost at the end (s): median, 95 %, worst": spread,
         "problems": problems[:10],
     }
+
+
+def _begun(path: Path) -> bool:
+    try:
+        _samples(path)
+    except (CableSenseError, OSError):
+        return False
+    return True
 
 
 def _samples(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
