@@ -28,8 +28,16 @@ PATIENCE_S = 20.0
 class NodeProcess:
     """One node started as a user would start it."""
 
-    def __init__(self, module: str, namespace: str = "/", **parameters: object) -> None:
+    def __init__(
+        self,
+        module: str,
+        namespace: str = "/",
+        remaps: dict[str, str] | None = None,
+        **parameters: object,
+    ) -> None:
         arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
+        for topic, other in (remaps or {}).items():
+            arguments += ["-r", f"{topic}:={other}"]
         for name, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{name.replace('__', '.')}:={text}"]

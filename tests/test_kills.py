@@ -1,0 +1,127 @@
+"""kill -9 of each process under load: the others go on, and who comes back is right again."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
+from ros_graph import Graph, NodeProcess, force  # noqa: E402
+
+from cablesense_msgs_py.qos import Qos  # noqa: E402
+from cablesense_ros.qos_profiles import qos_profile  # noqa: E402
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+LOAD_N = np.array([0.0, 30.0, -40.0])
+SEGMENT = 3
+
+
+@pytest.fixture(scope="module")
+def graph():
+    talking = Graph()
+    yield talking
+    talking.close()
+
+
+class Nodes:
+    """The whole chain; any of it can be killed and started again."""
+
+    def __init__(self, folder):
+        link = folder / "adapter"
+        self.given = {
+            "sim_node": {"rate_hz": 100.0, "remaps": {"cable_tensions": "simulated_tensions"}},
+            "can_emulator_node": {"channel": link},
+            "can_driver_node": {
+                "interface": "slcan",
+                "channel": link,
+                "bitrate_bit_s": 1_000_000,
+            },
+            "estimator_node": {"stale_after_s": 0.05, "state_file": folder / "state.json"},
+        }
+        self.running = {}
+
+    def start(self, name):
+        self.running[name] = NodeProcess(f"cablesense_ros.{name}", **self.given[name])
+
+    def kill(self, name):
+        process = self.running[name].process
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=10.0)
+
+    def others(self, name):
+        return {n: one.process.poll() for n, one in self.running.items() if n != name}
+
+
+@pytest.fixture(scope="module")
+def nodes(graph, tmp_path_factory):
+    chain = Nodes(tmp_path_factory.mktemp("kills"))
+    for name in chain.given:
+        chain.start(name)
+    estimator = chain.running["estimator_node"]
+    graph.until(lambda: "tare taken by itself" in estimator.log, "a tare of the unloaded arm")
+    yield chain
+    for process in chain.running.values():
+        assert process.stop() == 0, process.log
+        assert "Traceback" not in process.log
+
+
+def until_right(graph, what):
+    """Push until the estimator says so, ten times in a row."""
+    graph.wrenches.clear()
+
+    def right():
+        graph.push(SEGMENT, LOAD_N)
+        last = graph.wrenches[-10:]
+        return len(last) == 10 and all(
+            one.header.frame_id == f"segment_{SEGMENT}"
+            and np.linalg.norm(np.array(force(one)) - LOAD_N) < 3.0
+            for one in last
+        )
+
+    graph.until(right, what)
+
+
+@pytest.mark.parametrize("victim", ["can_driver_node", "sim_node", "estimator_node"])
+def test_the_others_go_on_and_it_is_right_again(graph, nodes, victim):
+    until_right(graph, "the load before the kill")
+    nodes.kill(victim)
+    if victim != "estimator_node":
+        graph.until(lambda: graph.wrenches[-1].header.frame_id == "base_link", "a zero wrench")
+        assert force(graph.wrenches[-1]) == (0.0, 0.0, 0.0)
+        stamp = graph.wrenches[-1].header.stamp
+        assert abs(time.time() - stamp.sec - stamp.nanosec * 1e-9) < 2.0
+    nodes.start(victim)
+    until_right(graph, f"the load after {victim} came back")
+    assert set(nodes.others(victim).values()) == {None}
+
+
+def test_an_estimator_that_comes_back_says_whose_tare_it_goes_on_with(nodes):
+    assert "goes on with the tare and the command of" in nodes.running["estimator_node"].log
+
+
+def test_a_subscriber_is_told_that_the_estimator_died(graph, nodes):
+    told = []
+    subscription = graph.node.create_subscription(
+        WrenchStamped,
+        "/estimator/wrench",
+        lambda _: None,
+        qos_profile(Qos(depth=10, reliable=True, lease_s=0.5)),
+        event_callbacks=SubscriptionEventCallbacks(
+            liveliness=lambda event: told.append(event.alive_count)
+        ),
+    )
+    graph.until(lambda: told and told[-1] == 1, "a living estimator")
+    nodes.kill("estimator_node")
+    graph.until(lambda: told[-1] == 0, "word of its death")
+    nodes.start("estimator_node")
+    graph.until(lambda: told[-1] == 1, "word of its return")
+    graph.node.destroy_subscription(subscription)
