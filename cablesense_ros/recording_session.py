@@ -18,6 +18,7 @@ from rclpy.task import Future
 from rich.console import Console
 
 from cablesense_msgs_py.topic_types import TopicType
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import Arm
 
@@ -51,6 +52,7 @@ def record_topics(
         number: signal.signal(number, lambda *_: wanted_end.set_result(None))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
+    prefer_quick_discovery()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("recorder", namespace=namespace or None)
     executor = EventsExecutor()

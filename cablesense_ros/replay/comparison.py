@@ -37,8 +37,14 @@ class Comparison:
     lone_zeros: int = 0
     first_difference: str = ""
 
-    def compare(self, recorded: bytes, replayed: bytes | None) -> None:
-        """One answer; `replayed` is none where the replay gave none."""
+    def compare(self, number: int, recorded: bytes, replayed: bytes | None) -> None:
+        """The answer to a sample; `replayed` is none where the replay gave none.
+
+        Args:
+            number: of the sample, from 1.
+            recorded: serialized `WrenchStamped`.
+            replayed: the same.
+        """
         self.compared += 1
         self.contacts += shows_contact(recorded)
         if recorded == replayed:
@@ -46,7 +52,7 @@ class Comparison:
         elif not self.first_difference:
             there = "nothing" if replayed is None else _words(replayed)
             self.first_difference = (
-                f"sample {self.samples}, stamp {stamp_ns(recorded)}: {_words(recorded)} recorded, "
+                f"sample {number}, stamp {stamp_ns(recorded)}: {_words(recorded)} recorded, "
                 f"{there} replayed"
             )
 

@@ -37,14 +37,18 @@ def replay_in_process(
     comparison = Comparison()
     for entries, pair in run.steps():
         comparison.samples += 1
-        if entries:
-            rebuilt.follow(entries[-1])
+        for entry in entries:
+            rebuilt.follow(entry)
         if pair.answer is None:
             comparison.unanswered += 1
         elif rebuilt.loaded is None:
             comparison.before_journal += 1
+        elif not rebuilt.vouches:
+            rebuilt.answer(pair.sample, pair.stamp_ns)
+            comparison.before_journal += 1
         else:
-            comparison.compare(pair.answer, rebuilt.answer(pair.sample, pair.stamp_ns))
+            answer = rebuilt.answer(pair.sample, pair.stamp_ns)
+            comparison.compare(comparison.samples, pair.answer, answer)
             if table is not None:
                 table.add(pair.stamp_ns, rebuilt.outcome, rebuilt.loaded.arm.segment_count)
     comparison.unstamped = run.pairs.unstamped

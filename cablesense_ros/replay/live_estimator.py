@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -17,6 +18,7 @@ from cablesense_gap.recordings.recording_error import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.stamped_bytes import stamp_ns
 from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, resolved
+from cablesense_ros.estimator_parameters import LIVE_PARAMETERS
 from cablesense_ros.message_classes import message_class
 from cablesense_ros.qos_profiles import qos_profile
 
@@ -49,6 +51,7 @@ class LiveEstimator:
             raw=True,
         )
         self._parameters = node.create_client(GetParameters, self._name("~/get_parameters"))
+        self._set_parameters = node.create_client(SetParameters, self._name("~/set_parameters"))
         self._clients: dict[str, Client] = {
             name: node.create_client(Trigger, self._name(name))
             for name in (topics.TARE, topics.TARE_UNDO)
@@ -107,6 +110,26 @@ class LiveEstimator:
                 f"{self._name(service)} refuses what it took when recorded: {why}; was the "
                 "estimator started afresh?"
             )
+
+    def adjust(self, settings: Mapping[str, str]) -> None:
+        """Set the parameters that may change while it runs, as a journal entry has them.
+
+        Raises:
+            RecordingError: the estimator refuses one, or does not answer.
+        """
+        future = self._set_parameters.call_async(
+            SetParameters.Request(
+                parameters=[
+                    Parameter(name, value=float(settings[name])).to_parameter_msg()
+                    for name in LIVE_PARAMETERS
+                ]
+            )
+        )
+        if not self._until(future.done, PATIENCE_S):
+            raise RecordingError(f"{self._name('~/set_parameters')} does not answer")
+        refused = [result.reason for result in future.result().results if not result.successful]
+        if refused:
+            raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
 
     def wait_for(self, stamp: int, patience_s: float = 1.0) -> bool:
         """Until the answer with a stamp is here; whether it is."""

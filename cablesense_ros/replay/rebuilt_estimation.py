@@ -13,8 +13,8 @@ from cablesense_msgs_py.journal import JournalEntry
 from cablesense_msgs_py.wrench_writer import WrenchWriter, wrench_writers
 from cablesense_ros.estimation import Estimation, EstimationSettings, Outcome
 from cablesense_ros.loaded_model import LoadedModel, load_model
-from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.open_estimator import open_estimator
 
 
 class RebuiltEstimation:
@@ -38,6 +38,11 @@ class RebuiltEstimation:
     def loaded(self) -> LoadedModel | None:
         """Arm and model; none before the first entry."""
         return self._loaded
+
+    @property
+    def vouches(self) -> bool:
+        """Whether the answers must be those of the recording."""
+        return self._estimation is not None and self._estimation.vouches
 
     def follow(self, entry: JournalEntry) -> None:
         """Be in the state that the entry tells.
@@ -89,7 +94,7 @@ class RebuiltEstimation:
 
 
 def _load_alone(path: Path) -> LoadedModel:
-    estimator = Estimator.load(path)
+    estimator = open_estimator(path)
     return LoadedModel(estimator.metadata.arm, estimator, str(path))
 
 
