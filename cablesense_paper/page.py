@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from cablesense_gap.report.figure_style import image_uri
+from cablesense_gap.report.figure_style import WIDTH_IN, image_uri
 from cablesense_gap.report.page_file import rendered
 from cablesense_paper.running import Outcome
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study_result import PAPER, PRINT_DPI, Agreement, Picture
 
 
 def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
@@ -49,7 +49,20 @@ def _content(outcomes: Sequence[Outcome], quick: bool) -> dict[str, Any]:
     }
 
 
-def _pictures(outcome: Outcome) -> list[tuple[Any, str]]:
+def _pictures(outcome: Outcome) -> list[tuple[Picture, str, int]]:
+    """Each with its data, and how much of the page's width it takes, in percent."""
     if outcome.result is None:
         return []
-    return [(picture, image_uri(picture.png, "png")) for picture in outcome.result.pictures]
+    return [
+        (
+            picture,
+            image_uri(picture.png, "png"),
+            min(100, round(100.0 * _width_in(picture) / WIDTH_IN)),
+        )
+        for picture in outcome.result.pictures
+    ]
+
+
+def _width_in(picture: Picture) -> float:
+    """Width on paper; a PNG has its width in pixels after 16 bytes of signature and header."""
+    return int.from_bytes(picture.png[16:20], "big") / PRINT_DPI
