@@ -16,26 +16,29 @@ def wall(stiffness=1e4, damping=0.0):
 
 
 @given(st.floats(1.0, 1e6), st.floats(0.0, 0.01), st.floats(-0.05, 0.05))
-def test_force_is_stiffness_times_penetration(stiffness, advance, aside):
+def test_on_a_rigid_arm_force_is_stiffness_times_penetration(stiffness, advance, aside):
     sideways = aside * np.array([1.0, 0.8, -0.6])
-    penetration = wall().penetration_m(POINT + sideways, advance)
-    assert penetration == pytest.approx(advance, abs=1e-12)
-    assert wall(stiffness).force_n(penetration) == pytest.approx(stiffness * advance, abs=1e-5)
+    force = WallPressing(wall(stiffness), 0.0).look(POINT + sideways, advance, 0.01)
+    assert force == pytest.approx(stiffness * advance * NORMAL, abs=1e-5)
 
 
-@given(st.floats(-0.1, 0.1), st.floats(-10.0, 10.0), st.floats(0.0, 1e4))
-def test_it_never_pulls_and_is_not_felt_from_afar(advance, rate, damping):
-    force = wall(damping=damping).force_n(wall().penetration_m(POINT, advance), rate)
-    assert force >= 0.0
-    if advance <= 0.0:
-        assert force == 0.0
+@given(st.lists(st.floats(-0.01, 0.01), min_size=1), st.floats(0.0, 1e4), st.floats(0.0, 1e-4))
+def test_it_never_pulls_and_is_not_felt_from_afar(advances, damping, compliance):
+    pressing = WallPressing(wall(damping=damping), compliance)
+    for advance in advances:
+        before = pressing.force_n
+        force = pressing.look(POINT, advance, 0.01)
+        assert force @ NORMAL >= 0.0
+        if advance <= 0.0 and not before:
+            assert not force.any()
 
 
 def test_damping_adds_while_it_closes_and_takes_away_while_it_opens():
-    damped = wall(1000.0, 50.0)
-    assert damped.force_n(0.01, 0.1) == pytest.approx(15.0)
-    assert damped.force_n(0.01, -0.1) == pytest.approx(5.0)
-    assert damped.force_n(0.01, -1.0) == 0.0
+    pressing = WallPressing(wall(1000.0, 50.0), 0.0)
+    assert pressing.look(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0 + 5.0)
+    assert pressing.look(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0)
+    assert pressing.look(POINT, 0.008, 0.1) @ NORMAL == pytest.approx(8.0 - 1.0)
+    assert pressing.look(POINT, 0.001, 0.01) @ NORMAL == 0.0
 
 
 @given(st.floats(100.0, 1e6), st.floats(1e-8, 1e-3), st.floats(1e-4, 0.01))

@@ -27,14 +27,8 @@ class ElasticWall:
     damping_n_s_m: float = 0.0
 
     def penetration_m(self, contact_point_m: Array, advance_m: float) -> float:
-        """How deep a point (3,) is in the wall that has advanced along its normal; 0 outside."""
-        return max(0.0, advance_m - float(self.normal @ (contact_point_m - self.point_m)))
-
-    def force_n(self, penetration_m: float, rate_m_s: float = 0.0) -> float:
-        """Pressing force at a penetration that grows by `rate_m_s`; never negative."""
-        if penetration_m <= 0.0:
-            return 0.0
-        return max(0.0, self.stiffness_n_m * penetration_m + self.damping_n_s_m * rate_m_s)
+        """How deep a point (3,) is in the wall that has advanced so far; negative outside."""
+        return advance_m - float(self.normal @ (contact_point_m - self.point_m))
 
 
 class WallPressing:
@@ -43,14 +37,14 @@ class WallPressing:
     An arm that gives way by c metres a newton has already given way to the last force when it is
     looked at. To press with k p at once would overshoot by the factor k c and, from k c = 1 on,
     shake the arm. So each look takes a Newton step on F = k (p + c (F_last − F)), which for an arm
-    at rest is exact.
+    at rest is exact; p may be negative where the last force has pushed the arm out of the wall.
     """
 
     def __init__(self, wall: ElasticWall, compliance_m_n: float) -> None:
         """`compliance_m_n` is the arm's c at the contact point, along the wall's normal."""
         self.wall = wall
         self._compliance_m_n = compliance_m_n
-        self._penetration_m = 0.0
+        self._depth_m = 0.0
         self.force_n = 0.0
 
     def look(self, contact_point_m: Array, advance_m: float, elapsed_s: float) -> Array:
@@ -62,14 +56,15 @@ class WallPressing:
             elapsed_s: since the last look.
         """
         penetration = self.wall.penetration_m(contact_point_m, advance_m)
-        rate = (penetration - self._penetration_m) / elapsed_s if elapsed_s > 0.0 else 0.0
+        depth = max(0.0, penetration)
+        growth, self._depth_m = depth - self._depth_m, depth
+        damping = self.wall.damping_n_s_m / elapsed_s if elapsed_s > 0.0 else 0.0
         stiffness = self.wall.stiffness_n_m
-        if elapsed_s > 0.0:
-            stiffness += self.wall.damping_n_s_m / elapsed_s
-        asked_n = self.wall.force_n(penetration, rate)
-        eased = (asked_n - self.force_n) / (1.0 + stiffness * self._compliance_m_n)
-        self.force_n = max(0.0, self.force_n + eased) if penetration > 0.0 else 0.0
-        self._penetration_m = penetration
+        if depth == 0.0 and self.force_n == 0.0:
+            return np.zeros(3)
+        asked_n = stiffness * penetration + damping * growth
+        eased_n = (asked_n - self.force_n) / (1.0 + (stiffness + damping) * self._compliance_m_n)
+        self.force_n = max(0.0, self.force_n + eased_n)
         return self.force_n * self.wall.normal
 
 

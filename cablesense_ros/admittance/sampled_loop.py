@@ -19,7 +19,7 @@ from cablesense_sim.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-_BALANCED_N = 1e-6
+_BALANCED_N = 1e-4
 _MOST_LOOKS = 60
 
 
