@@ -18,6 +18,7 @@ from cablesense_msgs_py.joint_state import put_joint_angles
 from cablesense_ros.contract_inputs import listen_to_arm, of_node
 from cablesense_ros.node_parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_ros.page.controls import Actions, Push
+from cablesense_ros.page.exposure import exposure_warning
 from cablesense_ros.page.live_arm import LiveArm
 from cablesense_ros.page.page import Page
 from cablesense_ros.page.snapshot import Array
@@ -95,6 +96,9 @@ class PageNode(Node):
             self.get_logger().warning(
                 f"port {values['port']} is busy; serving on {self._page.port} instead"
             )
+        warning = exposure_warning(values["host"], self._page.port, values["controls"])
+        if warning:
+            self.get_logger().warning(warning)
         self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
         print(f"page: {self._page.url}", flush=True)
         self.create_timer(1.0 / values["rate_hz"], self._draw)

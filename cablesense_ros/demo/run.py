@@ -16,6 +16,7 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_ros.demo.nodes import demo_environment, node_command
 from cablesense_ros.demo.processes import ChildCommand, Processes
 from cablesense_ros.demo.source import DEMO_MAP, Source, source_commands
+from cablesense_ros.page.exposure import exposure_warning
 from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
 
@@ -69,6 +70,9 @@ def run_live(options: DemoOptions) -> None:
         print("Starting the simulated arm, the estimator and the page …", flush=True)
         url = processes.wait_for_line("page", "page: ", PAGE_START_S)
         busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
+        warning = exposure_warning(options.host, int(url.rpartition(":")[2]), controls=True)
+        if warning:
+            print(f"Warning: {warning}.", flush=True)
         print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
         processes.run_until_child_ends()
 

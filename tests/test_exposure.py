@@ -1,0 +1,130 @@
+"""Which addresses are of this machine alone, and where each server of the demo really waits."""
+
+import socket
+import struct
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from cablesense_ros.demo.nodes import PROFILES, demo_environment, node_command
+from cablesense_ros.page.exposure import exposure_warning, is_loopback
+
+LISTENING = "0A"
+FIRST_DDS_PORT, PORTS_OF_A_DOMAIN = 7400, 250
+LOOPBACK = ("127.0.0.1", "::1")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.0.1", "localhost", "::1"])
+def test_loopback_is_no_exposure(host):
+    assert is_loopback(host)
+    assert exposure_warning(host, 8080, controls=True) == ""
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "robot", "", "127.0.0.1.x"])
+def test_anything_else_is_said_in_one_line(host):
+    line = exposure_warning(host, 8080, controls=True)
+    assert "everyone who reaches this machine can see and move the arm" in line
+    assert len(line.splitlines()) == 1
+    assert "move" not in exposure_warning(host, 8080, controls=False)
+
+
+def test_the_demo_keeps_dds_on_this_machine_unless_told_otherwise(monkeypatch):
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    monkeypatch.delenv(PROFILES, raising=False)
+    environment = demo_environment()
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert "127.0.0.1" in Path(environment[PROFILES]).read_text(encoding="utf-8")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    assert PROFILES not in demo_environment()
+
+
+def bound(pid):
+    """(kind, address, port) of every socket of a process that waits for others."""
+    inodes = set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            inodes.add(str(link.readlink()).removeprefix("socket:[").removesuffix("]"))
+        except OSError:  # closed in the meantime
+            continue
+    found = []
+    for kind in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{kind}").read_text().splitlines()[1:]:
+            fields = line.split()
+            waits = fields[3] == LISTENING if kind.startswith("tcp") else True
+            if fields[9] in inodes and waits:
+                number, port = fields[1].split(":")
+                packed = b"".join(
+                    struct.pack("<I", int(number[i : i + 8], 16)) for i in range(0, len(number), 8)
+                )
+                family = socket.AF_INET if len(packed) == 4 else socket.AF_INET6
+                found.append((kind, socket.inet_ntop(family, packed), int(port, 16)))
+    return found
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="looks in Linux's /proc")
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("page", {"port": 18080}),
+        ("sim", {}),
+        ("estimator", {}),
+        ("can_driver", {"interface": "virtual", "channel": "exposure"}),
+    ],
+)
+def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch):
+    pytest.importorskip("rclpy")
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    monkeypatch.delenv(PROFILES, raising=False)
+    environment = demo_environment()
+    domain = int(environment["ROS_DOMAIN_ID"])
+    first = FIRST_DDS_PORT + PORTS_OF_A_DOMAIN * domain
+    command = node_command(name, parameters).command
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as node:
+        try:
+            waiting = set()
+            end_s = time.monotonic() + 30.0
+            wanted = "tcp" if name == "page" else "udp"
+            while not any(kind == wanted for kind, _, _ in waiting):
+                assert node.poll() is None
+                assert time.monotonic() < end_s, f"{name} waits nowhere"
+                time.sleep(0.2)
+                waiting = set(bound(node.pid))
+            time.sleep(1.0)
+            waiting = set(bound(node.pid))
+        finally:
+            node.terminate()
+    listening = {entry for entry in waiting if entry[0].startswith("tcp")}
+    assert len(listening) == (name == "page")
+    # UDP sockets of other ports are those that Fast DDS sends from
+    in_domain = {e for e in waiting if first <= e[2] < first + PORTS_OF_A_DOMAIN}
+    assert in_domain
+    assert {address for _, address, _ in listening | in_domain} <= set(LOOPBACK)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_the_page_says_when_it_is_open_to_the_network():
+    pytest.importorskip("rclpy")
+    parameters = {"port": 18090, "host": "0.0.0.0"}
+    with subprocess.Popen(
+        node_command("page", parameters).command,
+        env=demo_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as node:
+        try:
+            lines = []
+            while not lines or not lines[-1].startswith("page: "):
+                line = node.stdout.readline()
+                assert line, "".join(lines)
+                lines.append(line)
+        finally:
+            node.terminate()
+    assert sum("without a password" in line for line in lines) == 1
