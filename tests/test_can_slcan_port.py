@@ -41,6 +41,13 @@ def receive(host, count):
     return frames
 
 
+def receive_all(host):
+    frames = []
+    while (frame := host.recv(0.1)) is not None:
+        frames.append(frame)
+    return frames
+
+
 FRAMES = [
     can.Message(arbitration_id=0x121, is_extended_id=False, data=bytes(range(8))),
     can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"\xff"),
@@ -96,6 +103,24 @@ def test_a_host_that_does_not_read_holds_nobody_up_and_leaves_nothing_to_the_nex
     with host_of(port) as host:
         port.send(FRAMES[2:3])
         assert [frame.arbitration_id for frame in receive(host, 1)] == [0x7FF]
+
+
+def test_a_host_that_falls_behind_loses_whole_frames_and_no_line_is_cut(port):
+    frames = [
+        can.Message(arbitration_id=number % 0x7FF, is_extended_id=False, data=bytes(number % 9))
+        for number in range(9000)
+    ]
+    with host_of(port) as host:
+        got = []
+        for start in range(0, len(frames), 3000):  # more than the terminal holds
+            port.send(frames[start : start + 3000])
+            got += receive_all(host)
+        port.send(frames[:1])
+        got += receive_all(host)
+    assert 0 < port.dropped < len(frames)
+    assert len(got) == len(frames) + 1 - port.dropped
+    sent = {(frame.arbitration_id, bytes(frame.data)) for frame in frames}
+    assert {(frame.arbitration_id, bytes(frame.data)) for frame in got} <= sent
 
 
 def test_pulling_it_makes_the_hosts_reads_fail(port):

@@ -63,6 +63,7 @@ class SlcanPort:
         self.channel_open = False
         self.dropped = 0
         self._received: deque[can.Message] = deque(maxlen=RECEIVED_KEPT)
+        self._unfinished = b""
         self._write_lock = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._answer, name="slcan port", daemon=True)
@@ -72,8 +73,7 @@ class SlcanPort:
         """Pass frames to the host; those that it cannot take are dropped and counted."""
         lines = [line + _OK for line in map(frame_line, frames) if line is not None]
         self.dropped += len(frames) - len(lines)
-        if not self.channel_open or not self._write(b"".join(lines)):
-            self.dropped += len(lines)
+        self.dropped += len(lines) - (self._pass(lines) if self.channel_open else 0)
 
     def received(self) -> list[can.Message]:
         """The frames that the host has sent since this was last asked."""
@@ -113,23 +113,33 @@ class SlcanPort:
             ) from error
         return link
 
-    def _write(self, data: bytes) -> bool:
-        """Whether all of it went; a line that went in part is finished, or the host is lost."""
+    def _pass(self, lines: Sequence[bytes]) -> int:
+        """Pass lines to the host as far as it takes them at once; how many went.
+
+        The terminal takes bytes, not lines: what it leaves of one goes before anything else the
+        next time, so that no line is cut and none is mixed with another.
+        """
         with self._write_lock:
             if self._ended.is_set():
-                return False
-            sent = 0
+                return 0
+            left = self._write(self._unfinished + b"".join(lines))
+            passed = len(lines)
+            while passed and left >= len(lines[passed - 1]):
+                passed -= 1
+                left -= len(lines[passed])
+            if passed:
+                self._unfinished = lines[passed - 1][-left:] if left else b""
+            else:
+                self._unfinished = self._unfinished[-left:] if left else b""
+            return passed
+
+    def _write(self, data: bytes) -> int:
+        """Write what the terminal takes; how many bytes it left."""
+        sent = 0
+        with contextlib.suppress(OSError):  # it is full, or the host is gone
             while sent < len(data):
-                try:
-                    sent += os.write(self._master, data[sent:])
-                except BlockingIOError:
-                    if sent == 0:
-                        return False
-                    if not select.select([], [self._master], [], _WAKE_S)[1]:
-                        return False
-                except OSError:
-                    return False
-            return True
+                sent += os.write(self._master, data[sent:])
+        return len(data) - sent
 
     def _answer(self) -> None:
         buffer = bytearray()
@@ -143,7 +153,7 @@ class SlcanPort:
             *lines, rest = bytes(buffer).split(b"\r")
             buffer = bytearray(rest[:MAX_LINE_BYTES])
             for line in lines:
-                self._write(self._reply(line))
+                self._pass([self._reply(line)])
 
     def _reply(self, line: bytes) -> bytes:
         """What an adapter answers to one command."""
@@ -151,7 +161,9 @@ class SlcanPort:
         if command in (b"O", b"L"):
             if not self.channel_open:
                 # what the last host left unread is not for the next one
-                termios.tcflush(self._slave, termios.TCIFLUSH)
+                with self._write_lock:
+                    termios.tcflush(self._slave, termios.TCIFLUSH)
+                    self._unfinished = b""
             self.channel_open = True
             return _OK
         if command == b"C":
