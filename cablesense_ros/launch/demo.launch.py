@@ -44,6 +44,7 @@ def generate_launch_description() -> LaunchDescription:
         package="rviz2",
         executable="rviz2",
         name="rviz2",
+        arguments=["-d", PathJoinSubstitution([share, "config", "layouts", "cablesense.rviz"])],
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
     frames = OpaqueFunction(function=_state_publisher)
