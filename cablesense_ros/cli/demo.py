@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cablesense_ros.demo.controller import Controller
 from cablesense_ros.demo.source import Source
 
 
@@ -46,6 +47,13 @@ def demo(
             "emulated adapter and the driver."
         ),
     ] = Source.SIM,
+    controller: Annotated[
+        Controller,
+        typer.Option(
+            help="What moves the arm: nothing but you, or an admittance controller that yields to "
+            "an elastic wall."
+        ),
+    ] = Controller.NONE,
     json_output: Annotated[
         bool,
         typer.Option("--json", help="Headless only: print figures as JSON instead of a table."),
@@ -57,6 +65,19 @@ def demo(
     and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
     pushes runs for a minute.
     """
+    if controller is Controller.ADMITTANCE:
+        from cablesense_ros.demo.admittance_run import (
+            ControllerDemo,
+            run_controller_headless,
+            run_controller_live,
+        )
+
+        yielding = ControllerDemo(arm=arm, model=model, host=host, port=port, out=out, seed=seed)
+        if headless:
+            run_controller_headless(yielding, duration_s=duration, as_json=json_output)
+        else:
+            run_controller_live(yielding)
+        return
     from cablesense_ros.demo.run import DemoOptions, run_headless, run_live
 
     options = DemoOptions(
