@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_ros.sample_error import ProblemKind, SampleError
 
 _STAMPS_KEPT = 2048
-_LONGEST_OF_USUAL = 1.5
+_FEWEST = 4
+_PERIODS_KEPT, _LEARNT = 9, 3
 
 
 class SampleClock:
@@ -21,7 +23,10 @@ class SampleClock:
     def __init__(self, stale_after_s: float) -> None:
         self.stale_after_s = stale_after_s
         self._last_ns = 0
+        self._taken = 0
         self._stamps_ns: deque[int] = deque(maxlen=_STAMPS_KEPT)
+        self._periods_ns: deque[float] = deque(maxlen=_PERIODS_KEPT)
+        self._soonest = (0, 0)
 
     def age_s(self, stamp_ns: int, now_ns: int) -> float:
         """Age of a sample, s.
@@ -42,20 +47,38 @@ class SampleClock:
             )
         self._last_ns = stamp_ns
         self._stamps_ns.append(stamp_ns)
+        self._taken += 1
         return age_s
 
     def missing_since_last_report(self) -> int:
-        """How many samples lack, by the usual period between the stamps of those that came."""
+        """How many samples lack, by the usual period and the stamps of those that came.
+
+        A stamp may be late, by the jitter of who sets it, but never early: from the sample that
+        lies soonest in one report to that of the next is counted, so that what is late now is not
+        taken for lost. The first three reports, also after a silence, learn the period.
+        """
         stamps = np.array(self._stamps_ns, dtype=np.int64)
-        if self._stamps_ns:
-            last = self._stamps_ns[-1]
-            self._stamps_ns.clear()
-            self._stamps_ns.append(last)
-        if len(stamps) < 4:
+        self._stamps_ns.clear()
+        if len(stamps) < _FEWEST:
+            self._periods_ns.clear()
+            self._soonest = (0, 0)
             return 0
-        gaps = np.diff(stamps)
-        period = gaps[gaps <= _LONGEST_OF_USUAL * np.median(gaps)].mean()
-        return max(0, round(float(gaps.sum() / period)) - len(gaps))
+        first = self._taken - len(stamps)
+        due_ns = np.arange(len(stamps)) * self._period_ns(stamps)
+        at = int(np.argmin(stamps - stamps[0] - due_ns))
+        (before_number, before_ns), self._soonest = self._soonest, (first + at, int(stamps[at]))
+        if not before_ns:
+            return 0
+        count, elapsed_ns = first + at - before_number, int(stamps[at]) - before_ns
+        self._periods_ns.append(elapsed_ns / count)
+        if len(self._periods_ns) < _LEARNT:
+            return 0
+        return max(0, round(elapsed_ns / self._period_ns(stamps)) - count)
+
+    def _period_ns(self, stamps_ns: NDArray[np.int64]) -> float:
+        if self._periods_ns:
+            return float(np.median(self._periods_ns))
+        return float(stamps_ns[-1] - stamps_ns[0]) / (len(stamps_ns) - 1)
 
     def _clock_message(self, age_s: float) -> str:
         where = "old" if age_s > 0 else "ahead of this machine's clock"

@@ -1,5 +1,6 @@
 """Stamps say how old a sample is, in which order, and how many lack."""
 
+import numpy as np
 import pytest
 
 from cablesense_ros.sample_clock import SampleClock
@@ -39,11 +40,55 @@ def test_stamps_must_ascend(back_ms):
         clock.age_s(NOW - back_ms * MS, NOW)
 
 
-def test_missing_samples_are_told_from_jitter():
+def reports(period_ms, late_ms, lost=(), seconds=12):
+    """What each second's report says; `late_ms` gives each sample's jitter by its number."""
+    clock, said = SampleClock(60.0), []
+    per_report = round(1000 / period_ms)
+    for number in range(seconds * per_report):
+        if number not in lost:
+            clock.age_s(round(NOW + (number * period_ms + late_ms(number)) * MS), NOW)
+        if (number + 1) % per_report == 0:
+            said.append(clock.missing_since_last_report())
+    return said
+
+
+def test_missing_samples_are_told_once():
+    said = reports(10, lambda number: number % 3, lost={350, 351, 370, 777})
+    assert sum(said) == 4
+    assert sum(said[3:5]) == 3
+    assert sum(said[7:9]) == 1
+
+
+def test_none_lack_where_all_came():
+    assert not any(reports(1, lambda _: 0.0))
+
+
+@pytest.mark.parametrize("pause_ms", [3, 20, 150])
+def test_samples_that_come_in_bursts_are_not_missing(pause_ms):
+    # held up, and then all at once, a microsecond after the other
+    rng = np.random.default_rng(pause_ms)
+    ends = np.cumsum(rng.integers(1, pause_ms, 12_000))
+
+    def late_ms(number):
+        end = ends[np.searchsorted(ends, number)]
+        return max(0.0, (end - number) * (1.0 - 1e-3))
+
+    assert sum(reports(1, late_ms)) <= 1
+
+
+def test_losses_are_told_among_bursts():
+    def late_ms(number):
+        return (30 - number % 30) * 0.999
+
+    lost = set(range(5010, 5110))
+    assert sum(reports(1, late_ms, lost)) == pytest.approx(100, abs=2)
+
+
+def test_a_silence_is_not_counted_as_missing_samples():
     clock = SampleClock(60.0)
-    for k in range(100):
-        jitter = (k % 3 - 1) * MS
-        if k not in (50, 51, 70):
-            clock.age_s(NOW + 10 * MS * k + jitter, NOW)
-    assert clock.missing_since_last_report() == 3
-    assert clock.missing_since_last_report() == 0
+    for second in (0, 1, 10, 11):
+        for number in range(100):
+            clock.age_s(NOW + (second * 1000 + number * 10) * MS, NOW)
+        assert clock.missing_since_last_report() == 0
+        if second == 1:
+            assert clock.missing_since_last_report() == 0  # a second without any
