@@ -9,8 +9,8 @@ samples a second, then for a minute twelve CiA 404 amplifiers at 500, the most t
 1 Mbit/s carries of them.
 
 Everything is counted by value: a sample must be one that was sent, once and in its order, and each
-must be answered by a wrench that bears its stamp. What the pseudo-terminal does not take (its
-buffer holds 4,096 bytes, 50 ms of these frames) the bus has not delivered; it is counted apart.
+must be answered by a wrench that bears its stamp. What the pseudo-terminal does not take (it holds
+some 18 kB, a quarter of a second of these frames) the bus has not delivered; it is counted apart.
 Latency is from when the last frame of a cycle was on the terminal until the wrench was here, by
 one clock.
 """
@@ -201,6 +201,7 @@ def bars(result: dict[str, Any]) -> dict[str, bool]:
             delivered[key]
             for key in (
                 "samples with a value that was not sent",
+                "samples of two cycles",
                 "samples heard twice",
                 "samples out of order",
             )
