@@ -34,7 +34,7 @@ class EventKind(Enum):
 
 @dataclass(frozen=True)
 class Event:
-    """One change; `command_rad` (2N,) with a command."""
+    """One change; `command_rad` (2N,) with a command, and at a start the one that then counts."""
 
     kind: EventKind
     command_rad: tuple[float, ...] = ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,14 @@ from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.joint_state import joint_command_rad
 from cablesense_msgs_py.journal import Event, EventKind, JournalEntry
 from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_ros.answering import (
+    Answers,
+    AnswersAlongCourse,
+    AnswersAtRest,
+    Estimate,
+    EstimatesAlongCourse,
+    EstimatesAtRest,
+)
 from cablesense_ros.input_health import InputHealth
 from cablesense_ros.motion_gate import MotionGate
 from cablesense_ros.sample_check import SampleCheck
@@ -31,32 +39,9 @@ from cablesense_sim.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-
-class Estimate(Protocol):
-    """What is read of `cablesense_training.inference.estimator.Estimate`."""
-
-    @property
-    def probabilities(self) -> Array:
-        """(N+1,) of no contact, segment 1, …."""
-
-    @property
-    def angle_deg(self) -> float:
-        """Contact angle."""
-
-    @property
-    def magnitude_n(self) -> float:
-        """Of the force."""
-
-
-class EstimatesContacts(Protocol):
-    """What is used of `cablesense_training.inference.estimator.Estimator`."""
-
-    @property
-    def pose_aware(self) -> bool:
-        """Whether `estimate` takes the joint command."""
-
-    def estimate(self, tension_difference_n: Array, joint_command_rad: Array | None) -> Estimate:
-        """The contact that explains a tension difference (M,)."""
+TARES = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
+BEGINNINGS = frozenset({EventKind.START, EventKind.TARE, EventKind.AUTO_TARE})
+"""Events at which the arm rests, and a model with memory begins without a past."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +96,7 @@ class Estimation:
     def __init__(
         self,
         arm: Arm,
-        estimator: EstimatesContacts,
+        estimator: EstimatesAtRest | EstimatesAlongCourse,
         settings: EstimationSettings,
         now_s: float,
         described: Mapping[str, str] | None = None,
@@ -120,16 +105,16 @@ class Estimation:
         self._arm_identity = arm.identity
         self._described = dict(described or {})
         self._settings = settings
-        self._events = [Event(EventKind.START)]
         self._nominal = Mechanism.from_arm(arm)
         self._mechanism = amended(self._nominal, entries_of(arm))
-        self._estimator = estimator
         self._contact_m = self._mechanism.contact_m.tolist()
         self._auto_tare = settings.auto_tare
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._command_rad = np.zeros(arm.joint_count)
+        self._events = [self._start_event()]
+        self._followed = False
         self.command_received = False
         self.largest_force_n = 0.0
         self.health = InputHealth(now_s)
@@ -139,6 +124,7 @@ class Estimation:
         self.tare = TareModel(
             self._predict_n, self._command_rad, settings.tare_samples, settings.tare_steady_n
         )
+        self._answers = self._answers_of(estimator)
 
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
         """Take over settings that may change while running."""
@@ -156,7 +142,8 @@ class Estimation:
         """Samples begin, or begin again, now; those from before count no more."""
         self.health = InputHealth(now_s)
         self.tare.forget_readings()
-        self._events.append(Event(EventKind.START))
+        self._answers.restore(self._command_rad)
+        self._events.append(self._start_event())
 
     def command(self, message: Any) -> None:
         """Take note of a `JointState` of commanded angles.
@@ -169,6 +156,7 @@ class Estimation:
         if not np.array_equal(command, self._command_rad):
             self.tare.command(command)
             self.gate.command(command)
+            self._answers.command(command)
             self._command_rad = command
             self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
         self.command_received = True
@@ -211,6 +199,7 @@ class Estimation:
             TareError: there is nothing to undo.
         """
         earlier = self.tare.undo()
+        self._answers.begin()
         self._events.append(Event(EventKind.TARE_UNDO))
         return earlier
 
@@ -247,9 +236,18 @@ class Estimation:
         self.gate.restore(
             command, np.array(entry.lowest_rad), np.array(entry.highest_rad), entry.rest_from_ns
         )
+        self._follow(entry, command)
         self._command_rad = command
         self._auto_tare = False
         self._events.clear()
+
+    @property
+    def vouches(self) -> bool:
+        """Whether the answers after `restore` are those of the object that made the entries.
+
+        A model with memory has its past from the start, or from a tare on.
+        """
+        return self._followed or not self._answers.in_motion
 
     @property
     def command_deg(self) -> list[float]:
@@ -275,21 +273,20 @@ class Estimation:
     def _answer(
         self, tensions: tuple[float, ...], stamp_ns: int, moving: bool, entry: JournalEntry | None
     ) -> Outcome:
-        if moving:
+        if moving and not self._answers.in_motion:
             return Outcome(stamp_ns=stamp_ns, entry=entry)
-        self.tare.add(tensions)
-        if self._auto_tare and self.tare.ready:
-            self._auto_tare = False
-            tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
-            return Outcome(stamp_ns=stamp_ns, new_tare=tare, entry=entry)
-        unloaded = self.tare.unloaded_n
-        if unloaded is None:
-            return Outcome(stamp_ns=stamp_ns, entry=entry)
-        command = self._command_rad if self._estimator.pose_aware else None
+        if not moving:
+            self.tare.add(tensions)
+            if self._auto_tare and self.tare.ready:
+                self._auto_tare = False
+                tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
+                return Outcome(stamp_ns=stamp_ns, new_tare=tare, entry=entry)
         try:
-            estimate = self._estimator.estimate(tensions - unloaded, command)
+            estimate = self._answers.estimate(tensions, stamp_ns)
         except CableSenseError as error:
             raise SampleError(ProblemKind.ESTIMATE, str(error)) from error
+        if estimate is None:
+            return Outcome(stamp_ns=stamp_ns, entry=entry)
         probabilities = estimate.probabilities.tolist()
         contact = self._contact(probabilities, estimate)
         return Outcome(contact, probabilities, stamp_ns, entry=entry)
@@ -309,6 +306,7 @@ class Estimation:
 
     def _take_tare(self, now_ns: int, how: EventKind) -> Tare:
         tare = self.tare.take(now_ns)
+        self._answers.begin()
         self._events.append(Event(how))
         return tare
 
@@ -333,6 +331,30 @@ class Estimation:
             tared_n=() if tare is None else tuple(tare.measured_n.tolist()),
             tare_command_rad=() if tare is None else tuple(tare.command_rad.tolist()),
         )
+
+    def _start_event(self) -> Event:
+        return Event(EventKind.START, tuple(self._command_rad.tolist()))
+
+    def _follow(self, entry: JournalEntry, command_rad: Array) -> None:
+        """Let what remembers go through the same events, from its own past where it has one."""
+        if not self._followed:
+            self._answers.restore(command_rad)
+        for event in entry.events:
+            if event.kind is EventKind.START and event.command_rad:
+                self._answers.restore(np.array(event.command_rad))
+            elif event.kind is EventKind.COMMAND:
+                self._answers.command(np.array(event.command_rad))
+            elif event.kind in TARES:
+                self._answers.begin()
+            self._followed |= event.kind in BEGINNINGS
+
+    def _answers_of(self, estimator: EstimatesAtRest | EstimatesAlongCourse) -> Answers:
+        if isinstance(estimator, EstimatesAlongCourse):
+            speed = self._settings.joint_speed_rad_s
+            return AnswersAlongCourse(
+                estimator, self.tare, self._predict_n, self._command_rad, speed
+            )
+        return AnswersAtRest(estimator, self.tare, self._command_rad)
 
     def _predict_n(self, command_rad: Array) -> Array:
         held = held_lengths_m(self._nominal, command_rad)

@@ -10,6 +10,8 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.open_estimator import open_estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,7 @@ class LoadedModel:
     """An estimator, the arm that it believes in, and the file that this came from."""
 
     arm: Arm
-    estimator: Estimator
+    estimator: Estimator | TemporalEstimator
     model: str
 
     @property
@@ -36,5 +38,5 @@ def load_model(arm: str, model: str) -> LoadedModel:
     """
     description = open_arm(arm)
     path = find_model(model or description.name)
-    estimator = Estimator.load(path, description)
+    estimator = open_estimator(path, description)
     return LoadedModel(estimator.metadata.arm, estimator, str(path))

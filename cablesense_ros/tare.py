@@ -99,6 +99,11 @@ class TareModel:
         """(M,) unloaded tensions at the present command; none before the first tare."""
         return self._unloaded_n
 
+    def unloaded_where(self, predicted_n: Array) -> Array | None:
+        """(M,) unloaded tensions where the arm's model says `predicted_n`; none without a tare."""
+        tare = self.present
+        return None if tare is None else tare.measured_n + (predicted_n - tare.predicted_n)
+
     def command(self, command_rad: Array) -> None:
         """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
 
@@ -184,10 +189,7 @@ class TareModel:
             self._unloaded_n = unloaded_n if tared_n.size else None
 
     def _carry_over(self) -> None:
-        tare = self.present
-        self._unloaded_n = (
-            None if tare is None else tare.measured_n + (self._predicted_n - tare.predicted_n)
-        )
+        self._unloaded_n = self.unloaded_where(self._predicted_n)
 
     def _unsteady(self) -> str | None:
         spread = np.std(self._readings, axis=0)

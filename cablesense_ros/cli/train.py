@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,7 +17,8 @@ def train(
             help="closed-form-corrected: statics and a small network, knows the pose, the most "
             "accurate. From tensions alone: scale-aware, or the paper's decoupled, "
             "shared-backbone and two-stage. Several contacts at once: "
-            "multi-contact-closed-form, or the paper's multi-contact."
+            "multi-contact-closed-form, or the paper's multi-contact. In motion and under "
+            "friction: temporal, which remembers, and its peer momentary, which does not."
         ),
     ] = "closed-form-corrected",
     data: Annotated[
@@ -26,7 +27,10 @@ def train(
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(help="How many fresh samples to draw.", show_default="the network's own"),
+        typer.Option(
+            help="How many fresh samples to draw; temporal: sequences of 30 s.",
+            show_default="the network's own",
+        ),
     ] = None,
     pose: Annotated[
         str,
@@ -38,7 +42,8 @@ def train(
     force_high_n: Annotated[
         float | None,
         typer.Option(
-            help="Strongest contact force, N.", show_default="200; 60 for several contacts"
+            help="Strongest contact force, N.",
+            show_default="200; 60 for several contacts, 100 in motion",
         ),
     ] = None,
     randomise: Annotated[
@@ -81,8 +86,30 @@ def train(
     from cablesense_training.epoch_progress import epoch_progress
     from cablesense_training.recipes import adjusted, recipe_for
     from cablesense_training.train_model import train_command, train_model
+    from cablesense_training.train_temporal import TEMPORAL_NETWORKS
     from cablesense_training.training_data import draw_samples, read_samples
 
+    if network in TEMPORAL_NETWORKS:
+        _on_sequences(
+            out,
+            network,
+            arm,
+            {"data": data, "pose": None if pose == "random" else pose, "randomise": randomise},
+            {
+                "sequences": samples,
+                "pose_range_deg": pose_range_deg,
+                "force_high_n": force_high_n,
+            },
+            {
+                "epochs": epochs,
+                "batch_size": batch_size,
+                "learning_rate": learning_rate,
+                "seed": seed,
+                "threads": threads,
+            },
+            as_json=as_json,
+        )
+        return
     recipe = recipe_for(network)
     settings = adjusted(
         recipe.settings,
@@ -121,3 +148,39 @@ def train(
     else:
         for table in training_tables(report, description.identity):
             Console().print(table)
+
+
+def _on_sequences(
+    out: Path,
+    network: str,
+    arm: str,
+    unfit: dict[str, Any],
+    protocol_options: dict[str, Any],
+    fit_options: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    """Train a network with memory; refuses the options that single samples alone have."""
+    from cablesense_ros.cli.train_sequences import train_on_sequences
+    from cablesense_sim.arm_files import open_arm
+    from cablesense_training.errors import TrainingError
+    from cablesense_training.train_model import train_command
+
+    for name, value in unfit.items():
+        if value is not None:
+            raise TrainingError(
+                f"--{name.replace('_', '-')} {value}: network {network} learns from sequences in "
+                "motion, which it draws itself; leave the option out"
+            )
+    said = {**protocol_options, "samples": protocol_options["sequences"]}
+    del said["sequences"]
+    command = train_command({"arm": arm, "network": network, **said, **fit_options, "out": out})
+    train_on_sequences(
+        out,
+        network,
+        open_arm(arm),
+        protocol_options,
+        fit_options,
+        command=command,
+        as_json=as_json,
+    )

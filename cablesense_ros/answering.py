@@ -1,0 +1,177 @@
+"""How a model is asked for the contact behind a sample: at rest only, or along the course."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_ros.tare import TareModel
+from cablesense_sim.joint_motion import JointMotion
+
+Array = NDArray[np.float64]
+
+PREDICTED_EVERY_RAD = 2e-3
+"""How far a joint turns before the unloaded tensions on the way are predicted anew.
+
+On the bundled arms they change by less than 0.1 N over this, and a prediction takes a millisecond.
+"""
+
+
+class Estimate(Protocol):
+    """What is read of `cablesense_training.inference.estimator.Estimate`."""
+
+    @property
+    def probabilities(self) -> Array:
+        """(N+1,) of no contact, segment 1, …."""
+
+    @property
+    def angle_deg(self) -> float:
+        """Contact angle."""
+
+    @property
+    def magnitude_n(self) -> float:
+        """Of the force."""
+
+
+class EstimatesAtRest(Protocol):
+    """What is used of `cablesense_training.inference.estimator.Estimator`."""
+
+    @property
+    def pose_aware(self) -> bool:
+        """Whether `estimate` takes the joint command."""
+
+    def estimate(self, tension_difference_n: Array, joint_command_rad: Array | None) -> Estimate:
+        """The contact that explains a tension difference (M,)."""
+
+
+@runtime_checkable
+class EstimatesAlongCourse(Protocol):
+    """What is used of `cablesense_training.inference.temporal_estimator.TemporalEstimator`."""
+
+    def estimate(
+        self,
+        tension_difference_n: Array,
+        joint_command_rad: Array,
+        joint_speed_rad_s: Array,
+        joint_acceleration_rad_s2: Array,
+        time_s: float,
+    ) -> Estimate:
+        """The contact that explains a tension difference (M,) at a set-point, and the past."""
+
+    def forget(self) -> None:
+        """Begin without a past."""
+
+
+class Answers(Protocol):
+    """What `Estimation` asks."""
+
+    in_motion: bool
+
+    def command(self, command_rad: Array) -> None:
+        """Commanded angles (2N,) that count from the next sample."""
+
+    def begin(self) -> None:
+        """A tare counts from the next sample on, or another one again."""
+
+    def restore(self, command_rad: Array) -> None:
+        """Be at rest at a command (2N,), without a past."""
+
+    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+        """The contact behind tensions (M,); none without a tare.
+
+        Raises:
+            CableSenseError: the model cannot take this sample.
+        """
+
+
+class AnswersAtRest:
+    """Asks a model that knows rests alone; whoever asks makes sure that the arm rests."""
+
+    in_motion = False
+
+    def __init__(self, estimator: EstimatesAtRest, tare: TareModel, command_rad: Array) -> None:
+        self._estimator, self._tare = estimator, tare
+        self._command_rad: Array | None = command_rad if estimator.pose_aware else None
+
+    def command(self, command_rad: Array) -> None:
+        """See `Answers`."""
+        if self._estimator.pose_aware:
+            self._command_rad = command_rad
+
+    def begin(self) -> None:
+        """Nothing is remembered anyway."""
+
+    def restore(self, command_rad: Array) -> None:
+        """See `Answers`."""
+        self.command(command_rad)
+
+    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+        """See `Answers`."""
+        unloaded = self._tare.unloaded_n
+        if unloaded is None:
+            return None
+        return self._estimator.estimate(tensions_n - unloaded, self._command_rad)
+
+
+class AnswersAlongCourse:
+    """Asks a model with memory at the set-points that lie between the commands.
+
+    Joints are taken to go to a command as the sim node lets them: on minimum-jerk curves with the
+    peak speed that both have for a parameter. A command counts from the sample before it.
+    """
+
+    in_motion = True
+
+    def __init__(
+        self,
+        estimator: EstimatesAlongCourse,
+        tare: TareModel,
+        predict_n: Callable[[Array], Array],
+        command_rad: Array,
+        joint_speed_rad_s: float,
+    ) -> None:
+        self._estimator, self._tare, self._predict_n = estimator, tare, predict_n
+        self._speed_rad_s = joint_speed_rad_s
+        self.restore(command_rad)
+
+    def command(self, command_rad: Array) -> None:
+        """See `Answers`."""
+        self._motion.go_to(command_rad)
+
+    def begin(self) -> None:
+        """The model's past begins with the tare, as in training."""
+        self._estimator.forget()
+
+    def restore(self, command_rad: Array) -> None:
+        """See `Answers`."""
+        self._motion = JointMotion(command_rad, self._speed_rad_s)
+        self._last_ns: int | None = None
+        self._predicted_at_rad: Array | None = None
+        self._predicted_n = np.zeros(0)
+        self._estimator.forget()
+
+    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+        """See `Answers`."""
+        passed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = stamp_ns
+        self._motion.advance(max(0.0, passed_s))
+        angle, speed, acceleration = self._motion.state
+        unloaded = self._unloaded_n(angle)
+        if unloaded is None:
+            return None
+        return self._estimator.estimate(
+            tensions_n - unloaded, angle, speed, acceleration, stamp_ns * 1e-9
+        )
+
+    def _unloaded_n(self, angle_rad: Array) -> Array | None:
+        if not self._motion.moving:
+            self._predicted_at_rad = None
+            return self._tare.unloaded_n
+        at = self._predicted_at_rad
+        if at is None or np.abs(angle_rad - at).max() > PREDICTED_EVERY_RAD:
+            self._predicted_at_rad = angle_rad
+            self._predicted_n = self._predict_n(angle_rad)
+        return self._tare.unloaded_where(self._predicted_n)
