@@ -126,18 +126,35 @@ def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
     assert "<robot" in description
 
 
-@pytest.mark.parametrize("file", ["sim.yaml", "estimator.yaml", "can_driver.yaml"])
+def test_the_controller_comes_with_the_estimator_and_a_wall(describe):
+    entities = describe("admittance.launch.py")
+    (included,) = of_kind(entities, "IncludeLaunchDescription")
+    assert set(dict(included.given["launch_arguments"])) == {"source", "arm", "model"}
+    nodes = {node.given["executable"]: node.given for node in of_kind(entities, "Node")}
+    assert set(nodes) == {"admittance", "obstacle", "page"}
+    assert "condition" not in nodes["admittance"]
+    assert nodes["obstacle"]["condition"].args[0].args == ("obstacle",)
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["sim.yaml", "estimator.yaml", "can_driver.yaml", "admittance.yaml", "obstacle.yaml"],
+)
 def test_node_settings_name_parameters_that_exist(file):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
+    from cablesense_ros.admittance_parameters import ADMITTANCE_PARAMETERS
     from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
     from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS
+    from cablesense_ros.obstacle_parameters import OBSTACLE_PARAMETERS
     from cablesense_ros.sim_parameters import SIM_PARAMETERS
 
     table = {
         "sim.yaml": SIM_PARAMETERS,
         "estimator.yaml": ESTIMATOR_PARAMETERS,
         "can_driver.yaml": CAN_DRIVER_PARAMETERS,
+        "admittance.yaml": ADMITTANCE_PARAMETERS,
+        "obstacle.yaml": OBSTACLE_PARAMETERS,
     }[file]
     known = {parameter.name: parameter.default for parameter in table}
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())

@@ -75,9 +75,8 @@ def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None
         label="without controller (computed)",
     )
     axes.plot(times, record.true_n, color=css(TRUE_RGB), lw=2.2, label="true force of the wall")
-    felt = np.where(
-        [sight is Sight.CONTACT for sight in record.sights], record.estimated_n, np.nan
-    )
+    touched = np.array([sight is Sight.CONTACT for sight in record.sights])
+    felt = np.where(touched & (record.estimated_n > 0.0), record.estimated_n, np.nan)
     axes.plot(
         times,
         felt,
@@ -105,8 +104,8 @@ def _draw_phases(axes: Any, record: AdmittanceRecord) -> None:
     seen = [sight for sight in PHASES if sight in record.sights]
     axes.legend(
         handles=[Patch(color=PHASES[s][0], label=PHASES[s][1]) for s in seen],
-        loc="center left",
-        bbox_to_anchor=(0.0, 0.5),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 14.6),
         ncols=len(seen),
         frameon=False,
         fontsize=9,
