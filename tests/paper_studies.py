@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import base64
 
+from cablesense_gap.report.figure_style import style
+from cablesense_paper.registry import chosen_studies
 from cablesense_paper.study import Study
 from cablesense_paper.study_result import (
     CLOSED_FORM,
+    PAPER,
     Agreement,
     Comparison,
     Picture,
@@ -40,3 +43,24 @@ def study(run=None, name="cable", quick="half the cables"):
 
 def ignore(done):
     assert 0.0 <= done <= 1.0
+
+
+def quick_result(name):
+    """What a study finds in quick mode; whatever goes wrong is raised."""
+    (chosen,) = chosen_studies([name])
+    told = []
+    with style():
+        result = chosen.run(True, told.append)
+    assert told == sorted(told)
+    assert all(0.0 <= share <= 1.0 for share in told)
+    return result
+
+
+def figures(result):
+    """Figures by quantity and source: ours, theirs and whether they agree."""
+    return {(c.what, c.source): (c.ours, c.theirs, c.agreement) for c in result.comparisons}
+
+
+def disagreeing(result):
+    """Quantities that do not agree with a closed form or another part of this project."""
+    return [c.what for c in result.comparisons if c.source != PAPER and c.agreement == "no"]

@@ -41,7 +41,8 @@ def test_it_counts_what_agrees_with_the_paper_and_with_closed_forms(page):
     assert "1of the paper’s figures and statements met" in text
     assert "1met in part" in text
     assert "0not met" in text
-    assert "1 of 1closed forms met" in text
+    assert "1 of 1checks against closed forms and other parts met" in text
+    assert "0.5 closed form" in text
 
 
 def test_it_stands_alone(page):

@@ -19,7 +19,7 @@ _KP_N_M, _KV_N_S_M = 1e8, 1e4
 _CENTRE_M = {
     "fixed and driven": (0.5, 0.0, 0.0),
     "driven at both ends": (0.5, 0.0, 0.0),
-    "around a cylinder": (0.0, 0.0, -0.07),
+    "around a cylinder": (0.0, 0.0, -0.1),
 }
 _CABLE_WIDTH_M, _ENLARGED = 0.005, 2.0
 
@@ -59,5 +59,5 @@ def camera(name: str) -> Any:
     """From the side and a little from above."""
     view = mujoco.MjvCamera()
     view.lookat[:] = _CENTRE_M[name]
-    view.distance, view.azimuth, view.elevation = 0.92, 83.0, -14.0
+    view.distance, view.azimuth, view.elevation = 0.85, 83.0, -14.0
     return view

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_gap.report.figure_style import WIDTH_IN
-from cablesense_paper.joint_course import PERIOD_S, course_rad
 from cablesense_paper.palette import BLACK, DASHES, SERIES
+from cablesense_paper.plane_course import PERIOD_S, course_rad
 from cablesense_paper.study import Study, Tell
 from cablesense_paper.study_result import (
     CLOSED_FORM,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_gap.report.figure_style import FLOOR, WIDTH_IN
-from cablesense_paper.joint_course import PERIOD_S, course_rad
 from cablesense_paper.palette import BLACK, DASHES, SERIES
+from cablesense_paper.plane_course import PERIOD_S, course_rad
 from cablesense_paper.study import Study, Tell
 from cablesense_paper.study_result import (
     CLOSED_FORM,
@@ -273,8 +273,8 @@ def _weight_picture(ride: _Ride) -> Picture:
     return picture(
         "fig_9_with_weight",
         figure,
-        "The same course with the arm's weight, which the paper's figure cannot have: the "
-        "tensions carry it.",
+        "The same course with the arm's weight: tensions carry it, tens of newtons away from the "
+        "pretension.",
         "Tensions of twelve cables over time, the arm having its weight",
     )
 

@@ -76,7 +76,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
             "A servo rests T / kp short of its command, so a joint misses its target by "
             f"{short[0.1]:.0%} where kp is a tenth of the cable's stiffness and by "
             f"{short[10.0]:.1%} where it is ten times that. What kp costs is the time step: "
-            f"explicit Euler bears {1e6 * limits_s['Euler']:.0f} µs at kp = 10 k, the integrators "
+            f"Euler bears {1e6 * limits_s['Euler']:.0f} µs at kp = 10 k, the integrators "
             f"that are implicit in speed {1e6 * limits_s['implicitfast']:.0f} µs, and "
             "MuJoCo 4.0's discrete, implicit in position too, any."
         ),

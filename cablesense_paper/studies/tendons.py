@@ -23,7 +23,7 @@ from cablesense_paper.study_result import (
 
 Array = NDArray[np.float64]
 
-WIDTH_PX, HEIGHT_PX = 960, 560
+WIDTH_PX, HEIGHT_PX = 960, 500
 _TOLERANCE_M, _TOLERANCE_N = 1e-9, 1e-3
 
 
@@ -91,7 +91,7 @@ def _fig_3(pictures: list[NDArray[np.uint8]], how: str) -> Picture:
 
     from cablesense_paper.cables.scenes import SCENES
 
-    figure = plt.figure(figsize=(WIDTH_IN, 2.6), layout="constrained")
+    figure = plt.figure(figsize=(WIDTH_IN, 2.1), layout="constrained")
     for n, name in enumerate(SCENES):
         if pictures:
             axes = figure.add_subplot(1, 3, n + 1)

@@ -1,0 +1,76 @@
+"""The closed forms of a cable between servos, against linear algebra and an ODE solver."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from cablesense_paper.cables.servo_cable import (
+    longest_step_s,
+    series_stiffness_n_m,
+    starting_force_n,
+    steady_error_m,
+    tension_at_rest_n,
+)
+
+stiffnesses = st.floats(1e3, 1e9)
+
+
+@given(stiffnesses, stiffnesses, st.integers(1, 4), st.floats(-1e3, 1e3))
+def test_rest_is_where_every_servo_balances_the_cable(k, kp, servos, unyielding_n):
+    tension = tension_at_rest_n(unyielding_n, k, kp, servos)
+    error = steady_error_m(unyielding_n, k, kp, servos)
+    assert kp * error == pytest.approx(tension)
+    assert unyielding_n - k * servos * error == pytest.approx(tension, rel=1e-6, abs=1e-6)
+
+
+@given(stiffnesses, stiffnesses)
+def test_one_servo_and_the_cable_are_springs_in_series(k, kp):
+    assert 1.0 / series_stiffness_n_m(k, kp, 1) == pytest.approx(1.0 / k + 1.0 / kp)
+
+
+def test_the_start_is_that_of_an_ode_solver():
+    kp, kv, mass, k, pretension = 1e8, 4e2, 0.5, 1e7, 50.0
+    time_s = np.linspace(0.0, 2e-3, 400)
+
+    def rate(_, state):
+        force = -kp * state[0] - kv * state[1] - pretension - k * state[0]
+        return state[1], force / mass
+
+    solved = solve_ivp(rate, (0.0, time_s[-1]), (0.0, 0.0), t_eval=time_s, rtol=1e-9, atol=1e-18)
+    expected = -kp * solved.y[0] - kv * solved.y[1]
+    found = starting_force_n(time_s, pretension, k, (kp, kv, mass))
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+    assert found[0] == 0.0
+
+
+def spectral_radius(integrator, omega_step, zeta):
+    """Of one step of x'' = -x - 2 ζ x' (ω = 1), from (x, v) to (x, v)."""
+    h = omega_step
+    implicit_speed = integrator != "Euler"
+    implicit_position = integrator == "discrete"
+    speed_scale = 1.0 + (2.0 * zeta * h if implicit_speed else 0.0)
+    speed_scale += h * h if implicit_position else 0.0
+    speed_by_speed = (1.0 - (0.0 if implicit_speed else 2.0 * zeta * h)) / speed_scale
+    speed = np.array([-h / speed_scale, speed_by_speed])
+    step = np.array([np.array([1.0, 0.0]) + h * speed, speed])
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+@given(st.sampled_from(["Euler", "implicit", "implicitfast"]), st.floats(0.01, 3.0))
+def test_the_longest_step_is_where_a_root_of_the_step_leaves_the_unit_circle(integrator, zeta):
+    limit = float(longest_step_s(1.0, zeta, integrator))
+    assert spectral_radius(integrator, 0.999 * limit, zeta) < 1.0
+    assert spectral_radius(integrator, 1.001 * limit, zeta) > 1.0
+
+
+@given(st.floats(1e-3, 1e6), st.floats(0.0, 3.0))
+def test_discrete_has_no_longest_step(step, zeta):
+    assert spectral_radius("discrete", step, zeta) <= 1.0 + 1e-9
+    assert longest_step_s(1.0, zeta, "discrete") == np.inf
+
+
+def test_without_damping_it_is_the_rule_that_everyone_knows():
+    for integrator in ("Euler", "implicit", "implicitfast"):
+        assert longest_step_s(100.0, 0.0, integrator) == pytest.approx(2.0 / 100.0)
