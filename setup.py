@@ -50,7 +50,7 @@ EXTRAS = {
     "train": [
         "distributed",  # datasets made on a Dask cluster of more than one machine
         "onnxscript",  # torch exports through it
-        "pyarrow",  # datasets are Parquet
+        "pyarrow>=14.0.1",  # datasets are Parquet; older releases run code that a file brings
         "scikit-learn",  # the gradient-boosting peer
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
     ],

@@ -137,3 +137,11 @@ def test_no_file_a_folder_bytes_and_too_large_a_file_are_refused(tmp_path, monke
 def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
     with pytest.raises(RecordingError, match="cannot be written"):
         write_csv(tmp_path / "none" / "a.csv", recording())
+
+
+@pytest.mark.parametrize("line", ["," * 200_000, 'time_s,"trial', "x" * 100_000])
+def test_a_first_line_without_end_is_refused(tmp_path, line):
+    path = tmp_path / "r.csv"
+    path.write_text(line + "\n1,2\n")
+    with pytest.raises(RecordingError, match="first line has no end"):
+        read_csv(path, open_arm("cdsm"))

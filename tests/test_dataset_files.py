@@ -256,3 +256,12 @@ def test_a_full_disk_is_named(tmp_path, dataset, monkeypatch):
     with pytest.raises(DatasetError, match="cannot be written"):
         write_dataset(tmp_path / "data.parquet", dataset)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_few_bytes_that_stand_for_any_number_of_rows_are_refused(tmp_path):
+    path = tmp_path / "bomb.parquet"
+    zeros = pa.array(np.zeros(30_000_000))
+    pq.write_table(pa.table({"a": zeros}), path, compression="zstd")
+    assert path.stat().st_size < 200_000
+    with pytest.raises(DatasetError, match="30000000 rows of 1 columns in .* packed so tightly"):
+        read_dataset(path)

@@ -117,8 +117,9 @@ RIGHTS = {
 def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
     pytest.importorskip("rclpy")
     kind, arguments = NODES[name]
+    where = f"cablesense_ros.{name}_node:{kind}"
     done = subprocess.run(
-        [sys.executable, "-c", LOOKS, f"cablesense_ros.{name}_node:{kind}", "--ros-args", *arguments],
+        [sys.executable, "-c", LOOKS, where, "--ros-args", *arguments],
         capture_output=True,
         text=True,
         timeout=60,

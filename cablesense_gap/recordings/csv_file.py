@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 MAX_FILE_BYTES = 200_000_000
 """Days at 5 Hz; what is larger is no recording of one protocol."""
 
+MAX_HEADER_CHARACTERS = 100_000
+
 _PER_ARM = re.compile(r"q\d+_cmd_rad|tension_\d+_n")
 _SHOWN = 6
 
@@ -113,7 +115,11 @@ def _header(path: Path) -> list[str]:
                 f"{MAX_FILE_BYTES / 1e6:.0f} MB: leave out what no trial needs"
             )
         with path.open(encoding="utf-8-sig", newline="") as file:
-            header = next(csv.reader([file.readline(100_000)]), [])
+            line = file.readline(MAX_HEADER_CHARACTERS)
+            # a quote left open would go on to any number of columns
+            if len(line) == MAX_HEADER_CHARACTERS or line.count('"') % 2:
+                raise RecordingError(f"{path}: its first line has no end; it must name the columns")
+            header = next(csv.reader([line]), [])
     except (OSError, ValueError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
     return [name.strip() for name in header]

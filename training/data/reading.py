@@ -15,6 +15,12 @@ from cablesense_training.data.errors import DatasetError
 from cablesense_training.data.layout import FORMAT, PREFIX, Column, columns
 from cablesense_training.data.protocols import Protocol, SingleContact, protocol_from_options
 
+MAX_COLUMNS = 2_000
+"""Far more than the largest arm has."""
+
+LARGEST_UNPACKED_B, MAX_UNPACKING = 2**26, 100
+"""A dataset may hold so many bytes, and so many more for each byte of its file."""
+
 
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
     """The dataset in a Parquet file that `write_dataset` or `cablesense dataset` wrote.
@@ -61,7 +67,10 @@ def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
 
 def _read_table(path: Path) -> pa.Table:
     try:
+        if path.exists() and not path.is_file():  # a pipe would keep an open waiting
+            raise DatasetError(f"{path}: not a Parquet file, nor a file at all")
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            _require_credible(path, file.metadata.num_rows, file.metadata.num_columns)
             return file.read()
     except FileNotFoundError as error:
         raise DatasetError(
@@ -70,6 +79,16 @@ def _read_table(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split())
         raise DatasetError(f"{path}: not a Parquet file, or cut short ({reason})") from error
+
+
+def _require_credible(path: Path, rows: int, width: int) -> None:
+    """A few bytes of Parquet can stand for any number of equal rows; no measured ones do."""
+    unpacked, packed = 8 * rows * width, path.stat().st_size
+    if width > MAX_COLUMNS or unpacked > LARGEST_UNPACKED_B + MAX_UNPACKING * packed:
+        raise DatasetError(
+            f"{path}: says {rows} rows of {width} columns in {packed} bytes; no dataset is packed "
+            "so tightly: generate it again"
+        )
 
 
 def _provenance(path: Path, found: dict[str, str]) -> tuple[Arm, Protocol, int]:
