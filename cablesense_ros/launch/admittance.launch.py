@@ -1,4 +1,4 @@
-"""The estimator on the simulated arm, an elastic wall, the admittance node; page:=true shows it."""
+"""The estimator on the simulated arm, an elastic wall and the admittance node; page on request."""
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
