@@ -32,6 +32,7 @@ from kill.one_kill import Kill, KillTrials
 from kill.recordings import kill_recorders, whole
 from kill.watcher import LEASE_S, Watcher
 from nodes.node_process import own_graph
+from nodes.process_figures import shared_memory_mb
 from nodes.result_file import with_origin, write_result
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
@@ -56,6 +57,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
     arm = open_arm(arm_name)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        shared_mb = shared_memory_mb()
         chain = Chain(arm_name, rate_hz, folder)
         rclpy.init()
         watcher = Watcher(arm)
@@ -82,6 +84,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
             executor.shutdown()
             watcher.destroy_node()
             try_shutdown()
+    left_mb = shared_memory_mb() - shared_mb
     figures = {victim: _figures(ones) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
@@ -91,6 +94,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
         "kills": figures,
         "recording through all kills": recording,
         "recorders killed": recorders,
+        "left in /dev/shm (MB)": round(left_mb, 1),
         "exit codes": codes,
         "bars": _bars(figures, recording, recorders),
     }

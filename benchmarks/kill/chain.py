@@ -78,4 +78,4 @@ class Chain:
 def recorder_command(file: Path) -> list[str]:
     """The command that records the running nodes into a file."""
     run = "import sys; from cablesense_ros.cli.app import main; sys.exit(main())"
-    return [sys.executable, "-c", run, "gap", "record", "--out", str(file)]
+    return [sys.executable, "-c", run, "record", "--out", str(file)]
