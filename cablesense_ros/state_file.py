@@ -24,6 +24,9 @@ MAX_BYTES: Final = 200_000
 SIGN_OF_LIFE_S: Final = 1.0
 """So often the file's time is renewed: it says when its estimator was last alive."""
 
+_BEYOND: Final = 1e9
+"""No angle in rad and no tension in N is so large; whole numbers may, and be no float."""
+
 _NUMBERS: Final = (
     "command_rad",
     "lowest_rad",
@@ -73,7 +76,9 @@ class StateFile:
         if entry is None:
             raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
         if entry.arm != arm_identity:
-            raise StateFileError(f"{self._path}: is of arm {entry.arm}; this is {arm_identity}")
+            raise StateFileError(
+                f"{self._path}: is of arm {entry.arm[:80]!r}; this is {arm_identity}"
+            )
         if not entry.tared_n:
             raise StateFileError(f"{self._path}: its estimator had no tare")
         self._kept = True
@@ -146,6 +151,6 @@ def _entry(text: str) -> JournalEntry | None:
 def _numbers(given: Any) -> tuple[float, ...] | None:
     if not isinstance(given, list) or len(given) > MOST_NUMBERS:
         return None
-    if not all(isinstance(one, (int, float)) and abs(one) < float("inf") for one in given):
+    if not all(type(one) in (int, float) and abs(one) < _BEYOND for one in given):
         return None
     return tuple(float(one) for one in given)

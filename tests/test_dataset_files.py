@@ -263,5 +263,5 @@ def test_a_few_bytes_that_stand_for_any_number_of_rows_are_refused(tmp_path):
     zeros = pa.array(np.zeros(30_000_000))
     pq.write_table(pa.table({"a": zeros}), path, compression="zstd")
     assert path.stat().st_size < 200_000
-    with pytest.raises(DatasetError, match="30000000 rows of 1 columns in .* packed so tightly"):
+    with pytest.raises(DatasetError, match=r"30000000 rows of 1 columns in .* packed so tightly"):
         read_dataset(path)

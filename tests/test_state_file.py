@@ -70,13 +70,16 @@ def test_signs_of_life_renew_the_file_once_a_second(path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"arm": "other-2"}, "is of arm other-2"),
+        ({"arm": "other-2"}, "is of arm 'other-2'; "),
+        ({"arm": "\n" * 5000}, r"is of arm '(\\n){80}'; "),
         ({"tared_n": []}, "no tare"),
         ({"format": "something"}, "no state of an estimator"),
         ({"command_rad": [float("nan")]}, "no state of an estimator"),
         ({"unloaded_n": "1 2"}, "no state of an estimator"),
         ({"rest_from_ns": 0.5}, "no state of an estimator"),
         ({"tared_n": [0.0] * 5000}, "no state of an estimator"),
+        ({"tared_n": [10**400]}, "no state of an estimator"),
+        ({"unloaded_n": [True, 2.0]}, "no state of an estimator"),
     ],
 )
 def test_what_does_not_fit_is_refused(path, change, said):

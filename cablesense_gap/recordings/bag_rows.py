@@ -20,6 +20,9 @@ from cablesense_sim.arm import Arm
 
 Array = NDArray[np.float64]
 
+MAX_ROWS = 10_800_000
+"""A packed file holds any number of equal messages; rows of them take some 500 bytes each."""
+
 
 class BagRows:
     """Takes messages in the order they came, and gives the recording they make.
@@ -116,6 +119,10 @@ class BagRows:
         tensions = self._cables.arrange(message.name, message.effort, "effort")
         if not self._keep:
             return
+        if len(self._tensions) >= MAX_ROWS:
+            raise RecordingError(
+                f"more than {MAX_ROWS} samples; three hours at 1 kHz are as many: split it"
+            )
         stamp = message.header.stamp
         self._tensions.append(tensions)
         self._stamps_ns.append((log_ns, stamp.sec * 1_000_000_000 + stamp.nanosec))

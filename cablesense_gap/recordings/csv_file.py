@@ -118,7 +118,9 @@ def _header(path: Path) -> list[str]:
             line = file.readline(MAX_HEADER_CHARACTERS)
             # a quote left open would go on to any number of columns
             if len(line) == MAX_HEADER_CHARACTERS or line.count('"') % 2:
-                raise RecordingError(f"{path}: its first line has no end; it must name the columns")
+                raise RecordingError(
+                    f"{path}: its first line has no end; it must name the columns"
+                )
             header = next(csv.reader([line]), [])
     except (OSError, ValueError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
