@@ -35,7 +35,7 @@ from fuzz.target import Target
 from fuzz.watched import Result, run_watched
 
 RESULT = Path(__file__).parent / "results" / "fuzz.json"
-SHARES = 8
+SHARES = 3
 """Into so many parts a full target is cut, which go to the workers."""
 LIVE = "live node"
 BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}

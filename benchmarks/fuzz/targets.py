@@ -8,6 +8,7 @@ from fuzz.estimator_messages import make_commands, make_messages
 from fuzz.frame_sequences import make_frames
 from fuzz.model_files import make_models
 from fuzz.recording_files import make_csv, make_mcap, make_parquet
+from fuzz.state_files import make_states
 from fuzz.target import Target
 
 TARGETS = (
@@ -22,4 +23,5 @@ TARGETS = (
     Target("dbc", "files", make_dbc, items=2_000, quick_items=8),
     Target("maps", "files", make_maps, items=1_000, quick_items=8),
     Target("calibrations", "files", make_calibrations, items=1_000, quick_items=8),
+    Target("states", "files", make_states, items=1_000, quick_items=8),
 )
