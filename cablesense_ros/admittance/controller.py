@@ -107,10 +107,10 @@ class AdmittanceController:
             now_s: monotonic.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
-        self.watch.heard_wrench(bool(segment), age_s, now_s)
+        fresh = self.watch.heard_wrench(bool(segment), age_s, now_s)
         sight = self.watch.look(now_s)
         held = self.awaiting or self.yielding(now_s) or self.beyond_reach
-        if sight is Sight.STOPPED or held:
+        if not fresh or sight is Sight.STOPPED or held:
             self._average.clear()
             return None
         if now_s - age_s < self._arrived_s:

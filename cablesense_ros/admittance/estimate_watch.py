@@ -77,13 +77,14 @@ class EstimateWatch:
             self._contact_s = float("-inf")
             self._probabilities_s.clear()
 
-    def heard_wrench(self, contact: bool, age_s: float, now_s: float) -> None:
-        """A wrench came; `contact` where it is in a segment's frame."""
+    def heard_wrench(self, contact: bool, age_s: float, now_s: float) -> bool:
+        """A wrench came, `contact` where it is in a segment's frame; gives whether it is fresh."""
         if abs(age_s) > self._settings.stale_after_s:
-            return
+            return False
         self._fresh_s = now_s
         if contact:
             self._contact_s = now_s
+        return True
 
     def heard_probabilities(self, now_s: float) -> None:
         """Probabilities came, so an estimate was made."""

@@ -1,0 +1,156 @@
+"""The controller's cycle: when it steps, and above all when it does not."""
+
+import numpy as np
+import pytest
+
+from cablesense_msgs_py.diagnostics import Level
+from cablesense_ros.admittance.admittance_law import AdmittanceSettings
+from cablesense_ros.admittance.controller import AdmittanceController, ControllerSettings
+from cablesense_ros.admittance.estimate_watch import Sight, WatchSettings
+from cablesense_ros.admittance.report import control_status
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.mechanism import Mechanism
+
+ARM = Mechanism.from_arm(open_arm("cdsm"))
+CLOCK_OFFSET_NS = 1_700_000_000_000_000_000
+PUSH = np.array([0.0, 30.0, 0.0])
+NONE = np.zeros(3)
+
+
+class Played:
+    """Estimates at 100 Hz; every command is heard back, as on a topic, and moves the clock on."""
+
+    def __init__(self, blind_s=0.6, **settings):
+        watch = WatchSettings(resume_after_s=0.3)
+        self.now_s, self.blind_s, self.blind_until_s = 50.0, blind_s, 0.0
+        self.controller = AdmittanceController(
+            ARM, ControllerSettings(watch=watch, **settings), self.now_s
+        )
+        self.sent = []
+
+    def run(self, seconds, segment=0, force=NONE, age_s=0.002):
+        for _ in range(round(100 * seconds)):
+            self.now_s += 0.01
+            seeing = self.now_s >= self.blind_until_s
+            clock_ns = CLOCK_OFFSET_NS + round(self.now_s * 1e9)
+            if seeing:
+                self.controller.watch.heard_probabilities(self.now_s)
+            command = self.controller.heard_wrench(
+                segment if seeing else 0,
+                force if seeing else NONE,
+                clock_ns - round(age_s * 1e9),
+                clock_ns,
+                self.now_s,
+            )
+            if command is not None:
+                self.sent.append((self.now_s, command))
+                self.controller.heard_command(command, self.now_s)
+                self.blind_until_s = self.now_s + self.blind_s
+        return self.sent
+
+    def message(self, active=True):
+        return control_status(self.controller, active, 1, self.now_s)
+
+
+def test_nothing_is_sent_while_nothing_touches_at_home():
+    assert not Played().run(3.0)
+
+
+def test_a_contact_is_left_in_cycles_of_move_settle_and_measure():
+    played = Played()
+    played.run(0.5)
+    sent = played.run(3.0, 3, PUSH)
+    assert len(sent) == pytest.approx(4, abs=1)
+    assert np.diff([when for when, _ in sent]).min() > 0.65
+    yaw = [command[3] for _, command in sent]
+    assert (np.diff([0.0, *yaw]) > 0.0).all()
+    assert played.message().level is Level.OK
+
+
+def test_an_estimator_that_is_never_blind_makes_the_cycle_shorter():
+    played = Played(blind_s=0.0)
+    played.run(0.5)
+    sent = played.run(3.0, 3, PUSH)
+    assert np.diff([when for when, _ in sent]).max() < 0.3
+
+
+def test_estimates_from_before_the_arm_arrived_do_not_count():
+    played = Played(blind_s=0.0)
+    played.run(0.5)
+    first = played.run(0.2, 3, PUSH)[0][0]
+    sent = played.run(0.5, 3, PUSH)
+    assert sent[1][0] - first >= 0.1 + 0.1 - 0.011  # shortest move, then the measurement
+
+
+def test_nothing_is_sent_before_estimates_are_trusted():
+    assert not Played().run(0.25, 3, PUSH)
+
+
+def test_old_stamps_stop_it():
+    played = Played()
+    played.run(0.5)
+    assert not played.run(1.0, 3, PUSH, age_s=0.3)
+    assert played.controller.watch.sight is Sight.STOPPED
+    assert played.message().level is Level.ERROR
+    assert "no wrench with a fresh stamp" in played.message().message
+
+
+def test_another_nodes_command_becomes_home_and_silences_it():
+    played = Played(yield_s=1.0)
+    played.run(0.5)
+    elsewhere = np.full(8, 0.02)
+    assert played.controller.heard_command(elsewhere, played.now_s)
+    assert not played.run(0.95, 3, PUSH)
+    assert "another node commands" in played.message().message
+    sent = played.run(0.5, 3, PUSH)
+    assert np.abs(sent[0][1] - elsewhere).max() < np.deg2rad(1.01)
+    assert np.array_equal(played.controller.home_rad, elsewhere)
+
+
+def test_its_own_commands_are_no_other_nodes_even_when_heard_late():
+    played = Played()
+    played.run(0.5)
+    played.run(2.0, 3, PUSH)
+    for _, command in played.sent:
+        assert not played.controller.heard_command(command, played.now_s)
+
+
+def test_it_takes_no_step_from_beyond_its_reach():
+    played = Played(yield_s=0.0)
+    played.run(0.5)
+    played.controller.heard_command(np.full(8, 0.2), played.now_s)
+    played.run(2.0, 3, PUSH)
+    assert not played.sent
+    assert "beyond joint_limit_deg" in played.message().message
+
+
+def test_it_waits_for_a_first_command_when_told_to():
+    played = Played(await_command=True)
+    assert not played.run(2.0, 3, PUSH)
+    assert "first command" in played.message().message
+    played.controller.heard_command(np.zeros(8), played.now_s)
+    assert played.run(1.0, 3, PUSH)
+
+
+def test_it_never_leaves_its_reach_however_long_it_is_pushed():
+    law = AdmittanceSettings(step_limit_rad=0.1, speed_limit_rad_s=1.0)
+    played = Played(joint_limit_rad=float(np.deg2rad(2.0)), law=law)
+    played.run(0.5)
+    played.run(30.0, 1, 50.0 * PUSH)
+    last = played.sent[-1][1]
+    assert np.hypot(last[0], last[1]) == pytest.approx(np.deg2rad(2.0))
+    assert "joint_limit_deg" in played.message().message
+
+
+def test_the_command_in_force_is_told_again_to_an_estimator_that_came_back():
+    played = Played()
+    assert played.controller.repeated(played.now_s) is None
+    played.run(0.5)
+    played.run(1.0, 3, PUSH)
+    held = played.sent[-1][1]
+    played.now_s += 1.0
+    assert played.controller.repeated(played.now_s) is None  # nobody speaks
+    played.run(0.05)
+    assert np.array_equal(played.controller.repeated(played.now_s), held)
+    assert played.controller.repeated(played.now_s) is None  # not at once again
+    assert not played.message(active=False).message.startswith("stopped")
