@@ -30,6 +30,7 @@ class EventKind(Enum):
     TARE = "tare on request"
     TARE_UNDO = "tare undone"
     SETTINGS = "settings"
+    CLOCK = "stamps stepped back"
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,8 @@ class Estimation:
         self.health = InputHealth(now_s)
         self.tare.forget_readings()
         self._answers.restore(self._command_rad)
-        self._events.append(self._start_event())
+        if self._start_event() not in self._events:
+            self._events.append(self._start_event())
 
     def command(self, message: Any) -> None:
         """Take note of a `JointState` of commanded angles.
@@ -176,6 +177,8 @@ class Estimation:
             self.health.aged(self.clock.age_s(sample.stamp_ns, now_ns))
             stamp_ns = sample.stamp_ns or now_ns
             moving = self.gate.moving(stamp_ns)
+            if self.gate.stepped_back:
+                self._events.append(Event(EventKind.CLOCK))
             entry = self._new_entry(stamp_ns) if self._events else None
             tensions = self._arrange(sample)
             self.check.check(tensions)

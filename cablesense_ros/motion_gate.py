@@ -21,6 +21,9 @@ class MotionGate:
 
     Time is that of the samples' stamps, so that a recording has the same answers: a command counts
     from the first sample after it. Where stamps step back, what is left to wait is kept.
+
+    Attributes:
+        stepped_back: whether the last sample's stamp lay before that of the one before it.
     """
 
     def __init__(self, command_rad: Array, joint_speed_rad_s: float, settle_s: float) -> None:
@@ -32,6 +35,7 @@ class MotionGate:
         self._rest_from_ns = _LONG_AGO_NS
         self._last_ns = _LONG_AGO_NS
         self._starting = False
+        self.stepped_back = False
 
     def command(self, command_rad: Array) -> bool:
         """Take note of a command (2N,); gives whether it differs from the one before."""
@@ -47,7 +51,8 @@ class MotionGate:
 
     def moving(self, stamp_ns: int) -> bool:
         """Whether the arm may still move, or swing, at the next sample's stamp."""
-        if stamp_ns < self._last_ns:
+        self.stepped_back = stamp_ns < self._last_ns
+        if self.stepped_back:
             self._rest_from_ns -= self._last_ns - stamp_ns
         self._last_ns = stamp_ns
         if self._starting:

@@ -16,6 +16,9 @@ from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.open_estimator import open_estimator
 
+LIVE_SETTINGS = ("contact_threshold", "stale_after_s", "slack_below_n")
+"""Those that may change while an estimator runs."""
+
 
 class RebuiltEstimation:
     """Follows the journal, and answers samples as serialized wrenches.
@@ -51,11 +54,14 @@ class RebuiltEstimation:
             CableSenseError: the model is not to be found, or has changed since; settings that
                 cannot be; an entry of another arm.
         """
-        wanted = (entry.arm, dict(entry.settings))
+        fixed = {name: of for name, of in entry.settings.items() if name not in LIVE_SETTINGS}
+        wanted = (entry.arm, fixed)
+        settings = _settings(entry.settings)
         if self._estimation is None or wanted != self._built_for:
-            self._build(entry)
+            self._build(entry, settings)
             self._built_for = wanted
         assert self._estimation is not None
+        self._estimation.adjust(**{name: getattr(settings, name) for name in LIVE_SETTINGS})
         self._estimation.restore(entry)
 
     def answer(self, sample: bytes, stamp_ns: int) -> bytes:
@@ -65,13 +71,11 @@ class RebuiltEstimation:
         contact = self.outcome.contact
         return self._writers[contact.segment].write(stamp_ns, contact.wrench)
 
-    def _build(self, entry: JournalEntry) -> None:
+    def _build(self, entry: JournalEntry, settings: EstimationSettings) -> None:
         self._loaded = self._load(entry)
         prefix = entry.settings.get("frame_prefix", "")
         self._writers = wrench_writers(Frames(self._loaded.arm.segment_count, prefix))
-        self._estimation = Estimation(
-            self._loaded.arm, self._loaded.estimator, _settings(entry.settings), 0.0
-        )
+        self._estimation = Estimation(self._loaded.arm, self._loaded.estimator, settings, 0.0)
 
     def _load(self, entry: JournalEntry) -> LoadedModel:
         described = {key: entry.settings.get(key, "") for key in ("model", "model SHA-256")}

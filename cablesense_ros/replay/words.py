@@ -17,7 +17,7 @@ def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
         "not answered when recorded (no estimator, or refused by their stamp)": (
             comparison.unanswered
         ),
-        "answered before the first journal entry, so not compared": comparison.before_journal,
+        "answered before the journal tells enough, so not compared": comparison.before_journal,
         "samples without a stamp, so not compared": comparison.unstamped,
         "contacts reported whose sample the recording lacks": comparison.lone_contacts,
         "zero wrenches of the estimator in a silence": comparison.lone_zeros,

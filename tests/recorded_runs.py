@@ -1,0 +1,97 @@
+"""Recordings of a run as `cablesense record` writes them, made without nodes, in any order."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from cablesense_gap.recordings.topic_file import TopicFile
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.journal import put_journal_entry
+from cablesense_msgs_py.topic_types import CONTRACT, resolved
+from cablesense_msgs_py.wrench_writer import wrench_writers
+from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_ros.loaded_model import load_model
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+SETTINGS = EstimationSettings(
+    contact_threshold=0.5,
+    stale_after_s=0.2,
+    slack_below_n=1.0,
+    tare_samples=10,
+    tare_steady_n=1.0,
+    auto_tare=True,
+    joint_speed_rad_s=0.35,
+    settle_s=0.05,
+)
+EPOCH_NS = 1_700_000_000_000_000_000
+STEP_NS = 5_000_000
+
+
+class MadeRun:
+    """A live run: loads come and go, a command, a tare and its undo.
+
+    Attributes:
+        records: topic of the contract, time of arrival, bytes.
+        loaded: arm and model.
+    """
+
+    def __init__(self, samples: int = 300) -> None:
+        self.loaded = load_model("cdsm", "")
+        arm = self.loaded.arm
+        live = Estimation(
+            arm,
+            self.loaded.estimator,
+            SETTINGS,
+            0.0,
+            {**self.loaded.described, "frame_prefix": ""},
+        )
+        writers = wrench_writers(Frames(arm.segment_count))
+        mechanism, rng = Mechanism.from_arm(arm), np.random.default_rng(5)
+        angles, force = np.zeros(8), np.zeros((4, 3))
+        self.records: list[tuple[str, int, bytes]] = []
+        for i in range(samples):
+            now = EPOCH_NS + i * STEP_NS
+            if i == samples // 4:
+                force[2] = (0.0, 30.0, 10.0)
+            if i == samples // 2:
+                angles = np.full(8, 0.002)
+                message = JointState(name=list(arm.joint_names), position=angles.tolist())
+                self.records.append((topics.JOINT_COMMANDS, now, serialize_message(message)))
+                live.command(SimpleNamespace(name=arm.joint_names, position=angles))
+            if i == samples - 40:
+                live.take_tare(now)
+            if i == samples - 20:
+                live.undo_tare()
+            tensions = solve_equilibrium(mechanism, angles, force).tensions_n
+            message = JointState(
+                name=list(arm.cable_names), effort=(tensions + rng.normal(0, 0.05, 12)).tolist()
+            )
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+            raw = serialize_message(message)
+            outcome = live.sample(raw, now, 0.0)
+            wrench = writers[outcome.contact.segment].write(now, outcome.contact.wrench)
+            self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
+            self.records.append((topics.WRENCH, now + 400_000, wrench))
+            if outcome.entry is not None:
+                entry = DiagnosticArray()
+                put_journal_entry(entry, outcome.entry, DiagnosticStatus, KeyValue)
+                self.records.append((topics.JOURNAL, now + 500_000, serialize_message(entry)))
+
+    def write(self, path, records=None, namespace="/", kinds=()):
+        """Put records into a file; `kinds` replaces types of topics."""
+        file, channels = TopicFile(path, growing=False), {}
+        for topic, log_ns, raw in self.records if records is None else records:
+            if topic not in channels:
+                of = CONTRACT[topic]
+                kind = dict(kinds).get(topic, of.kind)
+                channels[topic] = file.add(resolved(topic, namespace), kind, of.offered)
+            file.write(channels[topic], log_ns, raw)
+        file.close()
+        return path

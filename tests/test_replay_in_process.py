@@ -1,0 +1,176 @@
+"""A recorded run through the same code gives the same bytes, and says where it does not."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
+
+from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.errors import CableSenseError
+from cablesense_msgs_py.stamped_bytes import restamped
+from cablesense_ros.cli.app import app
+from cablesense_ros.replay.in_process import replay_in_process
+from cablesense_ros.replay.rebuilt_estimation import RebuiltEstimation
+from cablesense_ros.replay.recorded_run import RecordedRun
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def made():
+    return MadeRun()
+
+
+@pytest.fixture(scope="module")
+def whole(made, tmp_path_factory):
+    return made.write(tmp_path_factory.mktemp("runs") / "whole.mcap")
+
+
+def replayed(path):
+    return replay_in_process(RecordedRun(path))
+
+
+def test_every_byte_is_the_same(whole):
+    got = replayed(whole)
+    assert (got.samples, got.compared, got.identical) == (300, 300, 300)
+    assert 50 < got.contacts < 250
+    assert got.same
+    assert not got.first_difference
+
+
+def test_begun_anywhere_and_in_any_namespace_it_is_the_same(made, tmp_path):
+    """The latest journal entry is latched, and comes first to who joins late."""
+    latched = [
+        r for r in made.records if r[0] == topics.JOURNAL and r[1] < 500 * STEP_NS + EPOCH_NS
+    ]
+    for first in (75, 152, 155, 265, 285):
+        begin = EPOCH_NS + first * STEP_NS
+        before = [r for r in latched if r[1] < begin][-1:]
+        records = [(topic, begin, raw) for topic, _, raw in before]
+        records += [r for r in made.records if r[1] >= begin]
+        path = made.write(tmp_path / f"from_{first}.mcap", records, "/left/arm")
+        got = replayed(path)
+        assert (got.samples, got.identical) == (300 - first, 300 - first), first
+
+
+def test_answers_may_be_recorded_before_their_samples(made, tmp_path):
+    records = [
+        (topic, log_ns - (2_000_000 if topic == topics.WRENCH else 0), raw)
+        for topic, log_ns, raw in made.records
+    ]
+    path = made.write(tmp_path / "early.mcap", sorted(records, key=lambda record: record[1]))
+    assert replayed(path).identical == 300
+
+
+def test_a_changed_bit_is_found_and_the_command_fails(made, tmp_path):
+    records = list(made.records)
+    at = [i for i, record in enumerate(records) if record[0] == topics.WRENCH][100]
+    topic, log_ns, raw = records[at]
+    records[at] = (topic, log_ns, raw[:-9] + bytes([raw[-9] ^ 1]) + raw[-8:])
+    path = made.write(tmp_path / "changed.mcap", records)
+    got = replayed(path)
+    assert (got.compared, got.identical) == (300, 299)
+    assert got.first_difference.startswith("sample 101, stamp 17")
+    assert "recorded" in got.first_difference
+    done = CliRunner().invoke(app, ["replay", str(path)])
+    assert done.exit_code == 1
+    assert "first difference: sample 101" in done.stdout
+    assert "299  bit-identical" in done.stdout
+
+
+def test_samples_without_answer_without_stamp_and_answers_without_sample_are_told(made, tmp_path):
+    answers = [i for i, record in enumerate(made.records) if record[0] == topics.WRENCH]
+    samples = [i for i, record in enumerate(made.records) if record[0] == topics.CABLE_TENSIONS]
+    records = list(made.records)
+    topic, log_ns, raw = records[samples[20]]
+    records[samples[20]] = (topic, log_ns, restamped(raw, 0))  # its answer is a zero
+    gone = {answers[10], answers[120], samples[130]}  # sample 130 had a contact
+    records = [record for i, record in enumerate(records) if i not in gone]
+    got = replayed(made.write(tmp_path / "holes.mcap", records))
+    assert got.unanswered == 2
+    assert got.unstamped == 1
+    assert got.lone_contacts == 1
+    assert got.lone_zeros == 1
+    assert got.compared == got.identical == 296
+
+
+def test_a_recording_that_breaks_off_is_compared_up_to_there(whole, tmp_path):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[: int(0.6 * whole.stat().st_size)])
+    done = CliRunner().invoke(app, ["replay", str(path), "--json"])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert "breaks off" in said["cut"]
+    assert 0 < said["compared"] == said["identical"] < 300
+
+
+def test_estimates_are_written_and_another_model_says_something_else(whole, tmp_path):
+    table = tmp_path / "estimates.csv"
+    done = CliRunner().invoke(app, ["replay", str(whole), "--estimates", str(table)])
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 300
+    touched = [row for row in rows if row["segment"] == "3"]
+    assert 50 < len(touched) < 250
+    assert all(abs(float(row["magnitude_n"]) - 31.6) < 2.0 for row in touched)
+    assert [path.name for path in tmp_path.iterdir()] == ["estimates.csv"]
+    other = ["--model", "cdsm_tensions_only", "--estimates", str(tmp_path / "other.csv")]
+    done = CliRunner().invoke(app, ["replay", str(whole), *other])
+    assert done.exit_code == 0, done.output
+    assert 0 < replay_in_process(RecordedRun(whole), model="cdsm_tensions_only").identical < 300
+    assert len((tmp_path / "other.csv").read_text(encoding="utf-8").splitlines()) == 301
+
+
+def test_another_arm_must_have_the_same_joints(whole):
+    with pytest.raises(CableSenseError, match=r"8 joint angles; the arm cdsm_table2-\w+ has 6"):
+        replay_in_process(RecordedRun(whole), arm="cdsm_table2")
+    assert replay_in_process(RecordedRun(whole), arm="cdsm_lab").compared == 300
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda s: {**s, "model SHA-256": "0" * 64}, "is another; name the model with --model"),
+        (lambda s: {**s, "model": "/nowhere/none.onnx"}, "unknown model 'none'"),
+        (lambda s: {**s, "settle_s": "soon"}, "settle_s is 'soon', no number"),
+        (lambda s: {**s, "settle_s": "inf"}, "must be finite"),
+        (lambda s: {**s, "tare_samples": "0"}, "tare_samples must be 1"),
+    ],
+)
+def test_a_journal_that_cannot_be_followed_is_refused(change, said, whole):
+    entry = RecordedRun(whole).entries[0]
+    with pytest.raises(CableSenseError, match=said):
+        RebuiltEstimation("", "").follow(replace(entry, settings=change(entry.settings)))
+
+
+def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
+    def path(name, wanted=None, **more):
+        records = [r for r in made.records if wanted is None or r[0] in wanted]
+        return made.write(tmp_path / name, records, **more)
+
+    with pytest.raises(RecordingError, match="has no cable_tensions, but /estimator/wrench"):
+        RecordedRun(path("a.mcap", {topics.WRENCH}))
+    with pytest.raises(RecordingError, match="has no ~/journal"):
+        replayed(path("b.mcap", {topics.CABLE_TENSIONS, topics.WRENCH}))
+    with pytest.raises(RecordingError, match="is of type std_msgs/msg/String; it must be"):
+        RecordedRun(path("c.mcap", kinds={topics.JOURNAL: "std_msgs/msg/String"}.items()))
+    broken = [
+        (t, log_ns, raw[:60] if t == topics.JOURNAL else raw) for t, log_ns, raw in made.records
+    ]
+    with pytest.raises(RecordingError, match="journal, message 1: cannot be read"):
+        RecordedRun(made.write(tmp_path / "d.mcap", broken))
+    with pytest.raises(RecordingError, match="is a folder"):
+        RecordedRun(tmp_path)
+    with pytest.raises(RecordingError, match="leave out --arm"):
+        CliRunner().invoke(
+            app, ["replay", "b.mcap", "--publish", "--arm", "cdsm"], catch_exceptions=False
+        )

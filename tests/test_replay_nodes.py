@@ -1,0 +1,152 @@
+"""A run of real nodes, recorded by the command, replayed in process and through a live node."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
+
+from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_msgs_py.journal import EventKind
+from cablesense_ros.replay.recorded_run import RecordedRun
+from cablesense_sim.arm_files import open_arm
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+ARM = open_arm("cdsm")
+ROOT = Path(__file__).parents[1]
+CLI = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
+
+
+@pytest.fixture
+def graph():
+    talking = Graph()
+    yield talking
+    talking.close()
+
+
+def record(path):
+    return subprocess.Popen(
+        [*CLI, "record", "--out", str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+    )
+
+
+def replay(path, *arguments):
+    done = subprocess.run(
+        [*CLI, "replay", str(path), "--json", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
+    whole, late = tmp_path / "whole.mcap", tmp_path / "late.mcap"
+    sim = NodeProcess(SIM, rate_hz=200.0)
+    recorder = record(whole)
+    graph.until(lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow")
+    estimator = NodeProcess(ESTIMATOR, tare_samples=20)
+    try:
+        graph.until(lambda: "tare taken" in estimator.log, "the first tare")
+        graph.until(
+            lambda: graph.command.get_subscription_count() == 3, "sim, estimator, recorder"
+        )
+        graph.push(3, (0.0, 40.0, 0.0))
+        graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.02] * 8))
+        graph.spin(0.2)
+        second = record(late)  # joins in mid-move
+        graph.until(lambda: graph.command.get_subscription_count() == 4, "the second recorder")
+        graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.01] * 8))
+        graph.spin(2.5)
+        assert graph.call("/estimator/tare").success
+        graph.spin(0.3)
+        second.send_signal(signal.SIGKILL)
+        graph.push(3, (0.0, 0.0, 0.0))
+        graph.spin(0.5)
+        assert graph.call("/estimator/tare_undo").success
+        graph.spin(0.5)
+    finally:
+        for process in (recorder, second):
+            process.send_signal(signal.SIGINT)
+            said, _ = process.communicate(timeout=30)
+        codes = [process.stop() for process in (estimator, sim)]
+    assert codes == [0, 0], estimator.log
+    assert recorder.returncode == 0, said
+    got = replay(whole)
+    assert got["cut"] == ""
+    assert 400 < got["compared"] == got["identical"]
+    assert got["contacts"] > 50
+    assert got["lone_contacts"] == 0
+    kinds = [event.kind for entry in RecordedRun(whole).entries for event in entry.events]
+    assert kinds == [
+        EventKind.START,
+        EventKind.AUTO_TARE,
+        EventKind.COMMAND,
+        EventKind.COMMAND,
+        EventKind.TARE,
+        EventKind.TARE_UNDO,
+    ]
+    killed = replay(late)
+    assert "breaks off" in killed["cut"]
+    assert 100 < killed["compared"] == killed["identical"]
+    topics = {message.topic for message in McapMessages(whole)}
+    assert topics == {
+        "/applied_wrench",
+        "/cable_tensions",
+        "/diagnostics",
+        "/estimator/contact_point",
+        "/estimator/contact_probabilities",
+        "/estimator/force_direction",
+        "/estimator/journal",
+        "/estimator/markers",
+        "/estimator/wrench",
+        "/joint_commands",
+        "/joint_states",
+        "/robot_description",
+    }
+    fresh = NodeProcess(ESTIMATOR, tare_samples=20)
+    try:
+        again = replay(whole, "--publish")
+    finally:
+        assert fresh.stop() == 0, fresh.log
+    assert again["compared"] == again["identical"] == got["compared"]
+    assert "tare of" in fresh.log  # its undo
+
+
+def test_without_an_estimator_publishing_says_so(tmp_path):
+    from recorded_runs import MadeRun
+
+    path = MadeRun().write(tmp_path / "made.mcap")
+    done = subprocess.run(
+        [*CLI, "replay", str(path), "--publish"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "no estimator takes /cable_tensions" in done.stderr
+    assert done.stderr.count("\n") == 1
