@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from cablesense_ros.can.fault import FaultKind
 from cablesense_ros.can.fault_ledger import FaultLedger
 from cablesense_ros.can.frame_decoder import Decoded
-from cablesense_ros.can.sample_assembler import SampleAssembler
+from cablesense_ros.can.sample_assembler import CUT_SAMPLES, SampleAssembler
 
 NAMES = [f"cable_{n}" for n in range(1, 7)]
 SKEW_S = 0.4e-3
@@ -24,9 +24,9 @@ def opening(count):
 
 
 class Bench:
-    def __init__(self, modulo):
+    def __init__(self, modulo, skew_s=SKEW_S):
         self.ledger = FaultLedger()
-        self.assembler = SampleAssembler(NAMES, SKEW_S, modulo, self.ledger)
+        self.assembler = SampleAssembler(NAMES, skew_s, modulo, self.ledger)
         self.samples = []
 
     def take(self, decoded, time_s):
@@ -113,6 +113,19 @@ def test_without_a_counter_a_late_channel_is_named_and_the_order_found_again(pla
     assert (late["cable_5"], late["cable_6"]) == (1, 1)
     assert all(sample.skew_s <= SKEW_S for sample in plain.samples)
     assert [sample.tensions_n[0] for sample in plain.samples[-2:]] == [4.0, 5.0]
+
+
+def test_after_a_lost_frame_samples_are_of_one_cycle_again():
+    bench = Bench(0, skew_s=CYCLE_S)  # wide enough that neighbours pass, as over slcan
+    bench.cycle(0)
+    bench.cycle(1, groups=(1, 2))
+    for number in range(2, 40):
+        bench.cycle(number)
+    values = [set(sample.tensions_n.tolist()) for sample in bench.samples]
+    assert sum(len(value) > 1 for value in values) <= CUT_SAMPLES
+    assert all(len(value) == 1 for value in values[-25:])
+    assert bench.assembler.dropped == 1
+    assert set(bench.faults[FaultKind.LATE_CHANNEL]) == set(NAMES[:2])
 
 
 def test_a_channel_that_comes_twice_in_a_cycle_costs_its_sample(counted):

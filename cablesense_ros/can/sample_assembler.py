@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,11 @@ from cablesense_ros.can.fault_ledger import FaultLedger
 from cablesense_ros.can.frame_decoder import Decoded
 
 COUNTER_PLACE = "cycle counter"
+
+
+CUT_SAMPLES = 8
+WIDER = 2.0
+"""A pause within a sample must be so much wider than that before it to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +43,10 @@ class SampleAssembler:
     it. Without, the first frame after a sample opens the next, and a channel that comes a second
     time, or later than the skew limit, ends an unfinished one and opens another; late and lost
     cannot be told apart then, and a frame that is late by most of a cycle may end up beside the
-    next cycle's, still within the limit. Either way a sample that is not whole is dropped, and the
-    channels that it lacks are named.
+    next cycle's, still within the limit. After a lost frame every sample would be cut so, in the
+    midst of a cycle; where the widest pause lies within `CUT_SAMPLES` samples one after the other,
+    and not between them, samples begin anew at that pause. Either way a sample that is not whole
+    is dropped, and the channels that it lacks are named.
 
     Attributes:
         dropped: samples dropped so far because they were late, not whole, or not to be believed.
@@ -62,6 +70,9 @@ class SampleAssembler:
         self._spoilt = False
         self._late = False
         self._last_count: int | None = None
+        self._frames: list[tuple[float, Decoded]] = []
+        self._last_end_s = float("-inf")
+        self._cut = 0
         self.dropped = 0
 
     def take(self, decoded: Decoded, time_s: float) -> Sample | None:
@@ -91,6 +102,7 @@ class SampleAssembler:
         """The interface was opened again: what came before has no bearing on what comes."""
         self._open_s = None
         self._last_count = None
+        self._last_end_s, self._cut = float("-inf"), 0
 
     def _put(self, decoded: Decoded, time_s: float) -> Sample | None:
         late = abs(time_s - (self._open_s or 0.0)) > self._skew_limit_s
@@ -102,21 +114,50 @@ class SampleAssembler:
             else:
                 self._close()
                 self._open(time_s)
+        self._fill(decoded, time_s)
+        return None if self._missing else self._finish(time_s)
+
+    def _fill(self, decoded: Decoded, time_s: float) -> None:
         for channel, tension_n in decoded.readings:
             self._tensions_n[channel] = tension_n
             self._missing.discard(channel)
         self._spoilt = self._spoilt or decoded.spoilt
-        return None if self._missing else self._finish(time_s)
+        if not self._modulo:
+            self._frames.append((time_s, decoded))
 
     def _finish(self, time_s: float) -> Sample | None:
+        if not self._modulo and self._begins_anew():
+            return None
         opened_s, self._open_s = self._open_s, None
         if self._spoilt or self._late or opened_s is None:
             self.dropped += 1
             return None
         return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
 
+    def _begins_anew(self) -> bool:
+        """Whether samples are cut in mid-cycle; the open one begins at the pause then."""
+        times_s = [time_s for time_s, _ in self._frames]
+        pauses_s = [after - before for before, after in pairwise(times_s)]
+        before_s, self._last_end_s = times_s[0] - self._last_end_s, times_s[-1]
+        widest_s = max(pauses_s, default=0.0)
+        self._cut = self._cut + 1 if widest_s > WIDER * before_s else 0
+        if self._cut < CUT_SAMPLES:
+            return False
+        self._cut = 0
+        of_next = self._frames[pauses_s.index(widest_s) + 1 :]
+        self._open(of_next[0][0])
+        for time_s, decoded in of_next:
+            self._fill(decoded, time_s)
+            for channel, _ in decoded.readings:
+                name = self._names[channel]
+                said = f"{name} was taken into the cycle before its own; samples begin anew"
+                self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+        self.dropped += 1
+        return True
+
     def _open(self, time_s: float) -> None:
         self._open_s = time_s
+        self._frames.clear()
         self._missing = set(range(len(self._names)))
         self._spoilt = self._late = False
 
