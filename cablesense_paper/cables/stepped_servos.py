@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -33,7 +35,7 @@ def critical_kv_n_s_m(kp_n_m: float) -> float:
 
 def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
     """Where both servos come to rest (C, 2) under commands (C, 2)."""
-    model, data = _model(kp_n_m, 1e-3, "discrete")
+    data = mujoco.MjData(model := _model(kp_n_m))
     positions = np.empty_like(commands_m)
     for row, command in enumerate(commands_m):
         data.ctrl[:] = command
@@ -45,8 +47,10 @@ def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
 
 def stays_bounded(kp_n_m: float, timestep_s: float, integrator: str) -> bool:
     """Whether a small push dies out, or at least does not grow, within 400 steps."""
-    model, data = _model(kp_n_m, timestep_s, integrator)
+    model = _model(kp_n_m)
+    model.opt.timestep, model.opt.integrator = timestep_s, INTEGRATORS[integrator]
     model.tendon_lengthspring[:] = 1.0  # no pretension: rest is at zero
+    data = mujoco.MjData(model)
     data.qpos[:] = _PUSHED_M, 0.3 * _PUSHED_M
     for _ in range(_STEPS):  # one by one: MuJoCo warns on the terminal of numbers that overflow
         mujoco.mj_step(model, data)
@@ -66,9 +70,11 @@ def longest_bounded_step_s(kp_n_m: Any, integrator: str) -> Any:
     return np.minimum(*steps)
 
 
-def _model(kp_n_m: float, timestep_s: float, integrator: str) -> tuple[Any, Any]:
-    spec = driven_at_both_ends(kp_n_m, critical_kv_n_s_m(kp_n_m))
-    spec.option.timestep = timestep_s
-    spec.option.integrator = INTEGRATORS[integrator]
-    model = spec.compile()
-    return model, mujoco.MjData(model)
+def _model(kp_n_m: float) -> Any:
+    """With `discrete` at 1 ms; to compile anew costs more than to step."""
+    return copy(_compiled(kp_n_m))
+
+
+@lru_cache(maxsize=128)
+def _compiled(kp_n_m: float) -> Any:
+    return driven_at_both_ends(kp_n_m, critical_kv_n_s_m(kp_n_m)).compile()
