@@ -275,7 +275,7 @@ def _start_picture(start: dict[str, Array], closed_n: Array) -> Picture:
         figure,
         "The vertical line of Fig. 4 (b) and (c), drawn out in time: the tensioned cable meets a "
         "servo that has no force yet. In steps of 1 µs with little damping; at this project's "
-        "1 ms and critical damping it is gone after one step.",
+        "1 ms and critical damping the force is within 1 % of its rest after one step.",
         "Force of the servo and cable tension in the first three milliseconds",
     )
 
