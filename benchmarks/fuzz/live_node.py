@@ -1,8 +1,9 @@
 """Mutated messages over real Fast DDS to a live estimator node.
 
 The arm rests untouched, so every wrench must be zero: only messages that the oracle calls broken
-are sent between the good ones. At the end a push must be answered, and the node must end by itself
-with exit code 0 and no traceback.
+are sent between the good ones. They are of whole words of four bytes: others DDS fills up with
+what happens to lie there, be it the end of the message before. At the end a push must be answered,
+and the node must end by itself with exit code 0 and no traceback.
 """
 
 from __future__ import annotations
@@ -131,6 +132,7 @@ class _Conversation:
             raw = mutated_joint_state(
                 rng, raw, self._arm.cable_names, self._pushed_n.tolist(), stamp_ns
             )
+            raw = raw[: len(raw) // 4 * 4]
             said = read_joint_state(raw)
             if said is None or sorted(said.names) != sorted(self._arm.cable_names):
                 return raw

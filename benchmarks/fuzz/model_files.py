@@ -115,8 +115,11 @@ def _metadata(rng: random.Random, model: ModelProto) -> None:
             text = mutated_text(rng, entry.value).decode("utf-8", errors="replace")
             entry.value = text.replace("\0", "")
         elif entry.key == "cablesense":
-            content = json.loads(entry.value)
-            key = rng.choice(list(content))
+            try:
+                content = json.loads(entry.value)
+                key = rng.choice(list(content))
+            except (ValueError, TypeError, IndexError):  # changed as text before
+                continue
             content[key] = rng.choice((None, "", -1, 1e308, [], {}, "x" * 5000, True, [1] * 400))
             entry.value = json.dumps(content)
 

@@ -21,12 +21,14 @@ from cablesense_msgs_py.errors import CableSenseError
 from fuzz.target import FalseAnswerError, Target
 
 MOST_GROWTH_MB = 1_500.0
+WAITS = 6.0
+"""An item may wait for so many times its limit, work for once."""
 START_LIMIT_S = 120.0
 """To import and to make what is fuzzed."""
 
 _LOOK_S = 0.05
 _FINDINGS_KEPT = 20
-_ITEM, _SINCE_S, _INPUTS, _REFUSED, _TAKEN, _LONGEST_S, _BASE_MB, _GROWTH_MB = range(8)
+_ITEM, _SINCE_S, _INPUTS, _REFUSED, _TAKEN, _LONGEST_S, _BASE_MB, _GROWTH_MB, _WORKED_S = range(9)
 
 
 @dataclass
@@ -82,7 +84,7 @@ def _run_child(
 ) -> int:
     """Runs one child until it ends or must be ended; gives the item to go on with."""
     context = multiprocessing.get_context("spawn")
-    shared = context.RawArray("d", 8)
+    shared = context.RawArray("d", 9)
     shared[_ITEM], shared[_SINCE_S] = -1.0, time.monotonic()
     reader, writer = context.Pipe(duplex=False)
     child = context.Process(
@@ -106,8 +108,10 @@ def _run_child(
             told = item
         if not child.is_alive():
             break
-        if time.monotonic() - since_s > (target.limit_s if item >= 0 else START_LIMIT_S):
+        if item >= 0 and _hangs(child.pid, shared, target.limit_s):
             stopped = "hangs"
+        elif item < 0 and time.monotonic() - since_s > START_LIMIT_S:
+            raise RuntimeError(f"{target.name}: its child does not start")
         elif shared[_BASE_MB] and _memory_mb(child.pid) - shared[_BASE_MB] > MOST_GROWTH_MB:
             stopped = "memory"
     if stopped:
@@ -126,6 +130,14 @@ def _run_child(
     following = end if not stopped else item + 1
     on_progress(following - told)
     return following
+
+
+def _hangs(pid: int | None, shared: Any, limit_s: float) -> bool:
+    """Whether an item works for too long, or waits: on a busy machine all wait a while."""
+    waited_s = time.monotonic() - shared[_SINCE_S]
+    return waited_s > limit_s and (
+        _worked_s(pid) - shared[_WORKED_S] > limit_s or waited_s > WAITS * limit_s
+    )
 
 
 def _keep(result: Result, text: str) -> None:
@@ -150,6 +162,7 @@ def _child(
     run = target.make(seed)
     shared[_BASE_MB] = base_mb = _memory_mb(os.getpid())
     for item in range(first, end):
+        shared[_WORKED_S] = time.process_time()
         started_s = shared[_SINCE_S] = time.monotonic()
         shared[_ITEM] = item
         try:
@@ -171,6 +184,15 @@ def _child(
         shared[_TAKEN] += outcome.taken
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     shared[_GROWTH_MB] = max(0.0, peak_mb - base_mb)
+
+
+def _worked_s(pid: int | None) -> float:
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii") as file:  # noqa: PTH123
+            fields = file.read().rpartition(")")[2].split()
+    except OSError:  # it has just ended
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _memory_mb(pid: int | None) -> float:

@@ -154,7 +154,10 @@ def _numbers(path: Path, table: pd.DataFrame, name: str) -> Array:
     import pandas as pd
 
     column = table[name]
-    numbers = pd.to_numeric(column, errors="coerce")
+    try:
+        numbers = pd.to_numeric(column, errors="coerce")
+    except OverflowError as error:  # a whole number of hundreds of digits
+        raise RecordingError(f"{path}: column {name}: a number without measure") from error
     bad = np.flatnonzero(numbers.isna() & column.notna())
     if column.dtype == bool or bad.size:
         at = int(bad[0]) if bad.size else 0

@@ -153,5 +153,5 @@ def _check(path: Path, raw: RawMessage, topic: str, first: str) -> None:
         )
     if raw.kind != INPUTS[topic].kind:
         raise RecordingError(
-            f"{path}: {raw.topic} is of type {raw.kind}; it must be {INPUTS[topic].kind}"
+            f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be {INPUTS[topic].kind}"
         )

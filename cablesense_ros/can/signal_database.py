@@ -112,12 +112,27 @@ def message_of(database: Database, name: str, where: str) -> Message:
     if not found:
         names = [message.name for message in database.messages]
         raise ChannelMapError(f"{where}: no message {name}; there are {_listed(names)}")
+    same = [
+        message.name
+        for message in database.messages
+        if message is not found[0]
+        and (message.name == name or _id_of(message) == _id_of(found[0]))
+    ]
+    if same:
+        raise ChannelMapError(
+            f"{where}: {name} and {same[0]} have the same name or the same id; a frame is of one "
+            "message"
+        )
     if found[0].is_multiplexed() or found[0].is_fd or found[0].is_container:
         raise ChannelMapError(
             f"{where}: message {name} is multiplexed, a container or of CAN FD; only plain "
             "messages of at most 8 bytes are read"
         )
     return found[0]
+
+
+def _id_of(message: Message) -> tuple[int, bool]:
+    return message.frame_id, message.is_extended_frame
 
 
 def _signal_of(message: Message, name: str, where: str) -> Signal:

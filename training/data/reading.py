@@ -76,7 +76,7 @@ def _read_table(path: Path) -> pa.Table:
         raise DatasetError(
             f"{path}: no such file; `cablesense dataset --out {path}` writes one"
         ) from error
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
         raise DatasetError(f"{path}: not a Parquet file, or cut short ({reason})") from error
 

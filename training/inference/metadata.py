@@ -108,7 +108,8 @@ class ModelMetadata(BaseModel):
             content = json.loads(properties[_KEY])
             if isinstance(content, dict) and content.get("format") != FORMAT:
                 raise ModelFileError(
-                    f"{source}: format {content.get('format')!r}; this version reads {FORMAT!r}, "
+                    f"{source}: format {str(content.get('format'))[:80]!r}; this version reads "
+                    f"{FORMAT!r}, "
                     "so train the model again"
                 )
             metadata = cls.model_validate(_with_infinities(content))
@@ -119,14 +120,14 @@ class ModelMetadata(BaseModel):
             ) from error
         if metadata.arm.identity != metadata.arm_identity:
             raise ModelFileError(
-                f"{source}: says arm {metadata.arm_identity} but describes "
+                f"{source}: says arm {metadata.arm_identity[:80]!r} but describes "
                 f"{metadata.arm.identity}; the file was altered, so train the model again"
             )
         order = (metadata.arm.cable_names, metadata.arm.joint_names)
         if (metadata.cable_names, metadata.joint_names) != order:
             raise ModelFileError(
-                f"{source}: orders its inputs {', '.join(metadata.cable_names)} and "
-                f"{', '.join(metadata.joint_names)}; its arm has them as "
+                f"{source}: orders its inputs {', '.join(metadata.cable_names)[:200]!r} and "
+                f"{', '.join(metadata.joint_names)[:200]!r}; its arm has them as "
                 f"{', '.join(order[0])} and {', '.join(order[1])}, so train the model again"
             )
         return metadata

@@ -31,8 +31,19 @@ class SingleRun:
     """
 
     def __init__(self, session: ModelSession) -> None:
-        arm = session.metadata.arm
+        """Split and bind a model.
+
+        Raises:
+            ModelFileError: it answers for two samples, but its parts cannot for one.
+        """
         self._session = session
+        try:
+            self._bind(session)
+        except Exception as error:  # onnx and ONNX Runtime have families of their own
+            raise session.cannot_run(error) from error
+
+    def _bind(self, session: ModelSession) -> None:
+        arm = session.metadata.arm
         held = TAUT if session.tells_taut else None
         parts = split_graph(session.model, TENSION, held)
         self._buffers = {
