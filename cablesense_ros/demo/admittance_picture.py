@@ -48,7 +48,7 @@ def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband
         )
         figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.085, hspace=0.12)
         _draw_forces(forces, record, deadband_n)
-        _draw_phases(phases, record)
+        _draw_phases(figure, phases, record)
         _draw_angles(angles, record)
         figure.text(0.07, 0.945, "CableSense: the arm yields to a contact", size=15, weight="bold")
         figure.text(
@@ -92,7 +92,7 @@ def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None
     axes.legend(loc="upper right", frameon=False, ncols=2)
 
 
-def _draw_phases(axes: Any, record: AdmittanceRecord) -> None:
+def _draw_phases(figure: Any, axes: Any, record: AdmittanceRecord) -> None:
     from matplotlib.patches import Patch
 
     edges = [*record.times_s, record.times_s[-1]]
@@ -102,13 +102,12 @@ def _draw_phases(axes: Any, record: AdmittanceRecord) -> None:
     axes.spines[:].set_visible(False)
     axes.tick_params(bottom=False)
     seen = [sight for sight in PHASES if sight in record.sights]
-    axes.legend(
+    figure.legend(
         handles=[Patch(color=PHASES[s][0], label=PHASES[s][1]) for s in seen],
-        loc="lower right",
-        bbox_to_anchor=(1.0, 14.6),
+        loc="upper right",
+        bbox_to_anchor=(0.985, 0.935),
         ncols=len(seen),
         frameon=False,
-        fontsize=9,
     )
 
 
