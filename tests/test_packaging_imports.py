@@ -70,7 +70,8 @@ def test_every_import_is_declared(
     folders: list[str], extras: list[str], ros_modules: set[str]
 ) -> None:
     for module in imported(*folders) - (ros_modules if "ros" in extras else set()):
-        if any((CHECKOUT / folder / f"{module}.py").is_file() for folder in folders):
+        own = (f"{module}.py", f"{module}/__init__.py")
+        if any((CHECKOUT / folder / file).is_file() for folder in folders for file in own):
             continue
         assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
 
