@@ -99,3 +99,11 @@ def test_a_factor_that_no_sensor_has_is_refused(factor):
     text = TEXT.replace("(0.1,0)", f"({factor},0)")
     with pytest.raises(ChannelMapError, match=r"cable_1: factor or offset of TENSION_1"):
         check_fit(PACKED, parse_database(text))
+
+
+@pytest.mark.parametrize("id_", [288, 500])
+def test_two_messages_of_one_name_or_id_are_refused(id_):
+    name = "CYCLE" if id_ == 500 else "CYCLE_AGAIN"
+    more = f'BO_ {id_} {name}: 1 AMPLIFIER\n SG_ OTHER : 0|8@1+ (1,0) [0|255] "" DRIVER\n'
+    with pytest.raises(ChannelMapError, match="the same name or the same id"):
+        check_fit(PACKED, parse_database(TEXT.replace("BO_ 289 ", f"{more}\nBO_ 289 ", 1)))

@@ -265,3 +265,11 @@ def test_a_few_bytes_that_stand_for_any_number_of_rows_are_refused(tmp_path):
     assert path.stat().st_size < 200_000
     with pytest.raises(DatasetError, match=r"30000000 rows of 1 columns in .* packed so tightly"):
         read_dataset(path)
+
+
+def test_a_name_that_is_no_text_is_refused(path, tmp_path):
+    broken = tmp_path / "broken.parquet"
+    content = path.read_bytes()
+    broken.write_bytes(content.replace(b"sample_id", b"sample\xff\xfe\xfd"))
+    with pytest.raises(DatasetError, match=r"not a Parquet file|unknown column|lacks column"):
+        read_dataset(broken)

@@ -101,3 +101,10 @@ def test_a_missing_key_is_named():
 )
 def test_text_that_is_no_description_is_refused(text):
     _refused({"cablesense": text})
+
+
+@pytest.mark.parametrize("key", ["format", "arm_identity"])
+def test_texts_without_end_are_not_repeated(key):
+    line = _refused(_changed(lambda content: content.update({key: "x\n" * 5000})))
+    assert len(line) < 400
+    assert len(line.splitlines()) == 1

@@ -320,6 +320,19 @@ def test_a_size_that_depends_on_the_tensions_is_refused(tmp_path):
     assert "is open until the model is run" in _refused(_written(tmp_path, model))
 
 
+def test_a_model_that_answers_for_two_samples_alone_is_refused(tmp_path):
+    second = helper.make_tensor("second", TensorProto.INT64, [], [1])
+    nodes = [
+        helper.make_node("Gather", ["tension_difference_n", "second"], ["row"], axis=0),
+        helper.make_node("ReduceSum", ["row"], ["once"], keepdims=0),
+        helper.make_node("MatMul", ["tension_difference_n", "turn"], ["turned"]),
+        helper.make_node("Add", ["turned", "once"], ["direction"]),
+    ]
+    path = _written(tmp_path, _small_model(nodes=nodes, initializers=[second]))
+    with pytest.raises(ModelFileError):
+        Estimator.load(path)
+
+
 def test_more_work_than_a_sample_is_worth_is_refused(tmp_path):
     names = [f"step_{i}" for i in range(600)]
     large = helper.make_tensor("large", DOUBLE, [256, 256], [0.0] * 2**16)
