@@ -105,6 +105,7 @@ def _figures(kills: Sequence[Kill]) -> dict[str, Any]:
         "kills": len(kills),
         "others lived": sum(one.others_lived for one in kills),
         "wrong forces": sum(one.wrong for one in kills),
+        "estimator taken for dead while it lived": sum(one.false_deaths for one in kills),
         **{name: _spread([getattr(one, name) for one in kills]) for name in _SPREADS},
     }
 

@@ -41,6 +41,7 @@ class Kill:
         first_sample_s: from the start to the first sample from the driver.
         right_s: from the start to the first wrench of those that are right and stay so.
         wrong: wrenches with another force than the load's, a second after the load last changed.
+        false_deaths: how often the middleware took a living estimator for dead.
     """
 
     victim: str
@@ -52,6 +53,7 @@ class Kill:
     first_sample_s: float
     right_s: float
     wrong: int
+    false_deaths: int
 
     @property
     def right_after_set_up_s(self) -> float:
@@ -118,6 +120,10 @@ class KillTrials:
             first_sample_s=later[0] - started_s if later else float("nan"),
             right_s=right_s - started_s,
             wrong=self._wrong(victim, started_s),
+            false_deaths=sum(
+                alive == 0 and (victim != "estimator" or at > right_s)
+                for at, alive in watcher.liveliness
+            ),
         )
 
     def _wrong(self, victim: str, started_s: float) -> int:
