@@ -105,7 +105,7 @@ def _draw_phases(figure: Any, axes: Any, record: AdmittanceRecord) -> None:
     figure.legend(
         handles=[Patch(color=PHASES[s][0], label=PHASES[s][1]) for s in seen],
         loc="upper right",
-        bbox_to_anchor=(0.985, 0.935),
+        bbox_to_anchor=(0.985, 0.985),
         ncols=len(seen),
         frameon=False,
     )

@@ -1,0 +1,143 @@
+"""The admittance loop over real nodes and in statics: force without and with the controller.
+
+    python benchmarks/admittance.py --write
+
+For every segment, four directions and walls of several stiffnesses the loop of law, wall and arm
+at rest runs for `STEPS` steps (`cablesense_ros.admittance.sampled_loop`: no noise, nothing
+swings). Stable means that the force of the last steps does not rise and fall by more than
+`CHATTER_N`. Then the nodes run over the middleware, in simulated dynamics with the sensors'
+noise: `cablesense demo --controller admittance --headless`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablesense_ros.admittance.admittance_law import AdmittanceLaw
+from cablesense_ros.admittance.arm_contact import compliance_m_n, wall_beside
+from cablesense_ros.admittance.controller import ControllerSettings
+from cablesense_ros.admittance.reach import Reach
+from cablesense_ros.admittance.sampled_loop import SampledLoop
+from cablesense_sim.arm_files import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+OUT = Path(__file__).parent / "results" / "admittance.json"
+ARMS = ("cdsm", "cdsm_lab")
+ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
+STIFFNESSES_N_M = (2_000.0, 10_000.0, 20_000.0, 40_000.0, 100_000.0)
+HELD_N = 30.0
+STEPS = 40
+PERIOD_S = 0.73
+"""Of the node's cycle beside the static estimator: move 0.1 s, settle 0.5 s, measure 0.1 s."""
+SETTLED_WITHIN_N = 1.0
+CHATTER_N = 0.5
+LAST = 8
+DEMO_S = 24.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
+    options = parser.parse_args(arguments)
+    settings = ControllerSettings()
+    cases = [
+        _case(arm, settings, segment, angle, stiffness)
+        for arm in ARMS
+        for stiffness in STIFFNESSES_N_M
+        for segment in range(1, open_arm(arm).segment_count + 1)
+        for angle in ANGLES_DEG
+    ]
+    report = {
+        "command": "python benchmarks/admittance.py --write",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "assumed_worst_stiffness_n_m": settings.law.worst_stiffness_n_m,
+        "deadband_n": settings.law.deadband_n,
+        "period_s": PERIOD_S,
+        "steps": STEPS,
+        "summary": [_summary(cases, arm, k) for arm in ARMS for k in STIFFNESSES_N_M],
+        "real_nodes": _real_nodes(),
+    }
+    for row in report["summary"]:
+        print(json.dumps(row))
+    print(json.dumps(report["real_nodes"]))
+    if options.write:
+        rows = ",\n".join(json.dumps(case) for case in cases)  # one a line
+        text = f'{json.dumps(report, indent=1)[:-2]},\n "cases": [\n{rows}\n]}}\n'
+        partial = OUT.with_suffix(".part")
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(OUT)
+    return 0
+
+
+def _case(
+    arm: str, settings: ControllerSettings, segment: int, angle_deg: float, stiffness_n_m: float
+) -> dict[str, Any]:
+    mechanism = Mechanism.from_arm(open_arm(arm))
+    home = np.zeros(mechanism.joint_count)
+    reach = Reach.of(mechanism, settings.joint_limit_rad)
+    law = AdmittanceLaw(mechanism, reach, settings.law)
+    rest = solve_equilibrium(mechanism, home).joint_angles_rad
+    wall = wall_beside(mechanism, rest, segment, angle_deg, stiffness_n_m, 0.0)
+    compliance = compliance_m_n(mechanism, home, segment, wall.normal)
+    advance = HELD_N * (1.0 / stiffness_n_m + compliance)
+    course = SampledLoop(mechanism, law, wall, segment).run(home, advance, STEPS, PERIOD_S)
+    forces = course.forces_n
+    final = float(forces[-1])
+    unsettled = np.flatnonzero(np.abs(forces - final) > SETTLED_WITHIN_N)
+    return {
+        "arm": arm,
+        "segment": segment,
+        "angle_deg": angle_deg,
+        "stiffness_n_m": stiffness_n_m,
+        "loop_gain": round(law.loop_gain(home, segment, wall.normal, stiffness_n_m, PERIOD_S), 3),
+        "without_n": round(float(forces[0]), 2),
+        "with_n": round(final, 2),
+        "settling_s": round(float(unsettled[-1] + 1) * PERIOD_S if len(unsettled) else 0.0, 2),
+        "overshoot_n": round(max(0.0, final - float(forces.min())), 2),
+        "stable": bool(np.ptp(forces[-LAST:]) <= CHATTER_N or np.all(np.diff(forces) <= 1e-3)),
+        "largest_angle_deg": round(float(np.rad2deg(np.abs(course.commands_rad[-1]).max())), 3),
+    }
+
+
+def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) -> dict[str, Any]:
+    rows = [c for c in cases if c["arm"] == arm and c["stiffness_n_m"] == stiffness_n_m]
+    return {
+        "arm": arm,
+        "stiffness_n_m": stiffness_n_m,
+        "cases": len(rows),
+        "stable": sum(row["stable"] for row in rows),
+        "without_n": [min(r["without_n"] for r in rows), max(r["without_n"] for r in rows)],
+        "with_n": [min(r["with_n"] for r in rows), max(r["with_n"] for r in rows)],
+        "settling_s": [min(r["settling_s"] for r in rows), max(r["settling_s"] for r in rows)],
+        "largest_overshoot_n": max(row["overshoot_n"] for row in rows),
+    }
+
+
+def _real_nodes() -> dict[str, Any]:
+    """The figures of one headless demo."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "demo"]
+        command += ["--controller", "admittance", "--headless", "--json"]
+        command += ["--duration", f"{DEMO_S:g}", "--out", folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    del found["picture"]
+    return {key: round(v, 2) if isinstance(v, float) else v for key, v in found.items()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
