@@ -1,0 +1,69 @@
+"""Nothing in the packages makes code of data: no pickle, no eval, no shell, one reader of YAML."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[1]
+ROOMS = (
+    "cablesense_msgs_py",
+    "cablesense_sim",
+    "training",
+    "cablesense_gap",
+    "cablesense_paper",
+    "cablesense_ros",
+)
+SOURCES = sorted(path for room in ROOMS for path in (CHECKOUT / room).rglob("*.py"))
+MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "code"}
+BUILTINS = {"eval", "exec", "compile", "__import__"}
+CALLS = {
+    ("yaml", "load"): "cablesense_msgs_py/plain_yaml.py",
+    ("yaml", "safe_load"): "",
+    ("yaml", "full_load"): "",
+    ("yaml", "unsafe_load"): "",
+    ("torch", "load"): "",
+    ("os", "system"): "",
+    ("os", "popen"): "",
+    ("tempfile", "mktemp"): "",
+    ("pd", "read_pickle"): "",
+}
+"""What is called of what, and in which file alone it may be."""
+
+
+def sins(path):
+    """Lines of a file that make code of data, or may."""
+    name = path.relative_to(CHECKOUT).as_posix()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        where = f"{name}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            yield from (where for one in names if one.split(".")[0] in MODULES)
+        elif isinstance(node, ast.Call):
+            function = node.func
+            if isinstance(function, ast.Name) and function.id in BUILTINS:
+                yield where
+            if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name):
+                allowed = CALLS.get((function.value.id, function.attr))
+                if allowed is not None and allowed != name:
+                    yield where
+            for keyword in node.keywords:
+                if keyword.arg in ("shell", "allow_pickle"):
+                    yield where
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_room_makes_code_of_data(room):
+    own = [path for path in SOURCES if path.is_relative_to(CHECKOUT / room)]
+    assert own
+    assert [sin for path in own for sin in sins(path)] == []
+
+
+def test_what_would_be_a_sin_is_seen(tmp_path, monkeypatch):
+    bad = "import pickle\nimport yaml\nyaml.load(x)\neval(x)\nrun(x, shell=True)\n"
+    path = tmp_path / "bad.py"
+    path.write_text(bad)
+    monkeypatch.setattr(f"{__name__}.CHECKOUT", tmp_path)
+    assert list(sins(path)) == ["bad.py:1", "bad.py:3", "bad.py:4", "bad.py:5"]
