@@ -75,13 +75,13 @@ class Recorder:
         self._warn = ThrottledLog(say, time.monotonic)
         self._contract = None if arm is None else BagRows(arm, keep=False)
         self._channels: dict[str, Any] = {}
-        self._started_s = time.monotonic()
+        self._started_s = self._flushed_s = time.monotonic()
+        self._failure: RecordingError | None = None
         self._hinted: set[str] = set()
         self.counts: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         for topic in wanted:
             self._listen(topic)
-        node.create_timer(CHUNK_S, self._file.flush)
 
     @property
     def status(self) -> str:
@@ -104,6 +104,18 @@ class Recorder:
             if not self.counts[topic] and topic not in self._hinted:
                 self._hinted.add(topic)
                 self._say(f"nothing on {topic} so far: {hint}")
+
+    def flush(self) -> None:
+        """To be called several times a second: what came goes out, also when nothing follows it.
+
+        Raises:
+            RecordingError: the file cannot be written any more.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if time.monotonic() - self._flushed_s >= CHUNK_S:
+            self._file.flush()
+            self._flushed_s = time.monotonic()
 
     def close(self) -> None:
         """Finish the file.
@@ -135,6 +147,8 @@ class Recorder:
         )
 
     def _take(self, topic: str, kind: type, raw: bytes) -> None:
+        if self._failure is not None:
+            return
         now_ns = time.time_ns()
         try:
             if self._contract is not None and topic in INPUTS:
@@ -143,10 +157,15 @@ class Recorder:
             self.refused[topic] += 1
             self._warn(topic, f"{topic}: left out: {error}")
             return
-        channel = self._channels.get(topic)
-        if channel is None:
+        try:
+            self._file.write(self._channel(topic), now_ns, raw)
+        except RecordingError as error:  # an executor would print where it comes from
+            self._failure = error
+        self.counts[topic] += 1
+
+    def _channel(self, topic: str) -> Any:
+        if topic not in self._channels:
             wanted = self._wanted[topic]
             name = resolved(topic, self._node.get_namespace())
-            channel = self._channels[topic] = self._file.add(name, wanted.kind, wanted.offered)
-        self._file.write(channel, now_ns, raw)
-        self.counts[topic] += 1
+            self._channels[topic] = self._file.add(name, wanted.kind, wanted.offered)
+        return self._channels[topic]

@@ -84,5 +84,6 @@ def _spin(
     with console.status("waiting for the arm") as line:
         while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
             executor.spin_until_future_complete(wanted_end, timeout_sec=min(_WAKE_S, left_s))
+            recorder.flush()
             recorder.hint_at_silence()
             line.update(f"recording, Ctrl-C ends it: {recorder.status}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -228,3 +229,23 @@ def test_a_killed_process_loses_no_more_than_its_last_chunk(after_s, tmp_path):
     assert [int.from_bytes(m.data[:8], "little") for m in got] == list(range(len(got)))
     assert len(got) < int(said[-1])
     assert killed_ns - got[-1].log_ns < (CHUNK_S + 0.3) * 1e9
+    assert [path.name for path in tmp_path.iterdir()] == ["killed.mcap"]
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_said_and_what_was_written_stays(tmp_path):
+    path = tmp_path / "full.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", ENDLESS, path],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        timeout=60,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000)),
+    )
+    assert done.returncode == 1
+    assert "full.mcap: cannot be written (File too large)" in done.stderr
+    messages = McapMessages(path)
+    assert len(list(messages)) > 100
+    assert "breaks off" in messages.cut

@@ -64,6 +64,7 @@ class TopicFile:
             self._storage.bio.flush()
             if growing:
                 self._written.replace(self._path)
+                shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
         except OSError as error:
             self.discard()
             raise self._cannot(error) from error
@@ -110,6 +111,7 @@ class TopicFile:
             RecordingError: it cannot be written.
         """
         try:
+            self._folder.mkdir(parents=True, exist_ok=True)  # rosbags writes its metadata there
             self._writer.close()
             if not self._growing:
                 self._written.replace(self._path)
