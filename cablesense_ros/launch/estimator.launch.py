@@ -33,6 +33,7 @@ ARGUMENTS = (
     ("calibration", "", None, "with source:=can: path of a calibration file, or empty for none"),
     ("interface", "socketcan", None, "with source:=can: python-can's name of the adapter's kind"),
     ("channel", "can0", None, "with source:=can: what that kind calls its channels"),
+    ("state_file", "", None, "keeps the estimator's tare and command over a kill; empty: nothing"),
     ("namespace", "", None, "namespace of all nodes"),
 )
 
@@ -51,7 +52,7 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         parameters=[
             PathJoinSubstitution([settings, "estimator.yaml"]),
-            {"arm": arm, "model": model, "autostart": False},
+            {"arm": arm, "model": model, "state_file": _text("state_file"), "autostart": False},
         ],
     )
     simulation = [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]
