@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from rclpy.exceptions import ROSInterruptException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -79,8 +77,7 @@ class ObstacleNode(Node):
 
     def destroy_node(self) -> None:
         """Let go of the arm."""
-        with suppress(ROSInterruptException):
-            self._press(np.zeros(3))
+        self._press(np.zeros(3))
         super().destroy_node()
 
     def _on_joint_states(self, message: JointState) -> None:

@@ -87,6 +87,7 @@ def test_the_force_falls_stays_low_and_a_killed_estimator_stops_the_arm():
         _falls_and_stays(loop, estimator, processes[2])
         _killed_and_back(loop, estimator, processes)
         _yields_to_another_commander(loop, processes[2])
+        _lets_go_at_its_end(loop, processes[1])
     finally:
         estimator.process.kill()
         codes = [process.stop() for process in processes]
@@ -148,3 +149,10 @@ def _yields_to_another_commander(loop, admittance):
     loop.commands.clear()
     loop.spin(1.5)
     assert all(np.array_equal(command, position) for _, command in loop.commands)
+
+
+def _lets_go_at_its_end(loop, obstacle):
+    loop.advance_wall(0.03)
+    loop.until(lambda: loop.force_n > 5.0, "the wall to press on the arm elsewhere")
+    assert obstacle.stop() == 0, obstacle.log
+    loop.until(lambda: loop.force_n == 0.0, "the last message of the wall")
