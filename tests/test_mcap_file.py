@@ -185,3 +185,12 @@ def test_nothing_is_left_of_a_file_that_failed(tmp_path):
     with pytest.raises(ValueError, match="could not convert"):
         bag(tmp_path / "a.mcap", COMMAND, ("load", "segment_1", ("much", 0.0, 0.0)))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_breaks_off_is_read_up_to_there_and_said(tmp_path, caplog):
+    path = tmp_path / "cut.mcap"
+    write_mcap(path, recording(rows=60), LAB)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+    got = read_recording(path, LAB)
+    assert 5 < len(got) < 60
+    assert "cut.mcap: breaks off at byte" in caplog.text

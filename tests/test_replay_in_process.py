@@ -174,3 +174,11 @@ def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
         CliRunner().invoke(
             app, ["replay", "b.mcap", "--publish", "--arm", "cdsm"], catch_exceptions=False
         )
+
+
+def test_a_diagnosis_reads_the_recording_of_a_run_too(made, whole):
+    from cablesense_gap.recordings.reading import read_recording
+
+    got = read_recording(whole, made.loaded.arm)
+    assert len(got) == 150  # those after the command
+    assert set(got.load_segment) == {0}
