@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -79,7 +80,15 @@ def test_rosbags_and_the_mcap_library_read_it_too(whole):
         assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
         assert all("offered_qos_profiles" in c.metadata for c in summary.channels.values())
         assert sum(1 for _ in reader.iter_messages(starting_at=6 * S)) == 1000
-        assert next(iter(reader.iter_metadata())).name == "rosbag2"
+        (metadata,) = reader.iter_metadata()
+        assert metadata.name == "rosbag2"
+        told = yaml.safe_load(metadata.metadata["serialized_metadata"])
+        assert told["storage_identifier"] == "mcap"
+        assert told["message_count"] == 2000
+        assert told["relative_file_paths"] == ["whole.mcap"]
+        assert {t["topic_metadata"]["type"] for t in told["topics_with_message_count"]} == set(
+            kinds
+        )
 
 
 @given(share=st.floats(0.0, 1.0, exclude_max=True))

@@ -22,7 +22,8 @@ def replay(
         Path | None, typer.Option(help="Write the estimates to this .csv file.")
     ] = None,
     publish: Annotated[
-        bool, typer.Option(help="Publish the inputs over ROS, for an estimator that runs.")
+        bool,
+        typer.Option("--publish", help="Publish the inputs over ROS, for an estimator that runs."),
     ] = False,
     rate: Annotated[
         float, typer.Option(min=0.01, max=100.0, help="With --publish: how many times as fast.")
@@ -38,6 +39,7 @@ def replay(
     Example: cablesense replay run.mcap
     """
     from contextlib import nullcontext
+    from functools import partial
     from json import dumps
 
     from cablesense_gap.recordings.recording_error import RecordingError
@@ -55,7 +57,8 @@ def replay(
     if publish:
         from cablesense_ros.replay.through_node import replay_through_node
 
-        comparison = replay_through_node(run, rate, namespace, say=typer.echo)
+        say = partial(typer.echo, err=True)
+        comparison = replay_through_node(run, rate, namespace, say)
     else:
         with nullcontext() if estimates is None else estimate_table(estimates) as table:
             comparison = replay_in_process(run, arm, model, table)
