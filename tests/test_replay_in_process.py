@@ -161,7 +161,7 @@ def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
         RecordedRun(path("a.mcap", {topics.WRENCH}))
     with pytest.raises(RecordingError, match="has no ~/journal"):
         replayed(path("b.mcap", {topics.CABLE_TENSIONS, topics.WRENCH}))
-    with pytest.raises(RecordingError, match="is of type std_msgs/msg/String; it must be"):
+    with pytest.raises(RecordingError, match="is of type 'std_msgs/msg/String'; it must be"):
         RecordedRun(path("c.mcap", kinds={topics.JOURNAL: "std_msgs/msg/String"}.items()))
     broken = [
         (t, log_ns, raw[:60] if t == topics.JOURNAL else raw) for t, log_ns, raw in made.records

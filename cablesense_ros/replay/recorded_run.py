@@ -120,7 +120,7 @@ class RecordedRun:
             )
         if raw.kind != CONTRACT[topic].kind:
             raise RecordingError(
-                f"{self.path}: {raw.topic} is of type {raw.kind}; it must be "
+                f"{self.path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
                 f"{CONTRACT[topic].kind}"
             )
 
