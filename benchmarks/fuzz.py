@@ -3,12 +3,12 @@
     python benchmarks/fuzz.py [--quick] [--only frames,models] [--seed 0] [--workers 2] [--write]
 
 More than 1,000,000 CAN frames, 100,000 messages to the estimator and 10,000 files; with `--write`
-the figures go to benchmarks/results/fuzz.json. Every target (`fuzz/targets.py`) runs in child
-processes that are watched (`fuzz/watched.py`): a crash of native code, an item beyond its time,
-memory beyond measure, an error outside CableSense's family, a refusal that is no line and an
-answer that the target's oracle calls false are findings, each told with its item, which `--seed`
-makes again.
-Some thousand messages also go over real Fast DDS to a live node (`fuzz/live_node.py`).
+the figures go to benchmarks/results/fuzz.json, with `--only` those of the targets named. Every
+target (`fuzz/targets.py`) runs in child processes that are watched (`fuzz/watched.py`): a crash of
+native code, an item beyond its time, memory beyond measure, an error outside CableSense's family,
+a refusal that is no line and an answer that the target's oracle calls false are findings, each
+told with its item, which `--seed` makes again. Some thousand messages also go over real Fast DDS
+to a live node (`fuzz/live_node.py`).
 """
 
 from __future__ import annotations
@@ -88,6 +88,8 @@ def _options(names: Sequence[str]) -> argparse.Namespace:
     unknown = set(options.only) - {*names, LIVE}
     if unknown:
         parser.error(f"no target {', '.join(sorted(unknown))}")
+    if options.quick and options.write:
+        parser.error("a quick run is not written")
     return options
 
 
@@ -123,27 +125,28 @@ def _report(
     chosen: list[Target], results: dict[str, Result], options: argparse.Namespace, run_s: float
 ) -> dict[str, Any]:
     units = {target.name: target.unit for target in chosen} | {LIVE: "messages"}
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    told = {
+        name: {"unit": units[name], "seed": options.seed, "made": made, **asdict(result)}
+        for name, result in results.items()
+    }
+    if options.write and options.only and RESULT.exists():
+        told = json.loads(RESULT.read_text())["targets"] | told
     inputs = dict.fromkeys(BARS, 0)
-    for name, result in results.items():
-        inputs[units[name]] += result.inputs
+    for target in told.values():
+        inputs[target["unit"]] += target["inputs"]
     found = ("crashes", "hangs", "memory", "escaped", "false_answers")
     return {
-        "command": f"python benchmarks/fuzz.py --seed {options.seed} --write",
-        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": "python benchmarks/fuzz.py --write",
         "machine": {
             "cpu_count": os.cpu_count(),
             "python": platform.python_version(),
             **{name: version(name) for name in _LIBRARIES},
         },
+        "run_s": round(run_s, 1),
         "bars": BARS,
-        "in all": {
-            **inputs,
-            **{name: sum(getattr(result, name) for result in results.values()) for name in found},
-            "run_s": round(run_s, 1),
-        },
-        "targets": {
-            name: {"unit": units[name], **asdict(result)} for name, result in results.items()
-        },
+        "in all": {**inputs, **{n: sum(target[n] for target in told.values()) for n in found}},
+        "targets": told,
     }
 
 

@@ -107,3 +107,12 @@ def test_two_messages_of_one_name_or_id_are_refused(id_):
     more = f'BO_ {id_} {name}: 1 AMPLIFIER\n SG_ OTHER : 0|8@1+ (1,0) [0|255] "" DRIVER\n'
     with pytest.raises(ChannelMapError, match="the same name or the same id"):
         check_fit(PACKED, parse_database(TEXT.replace("BO_ 289 ", f"{more}\nBO_ 289 ", 1)))
+
+
+def test_a_status_or_counter_without_measure_is_refused():
+    text = config_path("can/cia404_amplifier.dbc").read_text(encoding="utf-8")
+    text = text.replace("STATUS_1 : 32|8@1+ (1,0)", "STATUS_1 : 32|8@1+ (1e999,0)", 1)
+    with pytest.raises(ChannelMapError, match="factor or offset of STATUS_1"):
+        check_fit(SINGLE, parse_database(text))
+    with pytest.raises(ChannelMapError, match="factor or offset of CYCLE_COUNTER"):
+        check_fit(PACKED, parse_database(TEXT.replace("0|8@1+ (1,0)", "0|8@1+ (1,1e31)", 1)))

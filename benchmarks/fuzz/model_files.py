@@ -118,7 +118,7 @@ def _metadata(rng: random.Random, model: ModelProto) -> None:
             try:
                 content = json.loads(entry.value)
                 key = rng.choice(list(content))
-            except (ValueError, TypeError, IndexError):  # changed as text before
+            except (ValueError, TypeError, IndexError, RecursionError):  # changed as text
                 continue
             content[key] = rng.choice((None, "", -1, 1e308, [], {}, "x" * 5000, True, [1] * 400))
             entry.value = json.dumps(content)

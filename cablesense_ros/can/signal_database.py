@@ -70,20 +70,20 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
         message = message_of(database, channel.message, where)
-        signal = _signal_of(message, channel.signal, where)
-        if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
-            raise ChannelMapError(
-                f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
-                f"both must be finite, at most {_LARGEST_FACTOR:g}"
-            )
-        if channel.status is not None and _signal_of(message, channel.status, where).is_float:
-            raise ChannelMapError(
-                f"{where}: status {channel.status} is a floating value; it must be of whole bits"
-            )
+        _require_credible(_signal_of(message, channel.signal, where), where)
+        if channel.status is not None:
+            status = _signal_of(message, channel.status, where)
+            _require_credible(status, where)
+            if status.is_float:
+                raise ChannelMapError(
+                    f"{where}: status {channel.status} is a floating value; it must be of whole "
+                    "bits"
+                )
     if channel_map.counter is not None:
         where = f"{source}: counter"
         message = message_of(database, channel_map.counter.message, where)
         counter = _signal_of(message, channel_map.counter.signal, where)
+        _require_credible(counter, where)
         if counter.is_float or counter.is_signed or counter.length < 2:
             raise ChannelMapError(
                 f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
@@ -129,6 +129,14 @@ def message_of(database: Database, name: str, where: str) -> Message:
             "messages of at most 8 bytes are read"
         )
     return found[0]
+
+
+def _require_credible(signal: Signal, where: str) -> None:
+    if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
+        raise ChannelMapError(
+            f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
+            f"both must be finite, at most {_LARGEST_FACTOR:g}"
+        )
 
 
 def _id_of(message: Message) -> tuple[int, bool]:
