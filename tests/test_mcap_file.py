@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from cablesense_gap.recordings import mcap_file
 from cablesense_gap.recordings.bag_writer import BagWriter
 from cablesense_gap.recordings.mcap_file import read_mcap, write_mcap
+from cablesense_gap.recordings.mcap_messages import RawMessage
 from cablesense_gap.recordings.reading import read_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.recording_error import RecordingError
@@ -194,3 +195,21 @@ def test_a_recording_that_breaks_off_is_read_up_to_there_and_said(tmp_path, capl
     got = read_recording(path, LAB)
     assert 5 < len(got) < 60
     assert "cut.mcap: breaks off at byte" in caplog.text
+
+
+def test_a_type_of_any_name_is_told_in_one_line(tmp_path, monkeypatch):
+    class OfAnotherType:
+        cut = ""
+
+        def __init__(self, path):
+            pass
+
+        def __iter__(self):
+            yield RawMessage("/cable_tensions", "sensor\n\x1b" * 1000, S, b"")
+
+    path = bag(tmp_path / "a.mcap", COMMAND, TENSIONS)
+    monkeypatch.setattr(mcap_file, "McapMessages", OfAnotherType)
+    with pytest.raises(RecordingError, match="is of type") as caught:
+        read_mcap(path, LAB)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 400
