@@ -137,7 +137,10 @@ class _Witness:
 
 
 def make_frames(seed: int) -> Run:
-    """Items are sequences of some hundred frames into a reader of their own."""
+    """Items are sequences of some hundred frames into a reader of their own.
+
+    Frames make samples: `refused` counts those withheld, `taken` those given.
+    """
     amplifiers = [_Amplifier("twelve_channel_amplifier"), _Amplifier("cia404_amplifier")]
 
     def run(item: int) -> Outcome:
