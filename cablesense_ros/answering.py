@@ -64,6 +64,9 @@ class EstimatesAlongCourse(Protocol):
     def forget(self) -> None:
         """Begin without a past."""
 
+    def tare(self) -> None:
+        """Tension differences count from now on."""
+
 
 class Answers(Protocol):
     """What `Estimation` asks."""
@@ -142,8 +145,8 @@ class AnswersAlongCourse:
         self._motion.go_to(command_rad)
 
     def begin(self) -> None:
-        """The model's past begins with the tare, as in training."""
-        self._estimator.forget()
+        """The model hears of tensions since the tare, as in training."""
+        self._estimator.tare()
 
     def restore(self, command_rad: Array) -> None:
         """See `Answers`."""
@@ -160,11 +163,11 @@ class AnswersAlongCourse:
         self._motion.advance(max(0.0, passed_s))
         angle, speed, acceleration = self._motion.state
         unloaded = self._unloaded_n(angle)
-        if unloaded is None:
-            return None
-        return self._estimator.estimate(
-            tensions_n - unloaded, angle, speed, acceleration, stamp_ns * 1e-9
+        difference = np.zeros(len(tensions_n)) if unloaded is None else tensions_n - unloaded
+        estimate = self._estimator.estimate(
+            difference, angle, speed, acceleration, stamp_ns * 1e-9
         )
+        return None if unloaded is None else estimate
 
     def _unloaded_n(self, angle_rad: Array) -> Array | None:
         if not self._motion.moving:

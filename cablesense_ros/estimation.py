@@ -40,9 +40,6 @@ from cablesense_sim.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 TARES = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
-BEGINNINGS = frozenset({EventKind.START, EventKind.TARE, EventKind.AUTO_TARE})
-"""Events at which the arm rests, and a model with memory begins without a past."""
-
 
 @dataclass(frozen=True)
 class EstimationSettings:
@@ -248,7 +245,7 @@ class Estimation:
     def vouches(self) -> bool:
         """Whether the answers after `restore` are those of the object that made the entries.
 
-        A model with memory has its past from the start, or from a tare on.
+        A model with memory has a past from the start on.
         """
         return self._followed or not self._answers.in_motion
 
@@ -280,14 +277,14 @@ class Estimation:
             return Outcome(stamp_ns=stamp_ns, entry=entry)
         if not moving:
             self.tare.add(tensions)
-            if self._auto_tare and self.tare.ready:
-                self._auto_tare = False
-                tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
-                return Outcome(stamp_ns=stamp_ns, new_tare=tare, entry=entry)
         try:
             estimate = self._answers.estimate(tensions, stamp_ns)
         except CableSenseError as error:
             raise SampleError(ProblemKind.ESTIMATE, str(error)) from error
+        if not moving and self._auto_tare and self.tare.ready:
+            self._auto_tare = False
+            tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
+            return Outcome(stamp_ns=stamp_ns, new_tare=tare, entry=entry)
         if estimate is None:
             return Outcome(stamp_ns=stamp_ns, entry=entry)
         probabilities = estimate.probabilities.tolist()
@@ -349,7 +346,7 @@ class Estimation:
                 self._answers.command(np.array(event.command_rad))
             elif event.kind in TARES:
                 self._answers.begin()
-            self._followed |= event.kind in BEGINNINGS
+            self._followed |= event.kind is EventKind.START
 
     def _answers_of(self, estimator: EstimatesAtRest | EstimatesAlongCourse) -> Answers:
         if isinstance(estimator, EstimatesAlongCourse):

@@ -72,7 +72,8 @@ def temporal_model_file(tmp_path_factory):
         arm,
         network="temporal",
         units=dict(COURSE_UNITS),
-        memory=96,
+        memory=TemporalNetwork.for_arm(arm).memory,
+        hidden=TemporalNetwork.for_arm(arm).hidden,
         tick_s=0.02,
         joint_speed_deg_s=20.0,
     )

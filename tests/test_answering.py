@@ -29,7 +29,7 @@ class Listener:
     """Stands in for a model with memory and notes what it is asked."""
 
     def __init__(self):
-        self.asked, self.forgot = [], 0
+        self.asked, self.forgot, self.tared = [], 0, 0
 
     def estimate(self, tension_difference_n, angle, speed, acceleration, time_s):
         self.asked.append((tension_difference_n, angle, speed, acceleration, time_s))
@@ -37,6 +37,9 @@ class Listener:
 
     def forget(self):
         self.forgot += 1
+
+    def tare(self):
+        self.tared += 1
 
 
 @pytest.fixture
@@ -78,21 +81,25 @@ def test_the_tare_is_carried_along_the_way(tare):
         )
 
 
-def test_a_tare_begins_a_new_past(tare):
+def test_a_tare_and_a_restart_are_told_to_the_model(tare):
     model = Listener()
     answers = AnswersAlongCourse(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
     before = model.forgot
     answers.begin()
+    assert (model.tared, model.forgot) == (1, before)
+    answers.restore(BENT)
     assert model.forgot == before + 1
 
 
-def test_without_a_tare_no_model_is_asked():
+def test_without_a_tare_there_is_no_estimate_but_the_course_is_followed():
     nothing = TareModel(predicted_n, STRAIGHT, 1, 1.0)
-    for answers in (
-        AnswersAlongCourse(Listener(), nothing, predicted_n, STRAIGHT, SPEED_RAD_S),
-        AnswersAtRest(SimpleNamespace(pose_aware=True, estimate=None), nothing, STRAIGHT),
-    ):
+    model = Listener()
+    course = AnswersAlongCourse(model, nothing, predicted_n, STRAIGHT, SPEED_RAD_S)
+    rest = AnswersAtRest(SimpleNamespace(pose_aware=True, estimate=None), nothing, STRAIGHT)
+    for answers in (course, rest):
         assert answers.estimate([50.0] * 12, 1) is None
+    (difference, *_), *_ = model.asked
+    assert (difference == 0.0).all()
 
 
 serialization = pytest.importorskip("rclpy.serialization")

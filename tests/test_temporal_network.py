@@ -41,7 +41,7 @@ def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
     protocol = SingleContact(samples=200, pose="random", noise=False, force_low_n=5.0)
     dataset = Dataset.from_protocol(CDSM, protocol)
     with torch.no_grad():
-        output, _ = network(_ticks(dataset), torch.zeros(200, 96).double())
+        output, _ = network(_ticks(dataset), torch.zeros(200, network.memory).double())
     touched = dataset.segment > 0
     assert (output.contact_logits.argmax(-1).numpy() == dataset.segment)[touched].mean() > 0.98
     off = np.abs(output.magnitude_n.numpy() - dataset.magnitude_n)[touched]
@@ -55,7 +55,8 @@ def test_whatever_the_state_the_torques_move_by_a_bounded_amount(network):
     ticks = _ticks(dataset)
     with torch.no_grad():
         balance = network.balance(ticks)
-        encoded = network.encode(network.joint_torque_n_m(balance), ticks)
+        past = torch.zeros(50, network.drawn.size).double()
+        encoded = network.encode(network.joint_torque_n_m(balance), past, ticks)
         answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double())
     moved = (answer.torque_n_m - balance.torque_n_m[..., 0]).abs().max()
     assert 0.3 < moved <= LARGEST_CORRECTION * 0.3 + 1e-9
@@ -71,6 +72,6 @@ def test_the_peer_without_memory_answers_the_same_in_any_state():
     peer = TemporalNetwork.for_arm(CDSM, remembers=False).double().eval()
     ticks = _ticks(Dataset.from_protocol(CDSM, SingleContact(samples=20, pose="random")))
     with torch.no_grad():
-        here, _ = peer(ticks, torch.zeros(20, 96).double())
-        there, _ = peer(ticks, torch.ones(20, 96).double())
+        here, _ = peer(ticks, torch.zeros(20, peer.memory).double())
+        there, _ = peer(ticks, torch.ones(20, peer.memory).double())
     torch.testing.assert_close(here.magnitude_n, there.magnitude_n)

@@ -135,6 +135,7 @@ def _metadata(
         force_range_n=protocol.force_high_n,
         tare_samples=protocol.tare_samples,
         memory=network.memory,
+        hidden=network.hidden,
         tick_s=protocol.tick_s,
         joint_speed_deg_s=protocol.joint_speed_deg_s,
         command=command,

@@ -59,6 +59,7 @@ class ModelMetadata(BaseModel):
         force_range_n: forces up to this were trained on.
         tare_samples: readings averaged into the unloaded state in training.
         memory: size of the state that the model carries from tick to tick; 0 of one without.
+        hidden: size of its part that belongs to the recurrent unit, see `TemporalState`.
         tick_s: time from tick to tick; 0 of a model without memory.
         joint_speed_deg_s: peak speed of the moves it was trained on; 0 of a model without memory.
         command, seed: what makes the file again.
@@ -80,6 +81,7 @@ class ModelMetadata(BaseModel):
     force_range_n: _Finite
     tare_samples: Annotated[int, Field(ge=1)]
     memory: Annotated[int, Field(ge=0, le=4096)] = 0
+    hidden: Annotated[int, Field(ge=0, le=4096)] = 0
     tick_s: _Finite = 0.0
     joint_speed_deg_s: _Finite = 0.0
     command: str
@@ -88,7 +90,7 @@ class ModelMetadata(BaseModel):
 
     def to_properties(self) -> dict[str, str]:
         """As ONNX metadata properties; a model without memory does not speak of it."""
-        left_out = set() if self.memory else {"memory", "tick_s", "joint_speed_deg_s"}
+        left_out = set() if self.memory else {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
         content = _without_infinities(self.model_dump(mode="json", exclude=left_out))
         return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
 

@@ -27,6 +27,7 @@ from cablesense_training.inference.session import (
     TENSION,
     ModelSession,
 )
+from cablesense_training.inference.temporal_state import TemporalState
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,10 @@ class TemporalEstimator:
     def __init__(self, session: ModelSession) -> None:
         self.metadata: ModelMetadata = session.metadata
         self._session = session
+        arm = session.metadata.arm
+        self._layout = TemporalState.of_size(
+            session.metadata.memory, session.metadata.hidden, arm.cable_count, arm.joint_count
+        )
         self._state = np.zeros((1, session.metadata.memory))
         self._tick_s: float | None = None
 
@@ -64,9 +69,13 @@ class TemporalEstimator:
         return cls(ModelSession.open(path, TEMPORAL_OUTPUTS, arm))
 
     def forget(self) -> None:
-        """Begin without a past, as after a tare."""
+        """Begin without a past."""
         self._state = np.zeros_like(self._state)
         self._tick_s = None
+
+    def tare(self) -> None:
+        """Tension differences count from now on; what commands have drawn before stays known."""
+        self._state = self._layout.tared(self._state)
 
     def estimate(
         self,
@@ -118,9 +127,11 @@ class TemporalEstimator:
         joint_commands_rad: Array,
         joint_speeds_rad_s: Array,
         joint_accelerations_rad_s2: Array,
+        before_rad: Array,
     ) -> Estimates:
-        """Estimates (S, T) of S courses of T ticks side by side, inputs (S, T, …), from no past.
+        """Estimates (S, T) of S courses of T ticks side by side, inputs (S, T, …).
 
+        Set-points (S, W, 2N) went before, ticks of their own; the tare is that of the first tick.
         The estimator's own state is left alone.
 
         Raises:
@@ -133,7 +144,7 @@ class TemporalEstimator:
             joint_accelerations_rad_s2,
         )
         names = (TENSION, COMMAND, SPEED, ACCELERATION)
-        state = np.zeros((len(tension_differences_n), self.metadata.memory))
+        state = self._drawn_before(before_rad, joint_commands_rad[:, 0])
         ticks = []
         for tick in range(tension_differences_n.shape[1]):
             now = {
@@ -155,6 +166,18 @@ class TemporalEstimator:
             magnitude_std_n=std,
             angle_std_deg=angle_std,
         )
+
+    def _drawn_before(self, before_rad: Array, first_rad: Array) -> Array:
+        """States (S, memory) at the tare, after set-points (S, W, 2N) and then (S, 2N)."""
+        count = len(first_rad)
+        still = np.zeros((count, self.metadata.arm.cable_count))
+        nothing = np.zeros_like(first_rad)
+        state = np.zeros((count, self.metadata.memory))
+        for set_point in [*before_rad.swapaxes(0, 1), first_rad]:
+            inputs = {TENSION: still, COMMAND: np.ascontiguousarray(set_point)}
+            inputs |= {SPEED: nothing, ACCELERATION: nothing, STATE: state}
+            state = self._session.run_inputs(inputs)[-1]
+        return self._layout.tared(state)
 
     def _ticks(self, time_s: float) -> int:
         """How many ticks have passed since the last; at least one at the first sample."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,10 @@ Array = NDArray[np.float64]
 
 STEP_S = 1e-3
 """Set-points are given this often, as the sim node does."""
+
+_MOVES_BEFORE = 3
+_TICKS_BEFORE = 25
+"""In each of these moves."""
 
 _SHARE_OF_STREAMS = 0.4
 _SHARE_OF_SINGLE_JOINTS = 0.3
@@ -58,6 +63,18 @@ def drawn_motion(
             fine[tick, step] = motion.advance(protocol.tick_s / inner)
         angle[tick], speed[tick], acceleration[tick] = motion.state
     return CommandedMotion(angle, speed, acceleration, fine)
+
+
+def drawn_before(start_rad: Array, reach_rad: float, rng: np.random.Generator) -> Array:
+    """(S, W, 2N) set-points that lead through random poses to `start_rad` (S, 2N).
+
+    They give the friction of each arm a past, and whoever counts commands knows it.
+    """
+    poses = [rng.uniform(-reach_rad, reach_rad, start_rad.shape) for _ in range(_MOVES_BEFORE)]
+    poses.append(start_rad)
+    share = np.linspace(0.0, 1.0, _TICKS_BEFORE)[:, None, None]
+    way = [here + share * (there - here) for here, there in pairwise(poses)]
+    return np.concatenate(way).swapaxes(0, 1)
 
 
 class _Commander:

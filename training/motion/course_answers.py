@@ -50,6 +50,7 @@ def course_answer(estimator: Estimator | TemporalEstimator, sequences: Sequences
             sequences.joint_command_rad,
             sequences.joint_speed_rad_s,
             sequences.joint_acceleration_rad_s2,
+            sequences.before_rad,
         )
     else:
         found = estimator.estimate_batch(

@@ -17,7 +17,7 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import read_tensions_n
 from cablesense_training.data.loads import contact_forces_n
-from cablesense_training.motion.commanded_motion import drawn_motion
+from cablesense_training.motion.commanded_motion import drawn_before, drawn_motion
 from cablesense_training.motion.contact_course import ContactCourse, drawn_contacts
 from cablesense_training.motion.motion_protocol import MotionProtocol
 from cablesense_training.motion.moving_tensions import (
@@ -76,8 +76,9 @@ def draw_block(
     forces = np.stack(
         [_forces_n(nominal, pose, course) for pose, course in zip(command, contacts, strict=True)]
     )
+    before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if memories([entries]):
-        true = tensions_from_rest_to_rest_n(arm, motions, forces, protocol.tick_s, rng)
+        true = tensions_from_rest_to_rest_n(arm, before, command, forces, protocol.tick_s)
     else:
         pairs = zip(motions, forces, strict=True)
         true = np.stack([tensions_in_time_n(arm, motion, loads) for motion, loads in pairs])
@@ -94,6 +95,7 @@ def draw_block(
         arm=arm,
         protocol=protocol,
         seed=seed,
+        before_rad=before,
         tension_difference_n=reading - tare - (predicted - predicted[:, :1]),
         joint_command_rad=command,
         joint_speed_rad_s=np.stack([motion.speed_rad_s for motion in motions]),

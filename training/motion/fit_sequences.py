@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import NORMAL_95, EpochRecord, FitHistory
 from cablesense_training.losses import (
     LossTerms,
-    LossWeights,
     SingleContactTarget,
     angle_error_deg,
+    direction_of,
     gaussian_nll,
-    single_contact_loss,
 )
 from cablesense_training.motion.sequence_samples import SequenceSamples
 from cablesense_training.motion.sequences import Sequences
-from cablesense_training.networks.output import SingleContactOutput
-from cablesense_training.networks.temporal import TemporalNetwork, Ticks
+from cablesense_training.networks.temporal import CorrectedAnswer, TemporalNetwork, Ticks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +37,17 @@ class SequenceFitSettings:
         judged_every: the loss looks at one tick in so many, as neighbours say the same.
         reset_share: of the parts that begin with an empty state, so that the network learns to
             find its way without a past.
-        magnitude_scale_n: what a force is counted in by the loss.
-        weights: of equation (8).
+        force_scale_n: an error of the force that weighs as much as a nat of the contact.
     """
 
     seed: int = 0
-    epochs: int = 30
+    epochs: int = 20
     batch_size: int = 32
-    part_ticks: int = 150
+    part_ticks: int = 60
     judged_every: int = 5
     reset_share: float = 0.05
     learning_rate: float = 3e-3
-    magnitude_scale_n: float = 1.0
-    weights: LossWeights = field(default_factory=LossWeights)
+    force_scale_n: float = 1.0
     validation_share: float = 0.1
     threads: int = 2
 
@@ -141,7 +138,7 @@ class _Fit:
         order = torch.randperm(len(self.training), generator=generator)
         sums, count = torch.zeros(len(LossTerms._fields)), 0
         for rows in order.split(settings.batch_size):
-            state = torch.zeros(len(rows), self.network.memory)
+            state = torch.zeros(len(rows), self.network.hidden)
             for ticks in _parts(self.training.tick_count, settings.part_ticks):
                 part = self.training.part(rows, ticks)
                 lost = torch.rand(len(rows), 1, generator=generator) < settings.reset_share
@@ -159,22 +156,32 @@ class _Fit:
     def _terms(
         self, part: SequenceSamples, state: Tensor, phase: int
     ) -> tuple[LossTerms, Tensor]:
-        output, target, unexplained, following = self._answers(part, state, phase)
-        terms = single_contact_loss(
-            output,
-            target,
-            torch.tensor(self.settings.magnitude_scale_n, dtype=output.magnitude_n.dtype),
-            self.settings.weights,
-        )
-        return terms._replace(total=terms.total + unexplained), following
+        """The loss of the judged ticks, and the last state.
+
+        The force is judged on the segment that is truly touched: where another was believed in,
+        its force says nothing of what to correct.
+        """
+        answer, target, true_torque, following = self._answers(part, state, phase)
+        contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
+        touched = torch.nonzero(target.segment > 0)[:, 0]
+        true_force = direction_of(target.angle_deg[touched]) * target.magnitude_n[touched, None]
+        force = answer.force_n[touched, target.segment[touched] - 1]
+        off_n = functional.huber_loss(force, true_force, reduction="sum") / max(1, len(touched))
+        scale = self.network.error.std.double()
+        error = self.network.in_joint_order(answer.torque_n_m) - true_torque
+        spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
+        total = contact + off_n / self.settings.force_scale_n
+        return LossTerms(total, contact, torch.zeros_like(total), off_n, spread), following
 
     def _answers(
         self, part: SequenceSamples, state: Tensor, phase: int
-    ) -> tuple[SingleContactOutput, SingleContactTarget, Tensor, Tensor]:
-        """Answers and truths of the judged ticks, the torques' misfit, and the last state."""
+    ) -> tuple[CorrectedAnswer, SingleContactTarget, Tensor, Tensor]:
+        """Answers, truths and true torques of the judged ticks, and the last state."""
         network, kind = self.network, torch.float32
         encoded = network.encode(
-            part.torque_n_m.to(kind), Ticks(*(value.to(kind) for value in part.ticks))
+            part.torque_n_m.to(kind),
+            part.past.to(kind),
+            Ticks(*(value.to(kind) for value in part.ticks)),
         )
         states, following = network.remember(encoded, state)
         judged = slice(phase, None, self.settings.judged_every)
@@ -183,17 +190,14 @@ class _Fit:
         answer = network.answer(
             balance, encoded[:, judged].flatten(0, 1), states[:, judged].flatten(0, 1)
         )
-        error = network.in_joint_order(answer.torque_n_m) - seen.true_torque_n_m.flatten(0, 1)
-        scale = network.error.std.double()
-        misfit = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
         target = SingleContactTarget(*(value.flatten() for value in seen.target))
-        return answer.output, target, misfit, following
+        return answer, target, seen.true_torque_n_m.flatten(0, 1), following
 
     def _held_out_loss(self) -> float:
-        """The loss of equation (8) along whole sequences."""
+        """The loss along whole sequences."""
         with torch.no_grad():
             totals = []
-            state = torch.zeros(len(self.validation), self.network.memory)
+            state = torch.zeros(len(self.validation), self.network.hidden)
             for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
                 terms, state = self._terms(self.validation.part(slice(None), ticks), state, 0)
                 totals.append(float(terms.total))
@@ -202,11 +206,12 @@ class _Fit:
     def _calibrate(self) -> None:
         """Scale the stated deviations until 95 % of the held-out errors lie within 1.96."""
         ratios = []
-        state = torch.zeros(len(self.validation), self.network.memory)
+        state = torch.zeros(len(self.validation), self.network.hidden)
         with torch.no_grad():
             for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
                 part = self.validation.part(slice(None), ticks)
-                output, target, _, state = self._answers(part, state, 0)
+                answer, target, _, state = self._answers(part, state, 0)
+                output = answer.output
                 found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
                 off_n = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
                 turned = angle_error_deg(output.direction, target.angle_deg).abs()

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +15,6 @@ from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_training.motion.commanded_motion import STEP_S, CommandedMotion
 
 Array = NDArray[np.float64]
-
-_WARM_UP_TICKS = 25
-"""Ticks of each of the moves before the course, from which friction keeps a state."""
-
-_WARM_UP_MOVES = 3
-
 
 def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
     """(T, M) tensions of an arm without memory under loads (T, N, 3), at rest at the start."""
@@ -42,24 +33,22 @@ def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Ar
 
 def tensions_from_rest_to_rest_n(
     arm: Arm,
-    motions: Sequence[CommandedMotion],
+    before_rad: Array,
+    command_rad: Array,
     forces_n: Array,
     tick_s: float,
-    rng: np.random.Generator,
 ) -> Array:
     """(S, T, M) tensions of arms that remember, side by side, under loads (S, T, N, 3).
 
-    Each comes to its start through random poses, so its friction has a past. NaN for sequences in
-    which an arm finds no rest.
+    Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
+    sequences in which an arm finds no rest.
     """
-    commands = np.stack([motion.angle_rad for motion in motions], axis=1)
-    reach = np.abs(commands).max()
-    before = _warm_up(commands[0], reach, rng)
-    course = np.concatenate([before, commands])
+    before = before_rad.swapaxes(0, 1)
+    course = np.concatenate([before, command_rad.swapaxes(0, 1)])
     none = np.zeros((len(before), *forces_n.swapaxes(0, 1).shape[1:]))
     loads = np.concatenate([none, forces_n.swapaxes(0, 1)])
-    found = np.full((len(course), len(motions), arm.cable_count), np.nan)
-    rows = np.arange(len(motions))
+    found = np.full((*course.shape[:2], arm.cable_count), np.nan)
+    rows = np.arange(course.shape[1])
     while rows.size:
         try:
             found[:, rows] = _through(arm, course[:, rows], loads[:, rows], tick_s)
@@ -85,10 +74,3 @@ def _through(arm: Arm, course_rad: Array, loads_n: Array, tick_s: float) -> Arra
         found[tick] = resting.step(tick * tick_s, held, loads_n[tick])
     return found
 
-
-def _warm_up(start_rad: Array, reach_rad: float, rng: np.random.Generator) -> Array:
-    """(W, S, 2N) commands that end in `start_rad` (S, 2N)."""
-    poses = [rng.uniform(-reach_rad, reach_rad, start_rad.shape) for _ in range(_WARM_UP_MOVES)]
-    poses.append(start_rad)
-    share = np.linspace(0.0, 1.0, _WARM_UP_TICKS)[:, None, None]
-    return np.concatenate([a + share * (b - a) for a, b in pairwise(poses)])

@@ -22,12 +22,14 @@ class SequenceSamples:
     Attributes:
         ticks: inputs (S, T, …), float64.
         torque_n_m: (S, T, 2N) of the environment by statics alone, in the order of the joints.
+        past: (S, T, `DrawnCables.size`) of the commands, known since before the tare.
         true_torque_n_m: (S, T, 2N) of the true contact.
         target: true contacts, each (S, T).
     """
 
     ticks: Ticks
     torque_n_m: Tensor
+    past: Tensor
     true_torque_n_m: Tensor
     target: SingleContactTarget
 
@@ -46,18 +48,21 @@ class SequenceSamples:
             torch.as_tensor(sequences.magnitude_n),
         )
         flat, truth = ticks.flat(), SingleContactTarget(*(part.flatten() for part in target))
-        torques, trues = [], []
+        torques, lengths, trues = [], [], []
         with torch.no_grad():
             for start in range(0, len(truth.segment), _ROWS_AT_ONCE):
                 rows = slice(start, start + _ROWS_AT_ONCE)
                 balance = network.balance(Ticks(*(part[rows] for part in flat)))
+                lengths.append(balance.commanded_m)
                 torques.append(network.joint_torque_n_m(balance))
                 part = SingleContactTarget(*(value[rows] for value in truth))
                 trues.append(network.in_joint_order(contact_torque_n_m(balance, part)))
         shape = (*target.segment.shape, -1)
-        return cls(
-            ticks, torch.cat(torques).reshape(shape), torch.cat(trues).reshape(shape), target
+        torque, length, true = (
+            torch.cat(part).reshape(shape) for part in (torques, lengths, trues)
         )
+        past = _past(network, sequences, length, ticks.joint_command_rad)
+        return cls(ticks, torque, past, true, target)
 
     def __len__(self) -> int:
         return len(self.torque_n_m)
@@ -72,6 +77,7 @@ class SequenceSamples:
         return SequenceSamples(
             Ticks(*(value[rows][:, ticks] for value in self.ticks)),
             self.torque_n_m[rows][:, ticks],
+            self.past[rows][:, ticks],
             self.true_torque_n_m[rows][:, ticks],
             SingleContactTarget(*(value[rows][:, ticks] for value in self.target)),
         )
@@ -85,3 +91,24 @@ def contact_torque_n_m(balance: Balance, target: SingleContactTarget) -> Tensor:
     force = torch.where((target.segment > 0)[:, None], force, torch.zeros_like(force))
     torque: Tensor = (force[:, None].to(levers.dtype) @ levers)[:, 0]
     return torque
+
+
+def _past(
+    network: TemporalNetwork, sequences: Sequences, lengths_m: Tensor, set_points_rad: Tensor
+) -> Tensor:
+    """(S, T, size) along the ticks; the commands before them count, and the tare at the first."""
+    before = torch.as_tensor(sequences.before_rad)
+    drawn = network.drawn
+    now = lengths_m.new_zeros(len(lengths_m), drawn.size)
+    still = torch.zeros_like(lengths_m[:, 0])
+    with torch.no_grad():
+        for tick in range(before.shape[1]):
+            pose = network.balance(Ticks(still, before[:, tick], before[:, tick], before[:, tick]))
+            now = drawn.follow(now, pose.commanded_m, before[:, tick])
+    past: list[Tensor] = []
+    for tick in range(lengths_m.shape[1]):
+        now = drawn.follow(now, lengths_m[:, tick], set_points_rad[:, tick])
+        if not past:
+            now = drawn.tared(now)
+        past.append(now)
+    return torch.stack(past, dim=1)

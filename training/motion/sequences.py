@@ -21,6 +21,7 @@ class Sequences:
 
     Attributes:
         arm, protocol, seed: what determines them.
+        before_rad: (S, W, 2N) set-points before the first tick, from rest to rest.
         tension_difference_n: (S, T, M) readings less the unloaded tensions at the set-point: the
             tare of the sequence's start, carried along by the arm's model.
         joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (S, T, 2N) set-points.
@@ -32,6 +33,7 @@ class Sequences:
     arm: Arm
     protocol: MotionProtocol
     seed: int
+    before_rad: Array
     tension_difference_n: Array
     joint_command_rad: Array
     joint_speed_rad_s: Array

@@ -1,10 +1,13 @@
 """Statics on joint torques that a recurrent network has cleared of motion and friction.
 
 Statics turns tensions into torques of the environment on the joints. In motion these hold inertia
-too, and with friction what the cables' past left on guides and pulleys. A gated recurrent unit
-(Cho et al., Learning phrase representations using RNN encoder-decoder, 2014) sees every tick's
-torques, tensions and set-points, remembers, and says by how much the torques are off and how sure
-that is. The contact is then sought by statics as in `physics.corrected`, on torques so corrected.
+too, and with friction each cable carries another tension along the arm than at its actuator, by a
+factor that its past left on guides and pulleys (equation (2) of the paper). `DrawnCables` tells
+what the commands of the past say of it. A gated recurrent unit (Cho et al., Learning phrase
+representations using RNN encoder-decoder, 2014) sees that with every tick's torques, tensions and
+set-points, remembers the rest, and says these factors, what tensions and torques are off beside,
+and how sure that is. The contact is then sought by statics as in `physics.corrected`, on torques
+so corrected.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.arm import Arm
+from cablesense_training.networks.drawn_cables import DrawnCables
 from cablesense_training.networks.layers import one_hot_of_argmax
 from cablesense_training.networks.output import SingleContactOutput
 from cablesense_training.networks.spread import StatedSpread
@@ -25,6 +29,9 @@ from cablesense_training.scaling import Standardiser
 
 LARGEST_CORRECTION = 6.0
 """In standard deviations of what is to be corrected in training, joint by joint."""
+
+LARGEST_LOG_FACTOR = 0.5
+"""Bound on the logarithm of a cable's factor: friction beyond it is beyond this correction."""
 
 _LOG_STD_RANGE = (-7.0, 3.0)
 
@@ -52,11 +59,13 @@ class CorrectedAnswer(NamedTuple):
 
     Attributes:
         output: contacts with their uncertainty.
+        force_n: (B, N, 2) y and z components of the contact that each segment would have.
         torque_n_m: (B, 2N) of the environment as corrected, pitches first.
         torque_std_n_m: (B, 2N) its stated deviation, in the order of the joints.
     """
 
     output: SingleContactOutput
+    force_n: Tensor
     torque_n_m: Tensor
     torque_std_n_m: Tensor
 
@@ -67,10 +76,12 @@ class TemporalNetwork(nn.Module):
     Args:
         arm: the arm.
         closed_form: its statics.
-        memory: size of the state that is carried from tick to tick.
+        hidden: size of the recurrent unit's state.
         force_range_n: largest force expected, see `CorrectedClosedForm`.
 
     Attributes:
+        drawn: follows the commands.
+        memory: size of the state that is carried from tick to tick.
         remembers: where false, every tick is answered as the first: the peer that shows what
             memory is worth.
     """
@@ -79,26 +90,31 @@ class TemporalNetwork(nn.Module):
         self,
         arm: Arm,
         closed_form: ClosedForm,
-        memory: int = 96,
+        hidden: int = 96,
         force_range_n: float = 200.0,
         remembers: bool = True,
     ) -> None:
         super().__init__()
         joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
-        self.cable_count, self.segment_count, self.memory = cables, segments, memory
+        self.cable_count, self.segment_count = cables, segments
+        self.drawn = DrawnCables(cables, joints, hidden)
+        self.hidden, self.memory = hidden, self.drawn.layout.size
         self.remembers = remembers
         self.closed_form = closed_form
         self.torque = Standardiser(joints)
         self.tension = Standardiser(cables)
         self.course = Standardiser(3 * joints)
         self.error = Standardiser(joints)
-        self.encoder = nn.Sequential(nn.Linear(4 * joints + cables, memory), nn.Tanh())
-        self.cell = nn.GRU(memory, memory, batch_first=True)
-        self.reader = nn.Sequential(nn.Linear(2 * memory, memory), nn.SiLU())
-        self.shift = nn.Linear(memory, joints)
-        self.log_std = nn.Linear(memory, joints)
-        self.belief = nn.Linear(memory, segments)
-        for head in (self.shift, self.log_std, self.belief):
+        seen = 4 * joints + cables + self.drawn.seen_size
+        self.encoder = nn.Sequential(nn.Linear(seen, hidden), nn.SiLU())
+        self.cell = nn.GRU(hidden, hidden, batch_first=True)
+        self.reader = nn.Sequential(nn.Linear(2 * hidden, hidden), nn.SiLU())
+        self.shift = nn.Linear(hidden, joints)
+        self.factor = nn.Linear(hidden, cables)
+        self.offset = nn.Linear(hidden, cables)
+        self.log_std = nn.Linear(hidden, joints)
+        self.belief = nn.Linear(hidden, segments)
+        for head in (self.shift, self.factor, self.offset, self.log_std, self.belief):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
         self.log_trust = nn.Parameter(torch.zeros(()))
@@ -106,7 +122,9 @@ class TemporalNetwork(nn.Module):
         self.spread = StatedSpread(2)
 
     @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50, remembers: bool = True) -> TemporalNetwork:
+    def for_arm(
+        cls, arm: Arm, tare_samples: int = 50, remembers: bool = True
+    ) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
         statics = exact_statics(arm, tare_samples, unexplained_n2=0.0)
         return cls(arm, statics, remembers=remembers)
@@ -124,10 +142,12 @@ class TemporalNetwork(nn.Module):
             ticks.tension_difference_n.double(), ticks.joint_command_rad.double()
         )
 
-    def encode(self, torque_n_m: Tensor, ticks: Ticks) -> Tensor:
-        """(…, memory) of torques (…, 2N) and ticks alike."""
+    def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
+        """(…, hidden) of torques (…, 2N), the commands' past (…, `drawn.size`) and ticks alike."""
+        told = self.drawn.seen(past)
         seen = [
             self.torque(torque_n_m),
+            told if self.remembers else torch.zeros_like(told),
             self.tension(ticks.tension_difference_n),
             self.course(torch.cat(ticks[1:], dim=-1)),
         ]
@@ -135,7 +155,7 @@ class TemporalNetwork(nn.Module):
         return encoded
 
     def remember(self, encoded: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """States (S, T, memory) along T ticks from a state (S, memory), and the last of them."""
+        """States (S, T, hidden) along T ticks from a state (S, hidden), and the last of them."""
         if not self.remembers:
             return torch.zeros_like(encoded), state
         states, last = self.cell(encoded, state[None])
@@ -157,13 +177,17 @@ class TemporalNetwork(nn.Module):
     def answer(
         self, balance: Balance, encoded: Tensor, states: Tensor
     ) -> CorrectedAnswer:
-        """Answers for B flat ticks, of what was encoded and remembered (B, memory) of each."""
+        """Answers for B flat ticks, of what was encoded and remembered (B, hidden) of each."""
         read = self.reader(torch.cat([encoded, states], dim=-1))
         bounded = LARGEST_CORRECTION * torch.tanh(self.shift(read) / LARGEST_CORRECTION)
         shift = (bounded * self.error.std + self.error.mean).double()
         std = torch.exp(self.log_std(read).clamp(*_LOG_STD_RANGE)).double()
         std = std * self.error.std.double()
+        factor = LARGEST_LOG_FACTOR * torch.tanh(self.factor(read) / LARGEST_LOG_FACTOR)
+        lost = balance.tension_n * (torch.exp(factor.double()) - 1.0)[..., None]
+        lost = lost + (self.offset(read) * self.tension.std).double()[..., None]
         torque = balance.torque_n_m - self.pitches_first(shift)[..., None]
+        torque = torque + balance.jacobian_t_m @ lost
         noise = inverse(balance.precision)
         precision = inverse(noise + torch.diag_embed(self.pitches_first(std * std)))
         found = self.closed_form.least_squares(
@@ -193,18 +217,23 @@ class TemporalNetwork(nn.Module):
             magnitude_std_n=std_n * self.spread.factor[0],
             angle_std_deg=torch.rad2deg(turned_n / magnitude) * self.spread.factor[1],
         )
-        return CorrectedAnswer(output, torque[..., 0], std)
+        return CorrectedAnswer(output, force, torque[..., 0], std)
 
     def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor]:
         """One tick: answers for inputs of B rows with states (B, memory), and the next states."""
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
+        before, past = state.split([self.hidden, self.drawn.size], dim=-1)
+        set_point = ticks.joint_command_rad.to(kind)
+        past = self.drawn.follow(past, balance.commanded_m.to(kind), set_point)
         encoded = self.encode(
-            self.in_joint_order(balance.torque_n_m[..., 0]).to(kind),
+            self.joint_torque_n_m(balance).to(kind),
+            past,
             Ticks(*(part.to(kind) for part in ticks)),
         )
-        following = self.next_state(encoded, state) if self.remembers else 0.0 * state
-        return self.answer(balance, encoded, following).output, following
+        following = self.next_state(encoded, before) if self.remembers else 0.0 * before
+        output = self.answer(balance, encoded, following).output
+        return output, torch.cat([following, past], dim=-1)
 
     def joint_torque_n_m(self, balance: Balance) -> Tensor:
         """(B, 2N) torques of the environment in the order of the joints, by statics alone."""

@@ -113,12 +113,18 @@ class Balance(NamedTuple):
         precision: (B, 2N, 2N) inverse covariance of the torques.
         torque_n_m: (B, 2N, 1) torques of the environment on the joints.
         taut: (B, M) one for taut cables, zero for slack ones.
+        tension_n: (B, M, 1) tensions that the torques were made of.
+        jacobian_t_m: (B, 2N, M) torques that one newton in each cable makes.
+        commanded_m: (B, M) cable lengths at the command.
     """
 
     lever: Tensor
     precision: Tensor
     torque_n_m: Tensor
     taut: Tensor
+    tension_n: Tensor
+    jacobian_t_m: Tensor
+    commanded_m: Tensor
 
 
 class ClosedForm(nn.Module):
@@ -214,6 +220,9 @@ class ClosedForm(nn.Module):
             precision=inverse_gram * (1.0 / self.reading_variance_n2),
             torque_n_m=torque,
             taut=taut[..., 0],
+            tension_n=tension,
+            jacobian_t_m=pose.jacobian_t_m,
+            commanded_m=commanded.span_m.sum((1, 2)),
         )
 
     def unloaded(
@@ -261,7 +270,7 @@ class ClosedForm(nn.Module):
     def least_squares(self, balance: Balance) -> Candidates:
         """Generalised least squares of the torques on every segment's two force components."""
         n = self.kinematics.segment_count
-        lever, precision, torque, taut = balance
+        lever, precision, torque, taut = balance[:4]
         weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
         pull = (weighted @ torque).reshape(-1, n, 2, 1)
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
