@@ -22,3 +22,10 @@ done
 train --arm cdsm --network two-stage --pose straight --out $here/peers/cdsm_straight_two_stage.onnx
 train --arm cdsm_table2 --network two-stage --pose straight --out $here/peers/cdsm_table2_two_stage.onnx
 train --arm cdsm --network multi-contact --pose straight --out $here/peers/cdsm_multi_two_stage.onnx
+
+# with memory: in motion, and under friction
+train --arm cdsm --network temporal --samples 96 --epochs 40 --out $here/cdsm_moving.onnx
+train --arm cdsm_friction --network temporal --samples 640 --epochs 40 --out $here/cdsm_friction.onnx
+train --arm cdsm --network momentary --samples 96 --epochs 20 --out $here/peers/cdsm_momentary.onnx
+train --arm cdsm_friction --network momentary --samples 320 --epochs 20 --out $here/peers/cdsm_friction_momentary.onnx
+train --arm cdsm_friction --out $here/peers/cdsm_friction_static.onnx

@@ -1,0 +1,208 @@
+"""Estimators along courses: in motion and at rest, with memory and without, under friction.
+
+    python benchmarks/temporal.py [--sequences 48] [--duration 30] [--write]
+
+Fresh courses of commands and contacts, seeds that no training has seen, sensor noise on. Those
+without memory are told the set-point at every tick, which is more than the node tells them: there
+they say nothing until the arm rests again, and that is a row of its own. Two long courses per arm
+show whether the memory holds. `--write` puts `temporal.json`, `temporal.md` and a picture into
+`benchmarks/results/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+
+from cablesense_sim.arm_files import open_arm
+from cablesense_training.data.progress import sample_progress
+from cablesense_training.evaluation.metrics import ContactAnswer
+from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.open_estimator import open_estimator
+from cablesense_training.motion.course_answers import (
+    CourseFigures,
+    course_answer,
+    course_figures,
+    unsettled,
+)
+from cablesense_training.motion.drawing import draw_sequences
+from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.sequences import Sequences
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+RESULTS = Path(__file__).parent / "results"
+SEED, LONG_SEED = 7_000_001, 7_000_002
+LONG_S = 600.0
+
+GATED = "statics, silent in motion (as the node runs it)"
+
+
+class Case(NamedTuple):
+    """An arm, and its estimators by what the table calls them."""
+
+    arm: str
+    why: str
+    estimators: dict[str, str]
+
+
+CASES = (
+    Case(
+        "cdsm",
+        "no friction, in time by MuJoCo: inertia and swinging",
+        {
+            "temporal (shipped)": "cdsm_moving",
+            "the same without memory": "peers/cdsm_momentary",
+            "statics (shipped)": "cdsm",
+        },
+    ),
+    Case(
+        "cdsm_friction",
+        "capstan friction of 0.15 with half a radian of pulley wrap, from rest to rest",
+        {
+            "temporal (shipped)": "cdsm_friction",
+            "the same without memory": "peers/cdsm_friction_momentary",
+            "statics trained on that arm, sample by sample": "peers/cdsm_friction_static",
+            "statics of the arm without friction": "cdsm",
+        },
+    ),
+)
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--sequences", type=int, default=48, help="courses for each arm")
+    parser.add_argument("--duration", type=float, default=30.0, help="of each, in s")
+    parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
+    parser.add_argument("--write", action="store_true", help="write the results")
+    options = parser.parse_args()
+    protocol = MotionProtocol(sequences=options.sequences, duration_s=options.duration)
+    result: dict[str, Any] = {
+        "command": "python " + " ".join(["benchmarks/temporal.py", *sys.argv[1:]]),
+        "seeds": [SEED, LONG_SEED],
+        "protocol": protocol.options(),
+        "arms": {},
+    }
+    figure, axes = plt.subplots(1, len(CASES), figsize=(9.0, 3.4), layout="constrained")
+    for case, axis in zip(CASES, axes, strict=True):
+        result["arms"][case.arm] = _arm(case, protocol, options.workers, axis)
+    text = _tables(result)
+    print(text)
+    if options.write:
+        (RESULTS / "temporal.json").write_text(json.dumps(result, indent=1) + "\n")
+        (RESULTS / "temporal.md").write_text(text)
+        figure.savefig(RESULTS / "temporal.png", dpi=150)
+
+
+def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> dict[str, Any]:
+    sequences = _drawn(case.arm, protocol, SEED, workers)
+    long_protocol = replace(protocol, sequences=2, duration_s=LONG_S)
+    long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
+    figures: dict[str, Any] = {}
+    for name, model in case.estimators.items():
+        estimator = open_estimator(find_model(model))
+        answer = course_answer(estimator, sequences)
+        figures[name] = _plain(course_figures(answer, sequences))
+        tenths = _tenths(course_answer(estimator, long), long)
+        figures[name]["by_tenth_of_the_long_course"] = tenths
+        if model == "cdsm":
+            figures[GATED] = _plain(course_figures(_gated(answer, sequences), sequences))
+        _draw(axis, name, answer, sequences)
+    axis.set_title(f"arm {case.arm}", fontsize=9)
+    axis.set_xlabel("error of the force, N")
+    axis.set_ylabel("share of contacts in motion")
+    axis.set_xscale("log")
+    axis.set_xlim(0.01, 30.0)
+    axis.legend(fontsize=6, frameon=False)
+    return {"why": case.why, "sequences": len(sequences), "estimators": figures}
+
+
+def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
+    with sample_progress(protocol.sequences, shown=True, what=f"courses of {arm}") as advance:
+        return draw_sequences(open_arm(arm), protocol, seed, workers=workers, on_done=advance)
+
+
+def _gated(answer: ContactAnswer, sequences: Sequences) -> ContactAnswer:
+    """Nothing is said while the arm moves and half a second after."""
+    silent = unsettled(sequences).ravel()
+    return replace(answer, segment=np.where(silent, 0, answer.segment))
+
+
+def _plain(figures: CourseFigures) -> dict[str, Any]:
+    plain = asdict(figures)
+    for part in ("every", "moving", "rest"):
+        for bulky in ("confusion", "bins"):
+            del plain[part][bulky]
+    return plain
+
+
+def _tenths(answer: ContactAnswer, sequences: Sequences) -> list[float]:
+    """Mean absolute force error over all ticks, tenth by tenth."""
+    answered = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
+    error = np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
+    return [float(part.mean()) for part in np.array_split(error, 10, axis=1)]
+
+
+def _draw(axis: plt.Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
+    answered = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
+    chosen = unsettled(sequences).ravel() & (sequences.segment.ravel() > 0)
+    error = np.sort(np.abs(answered - sequences.magnitude_n.ravel())[chosen])
+    axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
+
+
+def _tables(result: dict[str, Any]) -> str:
+    lines = [
+        "# Estimators along courses",
+        "",
+        f"Made by `{result['command']}`. {result['protocol']['sequences']} fresh courses of "
+        f"{result['protocol']['duration_s']:g} s for each arm, a sample every "
+        f"{1000 * result['protocol']['tick_s']:g} ms; contacts of 0 to "
+        f"{result['protocol']['force_high_n']:g} N that come, swell and go. In motion: the "
+        "set-point moves or did within half a second. Contact: share of ticks with the right "
+        "segment, none being one. False force: mean of what is answered where nothing touches.",
+        "",
+    ]
+    for arm, part in result["arms"].items():
+        lines += [
+            f"## {arm}: {part['why']}",
+            "",
+            "| estimator | contact in motion | direction | force MAE | false force | "
+            "contact at rest | direction | force MAE | false force |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        ]
+        for name, figures in part["estimators"].items():
+            cells = [name]
+            for state in ("moving", "rest"):
+                errors = figures[state]["errors"]
+                cells += [
+                    f"{figures[state]['contact_accuracy']:.2%}",
+                    f"{errors['direction_mae_deg']:.2f}°",
+                    f"{errors['magnitude_mae_n']:.3f} N",
+                    f"{figures[f'false_force_{state}_n']:.3f} N",
+                ]
+            lines.append("| " + " | ".join(cells) + " |")
+        lines += [
+            "",
+            f"Force error over a course of {LONG_S:g} s, by tenths: "
+            + "; ".join(
+                f"{name}: " + " ".join(f"{n:.2f}" for n in figures["by_tenth_of_the_long_course"])
+                for name, figures in part["estimators"].items()
+                if "by_tenth_of_the_long_course" in figures
+            )
+            + " N.",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
