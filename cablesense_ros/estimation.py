@@ -242,6 +242,11 @@ class Estimation:
         self._events.clear()
 
     @property
+    def answers_in_motion(self) -> bool:
+        """Whether the model answers while the arm moves."""
+        return self._answers.in_motion
+
+    @property
     def vouches(self) -> bool:
         """Whether the answers after `restore` are those of the object that made the entries.
 

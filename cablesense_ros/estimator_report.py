@@ -37,6 +37,9 @@ def model_status(loaded: LoadedModel, largest_force_n: float, active: bool) -> S
     return Status("model", Level.OK, "active", values)
 
 
+_BLIND = "moving: no estimate until the arm rests"
+
+
 def pose_status(estimation: Estimation, pose_range_deg: float, refused_commands: int) -> Status:
     """What is known of the arm's pose; the model was trained within ± `pose_range_deg`."""
     values = {
@@ -46,9 +49,8 @@ def pose_status(estimation: Estimation, pose_range_deg: float, refused_commands:
     if refused_commands:
         return Status("joint_commands", Level.ERROR, "a command was refused; see the log", values)
     if estimation.gate.shut:
-        return Status(
-            "joint_commands", Level.OK, "moving: no estimate until the arm rests", values
-        )
+        moving = "moving" if estimation.answers_in_motion else _BLIND
+        return Status("joint_commands", Level.OK, moving, values)
     if max(map(abs, estimation.command_deg)) > pose_range_deg + 1e-6:
         return Status(
             "joint_commands",

@@ -121,11 +121,11 @@ def run_controller_headless(demo: ControllerDemo, *, duration_s: float, as_json:
 
 def _checked_arm(demo: ControllerDemo) -> Arm:
     """Arm and model are read before anything starts: a wrong file is one line."""
-    from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.model_files import find_model
+    from cablesense_training.inference.open_estimator import open_estimator
 
     arm = open_arm(demo.arm)
-    Estimator.load(find_model(demo.model or arm.name), arm)
+    open_estimator(find_model(demo.model or arm.name), arm)
     try:
         demo.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

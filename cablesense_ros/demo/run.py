@@ -144,11 +144,11 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 def _check_files(options: DemoOptions) -> Arm:
     """Reads arm and model before anything starts: a wrong file is one line, not a silent node."""
-    from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.model_files import find_model
+    from cablesense_training.inference.open_estimator import open_estimator
 
     arm = open_arm(options.arm)
-    Estimator.load(find_model(options.model or arm.name), arm)
+    open_estimator(find_model(options.model or arm.name), arm)
     if options.source is Source.CAN:
         from cablesense_ros.can.signal_database import open_channel_map
 
