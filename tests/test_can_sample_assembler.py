@@ -66,6 +66,15 @@ def plain():
     return Bench(0)
 
 
+def test_frames_on_either_side_of_the_first_are_no_further_apart_than_the_limit(counted):
+    counted.take(opening(0), 1.0)
+    counted.take(data(0), 1.0 - 0.9 * SKEW_S)  # stamped before the first, within the limit
+    counted.take(data(1), 1.0 + 0.9 * SKEW_S)  # and after it, too far from that one
+    counted.take(data(2), 1.0)
+    assert counted.samples == []
+    assert counted.assembler.dropped == 1
+
+
 def test_every_whole_cycle_gives_one_sample_at_its_first_frame(bench):
     for number in range(5):
         bench.cycle(number)

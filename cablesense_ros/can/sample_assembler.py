@@ -67,6 +67,7 @@ class SampleAssembler:
         self._tensions_n = [0.0] * len(self._names)
         self._missing = set(range(len(self._names)))
         self._open_s: float | None = None
+        self._earliest_s = self._latest_s = 0.0
         self._spoilt = False
         self._late = False
         self._last_count: int | None = None
@@ -105,7 +106,8 @@ class SampleAssembler:
         self._last_end_s, self._cut = float("-inf"), 0
 
     def _put(self, decoded: Decoded, time_s: float) -> Sample | None:
-        late = abs(time_s - (self._open_s or 0.0)) > self._skew_limit_s
+        earliest_s, latest_s = min(self._earliest_s, time_s), max(self._latest_s, time_s)
+        late = latest_s - earliest_s > self._skew_limit_s
         twice = any(channel not in self._missing for channel, _ in decoded.readings)
         if late or twice:
             self._note_late(decoded, time_s, late)
@@ -114,6 +116,8 @@ class SampleAssembler:
             else:
                 self._close()
                 self._open(time_s)
+        else:
+            self._earliest_s, self._latest_s = earliest_s, latest_s
         self._fill(decoded, time_s)
         return None if self._missing else self._finish(time_s)
 
@@ -156,7 +160,7 @@ class SampleAssembler:
         return True
 
     def _open(self, time_s: float) -> None:
-        self._open_s = time_s
+        self._open_s = self._earliest_s = self._latest_s = time_s
         self._frames.clear()
         self._missing = set(range(len(self._names)))
         self._spoilt = self._late = False

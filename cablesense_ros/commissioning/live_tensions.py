@@ -21,6 +21,7 @@ from cablesense_ros.commissioning.commissioning_error import CommissioningError
 from cablesense_ros.commissioning.pull_check import Pull
 from cablesense_ros.commissioning.tension_series import TensionSeries
 from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.qos_profiles import qos_profile
 
 FIRST_SAMPLE_S = 5.0
@@ -52,6 +53,7 @@ def listen_to_tensions(
         CommissioningError: nothing comes.
         ContractError: messages break the contract.
     """
+    prefer_quick_discovery()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = Node("sensor_check")
     executor = EventsExecutor()

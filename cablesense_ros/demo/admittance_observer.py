@@ -32,6 +32,7 @@ from cablesense_ros.admittance.estimate_watch import EstimateWatch, WatchSetting
 from cablesense_ros.admittance.estimator_messages import read_wrench
 from cablesense_ros.contract_inputs import of_node
 from cablesense_ros.demo.admittance_record import AdmittanceRecord
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.qos_profiles import qos_profile
 from cablesense_sim.arm import Arm
 
@@ -46,6 +47,7 @@ class AdmittanceObserver:
     """Listens in a thread of its own until `close`."""
 
     def __init__(self, arm: Arm) -> None:
+        prefer_quick_discovery()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("demo")
         self._frames = Frames(arm.segment_count)

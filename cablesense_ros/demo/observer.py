@@ -22,6 +22,7 @@ from cablesense_msgs_py.load import Load
 from cablesense_ros.contract_inputs import listen_to_arm
 from cablesense_ros.demo.result import Record
 from cablesense_ros.demo.script import ScriptedPush
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.page.live_arm import LiveArm
 from cablesense_ros.page.snapshot import Array, Level, Snapshot
 from cablesense_ros.qos_profiles import qos_profile
@@ -35,6 +36,7 @@ class Observer:
     """Pushes and commands, and knows the present; its node runs in a thread until `close`."""
 
     def __init__(self, arm: Arm) -> None:
+        prefer_quick_discovery()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("demo")
         self._joint_names = list(arm.joint_names)
