@@ -28,6 +28,9 @@ from cablesense_training.motion.sequences import Sequences
 
 Array = NDArray[np.float64]
 
+SHARE_STARTED_LATE = 0.4
+"""Sequences whose estimator was started just before the tare, when the arm had moved already."""
+
 BLOCK_SEQUENCES = 32
 """Sequences that one worker draws at a time; each block has a random stream of its own."""
 
@@ -95,7 +98,7 @@ def draw_block(
         arm=arm,
         protocol=protocol,
         seed=seed,
-        before_rad=before,
+        before_rad=_as_known(before, rng),
         tension_difference_n=reading - tare - (predicted - predicted[:, :1]),
         joint_command_rad=command,
         joint_speed_rad_s=np.stack([motion.speed_rad_s for motion in motions]),
@@ -104,6 +107,12 @@ def draw_block(
         angle_deg=np.stack([course.angle_deg for course in contacts]),
         magnitude_n=np.stack([course.magnitude_n for course in contacts]),
     ).select(whole)
+
+
+def _as_known(before_rad: Array, rng: np.random.Generator) -> Array:
+    """What an estimator knows of set-points (S, W, 2N): nothing, where it was started later."""
+    late = rng.random(len(before_rad)) < SHARE_STARTED_LATE
+    return np.where(late[:, None, None], before_rad[:, -1:], before_rad)
 
 
 def _forces_n(mechanism: Mechanism, command_rad: Array, course: ContactCourse) -> Array:

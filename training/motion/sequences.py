@@ -21,7 +21,8 @@ class Sequences:
 
     Attributes:
         arm, protocol, seed: what determines them.
-        before_rad: (S, W, 2N) set-points before the first tick, from rest to rest.
+        before_rad: (S, W, 2N) set-points before the first tick, from rest to rest, as far as an
+            estimator knows them: one that was started later knows of the last alone.
         tension_difference_n: (S, T, M) readings less the unloaded tensions at the set-point: the
             tare of the sequence's start, carried along by the arm's model.
         joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (S, T, 2N) set-points.
