@@ -39,7 +39,10 @@ def run_study(study: Study, quick: bool, tell: Tell) -> Outcome:
     except CableSenseError as error:
         failure = str(error)
     except ModuleNotFoundError as error:
-        failure = f"it needs the Python package {error.name}, which is not installed"
+        failure = (
+            f"it needs the Python package {error.name}, which is not installed; in a checkout run "
+            "`make setup`, elsewhere pip install 'cablesense_ros[train,gap]'"
+        )
     except Exception:
         failure = traceback.format_exc(limit=-3)
     return Outcome(study, result, failure, time.perf_counter() - began)

@@ -60,7 +60,7 @@ def ros_modules() -> set[str]:
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_gap/plant"], [""]),
-        (["cablesense_paper"], ["", "gap"]),
+        (["cablesense_paper"], ["", "gap", "train"]),
         (["cablesense_ros"], ["", "page", "ros", "can"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from cablesense_gap.report.figure_style import (
@@ -21,7 +23,12 @@ MOST = 12
 
 
 def candidate_figure(verdict: Verdict) -> str:
-    """The most probable candidates, the verdict's in colour."""
+    """The most probable candidates, the verdict's in colour, as the `src` of an image."""
+    return as_uri(drawn_candidates(verdict))
+
+
+def drawn_candidates(verdict: Verdict) -> Any:
+    """The same as a matplotlib figure."""
     import matplotlib.pyplot as plt
 
     shown = verdict.ranked[:MOST]
@@ -62,4 +69,4 @@ def candidate_figure(verdict: Verdict) -> str:
     for axes in (left, right):
         axes.tick_params(axis="y", length=0)
         axes.grid(axis="x")
-    return as_uri(figure)
+    return figure

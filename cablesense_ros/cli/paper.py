@@ -53,7 +53,9 @@ def paper(
     from cablesense_paper.paper_error import FailedStudyError
     from cablesense_paper.registry import chosen_studies
     from cablesense_paper.report_folder import claim_folder, write_report
+    from cablesense_paper.requirements import require_drawing
 
+    require_drawing()
     studies = chosen_studies(only or ())
     claim_folder(out)
     console = Console()

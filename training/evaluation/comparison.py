@@ -117,16 +117,21 @@ def setting_figures(setting: Setting, dataset: Dataset) -> SettingFigures:
 
 def single_figures(estimator: Estimator, dataset: Dataset) -> SingleContactMetrics:
     """Metrics of a single-contact model on a dataset."""
+    truth = ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
+    answer = single_answer(estimator, dataset)
+    return single_contact_metrics(truth, answer, dataset.arm.segment_count)
+
+
+def single_answer(estimator: Estimator, dataset: Dataset) -> ContactAnswer:
+    """What a single-contact model says of a dataset."""
     said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-    answer = ContactAnswer(
+    return ContactAnswer(
         segment=said.segment,
         angle_deg=said.angle_deg,
         magnitude_n=said.magnitude_n,
         magnitude_std_n=said.magnitude_std_n,
         angle_std_deg=said.angle_std_deg,
     )
-    truth = ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
-    return single_contact_metrics(truth, answer, dataset.arm.segment_count)
 
 
 def multi_figures(dataset: Dataset) -> dict[str, MultiContactMetrics]:

@@ -10,10 +10,11 @@ that goes slack shows in one row or two, which no other row tells of.
 
 from __future__ import annotations
 
-import sys
+import json
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from cablesense_gap.tension_changes import ChangeSimulator
 KINDS = ("one listed effect", "two listed effects", "something unlisted")
 SMALLEST_N, LARGEST_N = 0.5, 3.0
 """Gaps that are rehearsed; the measured one lies between."""
+
+SHIPPED = Path(__file__).with_name("rehearsal.json")
+"""Counts of a long rehearsal (`benchmarks/table2_gap.py`), which takes minutes."""
 
 PRIOR_UNLISTED = 0.2
 """Share of causes outside the library that one expects before looking."""
@@ -59,14 +63,20 @@ class Rehearsal:
         named: with one listed effect, those where the number that leaves least on held-out rows
             belongs to the true effect.
         mistaken: how often (true, named) differ.
-        probability: that a table is unlisted, given that it is left unexplained.
     """
 
     count: int
     unexplained: dict[str, int]
     named: int
     mistaken: dict[tuple[str, str], int]
-    probability: float
+
+    @property
+    def probability(self) -> float:
+        """That a table is unlisted, given that it is left unexplained."""
+        one, two, unlisted = (self.unexplained[kind] for kind in KINDS)
+        by_listed = _rate(one + two, 2 * self.count)
+        odds = PRIOR_UNLISTED * _rate(unlisted, self.count) / ((1.0 - PRIOR_UNLISTED) * by_listed)
+        return odds / (1.0 + odds)
 
 
 def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -> Judged:
@@ -89,13 +99,16 @@ def rehearse(
     measured: Judged,
     count: int,
     seed: int,
+    tell: Callable[[float], None],
 ) -> Rehearsal:
-    """Draw and diagnose `count` tables of each kind, with workshop scatter, noise and step."""
+    """Draw and diagnose `count` tables of each kind, with workshop scatter, noise and step.
+
+    `tell` hears after every table which share is done.
+    """
     unexplained = dict.fromkeys(KINDS, 0)
     mistaken: Counter[tuple[str, str]] = Counter()
     named = 0
     for kind in KINDS:
-        print(f"{count} tables with {kind} …", file=sys.stderr, flush=True)
         for k in range(count):
             rng = np.random.default_rng([seed, KINDS.index(kind), k])
             effects, changes_n = _table(simulator, scans, kind, rng)
@@ -108,10 +121,22 @@ def rehearse(
                 named += best == effects[0]
                 if best != effects[0]:
                     mistaken[effects[0], best] += 1
-    listed = _rate(unexplained[KINDS[0]] + unexplained[KINDS[1]], 2 * count)
-    unlisted = _rate(unexplained[KINDS[2]], count)
-    odds = PRIOR_UNLISTED * unlisted / ((1.0 - PRIOR_UNLISTED) * listed)
-    return Rehearsal(count, unexplained, named, dict(mistaken), odds / (1.0 + odds))
+            tell((KINDS.index(kind) + (k + 1) / count) / len(KINDS))
+    return Rehearsal(count, unexplained, named, dict(mistaken))
+
+
+def read_rehearsal(path: Path) -> Rehearsal:
+    """Counts from a file that `write_rehearsal` made."""
+    said = json.loads(path.read_text(encoding="utf-8"))
+    mistaken = {(truth, taken): count for truth, taken, count in said.pop("mistaken")}
+    return Rehearsal(mistaken=mistaken, **said)
+
+
+def write_rehearsal(path: Path, rehearsal: Rehearsal) -> None:
+    """Write counts, so that who wants the verdict need not rehearse."""
+    said = asdict(rehearsal)
+    said["mistaken"] = [[*names, count] for names, count in sorted(rehearsal.mistaken.items())]
+    path.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 
 
 def _rate(hits: int, count: int) -> float:

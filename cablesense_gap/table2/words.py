@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from table2_rehearsal import KINDS, PRIOR_UNLISTED
 
 from cablesense_gap.one_number import Explained, OneNumber
 from cablesense_gap.report.numbers import listed, newtons, percent
+from cablesense_gap.simulator import Array
+from cablesense_gap.table2.findings import STEP_N, Findings
+from cablesense_gap.table2.rehearsal import KINDS, PRIOR_UNLISTED
 from cablesense_gap.tension_changes import NEED_TIME
+from cablesense_gap.verdict import NONE, UNKNOWN
+from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 
-if TYPE_CHECKING:
-    from table2_gap import Findings
-
-STEP_N = 0.1813
-STANDARD_GRAVITY_M_S2 = 9.81
 ALIKE = 1.05
 """Numbers that leave this much more than the best are called no worse."""
 
@@ -31,7 +31,7 @@ class Share(NamedTuple):
     share: float
 
 
-def rms(values: np.ndarray) -> float:
+def rms(values: Array) -> float:
     """Root mean square."""
     return float(np.sqrt((np.asarray(values) ** 2).mean()))
 
@@ -57,7 +57,7 @@ def shares(found: Findings) -> list[Share]:
     return [Share(what, float(part / whole)) for what, part in parts]
 
 
-def disproportion_n(found: Findings) -> np.ndarray:
+def disproportion_n(found: Findings) -> Array:
     """(3, 9) rows with 2 kg less twice those with 1 kg."""
     measured = found.changes.changes_n
     return measured[3:] - 2.0 * measured[:3]
@@ -227,6 +227,18 @@ def next_experiment() -> str:
     )
 
 
+def worded(found: Findings) -> Findings:
+    """Findings whose verdict says why, and what to measure next."""
+    said = {"why": reasons(found), "next_experiment": next_experiment()}
+    return replace(found, verdict=found.verdict.model_copy(update=said))
+
+
+def best_listed_n(found: Findings) -> float:
+    """What the best one or two listed effects leave of rows that they were not fitted to, N."""
+    candidates = found.verdict.candidates
+    return min(c.held_out_rmse_n for c in candidates if c.effects[0] not in (NONE, UNKNOWN))
+
+
 def readme(found: Findings) -> str:
     """The finding in Markdown."""
     gap = found.verdict.gap
@@ -251,7 +263,8 @@ def readme(found: Findings) -> str:
             "Table II lie beside this project's simulation by "
             f"{newtons(gap.before_n)} (floor {newtons(gap.floor_n)}), and no effect of the "
             "library, alone or with a second one, removes more than "
-            f"{percent(1 - _best_left(found))} of that on rows that it was not fitted to. "
+            f"{percent(1 - best_listed_n(found) / gap.before_n)} of that on rows that it was not "
+            "fitted to. "
             f"A law that is only proportional to the load, and knows no physics, leaves "
             f"{newtons(gap.after_n)} on the other load level: the larger part repeats, and it is "
             "not in the library.",
@@ -290,12 +303,6 @@ def readme(found: Findings) -> str:
             "",
         ]
     )
-
-
-def _best_left(found: Findings) -> float:
-    listed_ = [c for c in found.verdict.candidates if c.effects[0] not in ("none", "unknown")]
-    best = min(c.held_out_rmse_n for c in listed_)
-    return best / found.verdict.gap.before_n
 
 
 def _moments(found: Findings, joint: int) -> str:
