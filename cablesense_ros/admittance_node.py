@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-import traceback
 from collections.abc import Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -33,11 +32,11 @@ from cablesense_ros.admittance.estimator_messages import (
 )
 from cablesense_ros.admittance.report import control_status
 from cablesense_ros.admittance_parameters import ADMITTANCE_PARAMETERS, controller_settings
+from cablesense_ros.configured_node import ConfiguredNode, run_configured_node
 from cablesense_ros.contract_inputs import of_node
 from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
 from cablesense_ros.throttled_log import ThrottledLog
 from cablesense_sim.arm import Arm
 from cablesense_sim.arm_files import open_arm
@@ -47,11 +46,10 @@ from cablesense_sim.mechanism import Mechanism
 LOOK_S = 0.02
 """How often silence of the estimator is looked for."""
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 Array = np.ndarray
 
 
-class AdmittanceNode(LifecycleNode):
+class AdmittanceNode(ConfiguredNode):
     """Configured: listens and knows what can be known. Active: sends joint commands as well."""
 
     def __init__(self) -> None:
@@ -72,20 +70,6 @@ class AdmittanceNode(LifecycleNode):
         self._logged_sight = Sight.STOPPED
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity if self._arm else "")
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the arm and listen; on failure say why and stay unconfigured."""
-        try:
-            self._configure()
-        except CableSenseError as error:
-            self._release()
-            self.get_logger().error(f"cannot configure: {error}")
-            return FAILURE
-        except Exception:  # rclpy would drop it without a word
-            self._release()
-            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
-            return FAILURE
-        return super().on_configure(state)
-
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Commands may be sent."""
         self._active = True
@@ -95,21 +79,6 @@ class AdmittanceNode(LifecycleNode):
         """Send no more; the arm holds the last command."""
         self._active = False
         return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the arm and its home."""
-        self._release()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop from any state."""
-        self._release()
-        return super().on_shutdown(state)
-
-    def autostart(self) -> None:
-        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
-        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
-            self.trigger_activate()
 
     def _configure(self) -> None:
         given = parameter_values(self, ADMITTANCE_PARAMETERS)
@@ -242,13 +211,7 @@ class AdmittanceNode(LifecycleNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; the process's exit code."""
-
-    def make_node() -> AdmittanceNode:
-        node = AdmittanceNode()
-        node.autostart()
-        return node
-
-    return run_node(make_node, args)
+    return run_configured_node(AdmittanceNode, args)
 
 
 if __name__ == "__main__":

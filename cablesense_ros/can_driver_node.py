@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-import traceback
 from collections.abc import Sequence
 
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.joint_state import put_tensions
 from cablesense_msgs_py.qos import PUBLISHER
@@ -25,17 +23,15 @@ from cablesense_ros.can.interface import CanInterface
 from cablesense_ros.can.sample_assembler import Sample
 from cablesense_ros.can.signal_database import open_channel_map
 from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
+from cablesense_ros.configured_node import ConfiguredNode, run_configured_node
 from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
 from cablesense_ros.throttled_log import ThrottledLog
 from cablesense_sim.arm_files import open_arm
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
-
-class CanDriverNode(LifecycleNode):
+class CanDriverNode(ConfiguredNode):
     """Configured: map, DBC file and arm read. Active: the bus is read and samples are published.
 
     Nothing downstream can tell it from the sim node: the message, its names, frame and quality of
@@ -54,20 +50,6 @@ class CanDriverNode(LifecycleNode):
         self._active = False
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm_identity)
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read arm, map and DBC file; on failure say why and stay unconfigured."""
-        try:
-            self._configure()
-        except CableSenseError as error:
-            self._release()
-            self.get_logger().error(f"cannot configure: {error}")
-            return FAILURE
-        except Exception:  # rclpy would drop it without a word
-            self._release()
-            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
-            return FAILURE
-        return super().on_configure(state)
-
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the bus; an interface that is not there is waited for."""
         result = super().on_activate(state)
@@ -80,21 +62,6 @@ class CanDriverNode(LifecycleNode):
         """Close the interface."""
         self._stop()
         return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget arm and map."""
-        self._release()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop from any state."""
-        self._release()
-        return super().on_shutdown(state)
-
-    def autostart(self) -> None:
-        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
-        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
-            self.trigger_activate()
 
     def destroy_node(self) -> None:
         """Close the interface first: its thread publishes."""
@@ -163,13 +130,7 @@ class CanDriverNode(LifecycleNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; the process's exit code."""
-
-    def make_node() -> CanDriverNode:
-        node = CanDriverNode()
-        node.autostart()
-        return node
-
-    return run_node(make_node, args)
+    return run_configured_node(CanDriverNode, args)
 
 
 if __name__ == "__main__":

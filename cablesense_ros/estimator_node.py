@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import sys
 import time
-import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.qos import COMMAND, SENSOR
+from cablesense_ros.configured_node import ConfiguredNode, run_configured_node
 from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
 from cablesense_ros.estimation import Estimation, Outcome
 from cablesense_ros.estimator_outputs import EstimatorOutputs
@@ -34,19 +32,16 @@ from cablesense_ros.estimator_report import cable_status, model_status, pose_sta
 from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
 from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
 from cablesense_ros.state_file import StateFile
-from cablesense_ros.tare import Tare
-from cablesense_ros.tare_words import tare_status, tare_taken_line, tare_undone_line
+from cablesense_ros.tare_services import TareServices
+from cablesense_ros.tare_words import tare_status
 from cablesense_ros.throttled_log import ThrottledLog
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is looked for; while it lasts, so often comes a zero wrench."""
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
-
-class EstimatorNode(LifecycleNode):
+class EstimatorNode(ConfiguredNode):
     """Configured: model and arm loaded. Active: every sample is answered with a wrench."""
 
     def __init__(self) -> None:
@@ -57,7 +52,7 @@ class EstimatorNode(LifecycleNode):
         self._estimation: Estimation | None = None
         self._state = StateFile("", 0.0)
         self._outputs: EstimatorOutputs | None = None
-        self._tare_services: list[Service] = []
+        self._tares: TareServices | None = None
         self._inputs: list[Subscription] = []
         self._stale_timer: Timer | None = None
         self._simulated_time = self.get_clock().ros_time_is_active
@@ -67,20 +62,6 @@ class EstimatorNode(LifecycleNode):
         DiagnosticsPublisher(
             self, self._statuses, lambda: self._loaded.arm.identity if self._loaded else ""
         )
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load arm and model, create the outputs; on failure say why and stay unconfigured."""
-        try:
-            self._configure()
-        except CableSenseError as error:
-            self._release()
-            self.get_logger().error(f"cannot configure: {error}")
-            return FAILURE
-        except Exception:  # rclpy would drop it without a word
-            self._release()
-            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
-            return FAILURE
-        return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen to tensions and commands."""
@@ -114,23 +95,6 @@ class EstimatorNode(LifecycleNode):
         self._stop_listening()
         return super().on_deactivate(state)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget arm, model and tare."""
-        result = super().on_cleanup(state)
-        self._release()
-        return result
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop from any state."""
-        self._stop_listening()
-        self._release()
-        return super().on_shutdown(state)
-
-    def autostart(self) -> None:
-        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
-        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
-            self.trigger_activate()
-
     def _configure(self) -> None:
         given = parameter_values(self, ESTIMATOR_PARAMETERS)
         self._loaded = load_model(given["arm"], given["model"])
@@ -139,10 +103,12 @@ class EstimatorNode(LifecycleNode):
         self._go_on(given, self._loaded)
         frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(self, frames, given["markers"])
-        self._tare_services = [
-            self.create_service(Trigger, topics.TARE, self._on_tare),
-            self.create_service(Trigger, topics.TARE_UNDO, self._on_tare_undo),
-        ]
+        self._tares = TareServices(
+            self,
+            self._loaded.arm.cable_names,
+            lambda: self._estimation if self._inputs else None,
+            self._now_ns,
+        )
         self.get_logger().info(
             f"arm {self._loaded.arm.identity}, model {self._loaded.model}: configured"
         )
@@ -181,12 +147,12 @@ class EstimatorNode(LifecycleNode):
             self._stale_timer = None
 
     def _release(self) -> None:
-        for service in self._tare_services:
-            self.destroy_service(service)
-        self._tare_services = []
+        self._stop_listening()
+        if self._tares is not None:
+            self._tares.destroy()
         if self._outputs is not None:
             self._outputs.destroy()
-        self._loaded, self._estimation, self._outputs = None, None, None
+        self._loaded, self._estimation, self._outputs, self._tares = None, None, None, None
 
     def _on_sample(self, raw: bytes) -> None:
         if self._estimation is None or self._outputs is None:
@@ -199,8 +165,8 @@ class EstimatorNode(LifecycleNode):
                 outcome.problem.kind.name,
                 f"{topics.CABLE_TENSIONS}: sample refused: {outcome.problem}",
             )
-        if outcome.new_tare is not None:
-            self._log_tare(outcome.new_tare, "by itself at start (auto_tare)")
+        if outcome.new_tare is not None and self._tares is not None:
+            self._tares.log(outcome.new_tare, "by itself at start (auto_tare)")
         if outcome.entry is not None:
             self._state.keep(outcome.entry)
 
@@ -240,45 +206,6 @@ class EstimatorNode(LifecycleNode):
         if self._outputs is not None:
             self._outputs.publish(Outcome(), self._now_ns(), time.monotonic())
 
-    def _on_tare(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._take_tare)
-
-    def _on_tare_undo(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._undo_tare)
-
-    def _answer(
-        self, response: Trigger.Response, do: Callable[[Estimation], str]
-    ) -> Trigger.Response:
-        if self._estimation is None or not self._inputs:
-            response.success, response.message = False, "the node is not active"
-            return response
-        try:
-            response.message = do(self._estimation)
-            response.success = True
-        except CableSenseError as error:
-            response.success, response.message = False, str(error)
-            self.get_logger().warning(f"tare: {error}")
-        return response
-
-    def _take_tare(self, estimation: Estimation) -> str:
-        return self._log_tare(estimation.take_tare(self._now_ns()), "on request")
-
-    def _undo_tare(self, estimation: Estimation) -> str:
-        undone = estimation.tare.present
-        earlier = estimation.undo_tare()
-        assert undone is not None  # or there would have been nothing to undo
-        message = tare_undone_line(undone, earlier, self._cable_names(), estimation.tare.undoable)
-        self.get_logger().info(message)
-        return message
-
-    def _log_tare(self, tare: Tare, how: str) -> str:
-        message = tare_taken_line(tare, self._cable_names(), how)
-        self.get_logger().info(message)
-        return message
-
-    def _cable_names(self) -> Sequence[str]:
-        return self._loaded.arm.cable_names if self._loaded is not None else ()
-
     def _on_lost(self, event: QoSMessageLostInfo) -> None:
         self._lost += event.total_count_change
 
@@ -314,13 +241,7 @@ class EstimatorNode(LifecycleNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; the process's exit code."""
-
-    def make_node() -> EstimatorNode:
-        node = EstimatorNode()
-        node.autostart()
-        return node
-
-    return run_node(make_node, args)
+    return run_configured_node(EstimatorNode, args)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 
 from cablesense_ros.admittance.estimate_watch import Sight
 from cablesense_ros.demo.admittance_record import AdmittanceRecord
-from cablesense_ros.demo.picture import DIM, DPI, GRID, GROUND, INK
+from cablesense_ros.demo.picture_style import DIM, DPI, INK, STYLE
 from cablesense_ros.page.colours import ESTIMATE_RGB, TRUE_RGB, css, segment_rgb
 
 SIZE_IN = (12.0, 6.6)
@@ -28,21 +28,7 @@ def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style: Any = {
-        "figure.facecolor": GROUND,
-        "axes.facecolor": GROUND,
-        "savefig.facecolor": GROUND,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": GRID,
-        "xtick.color": DIM,
-        "ytick.color": DIM,
-        "grid.color": GRID,
-        "font.size": 10,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with plt.rc_context(style):
+    with plt.rc_context(STYLE):
         figure, (forces, phases, angles) = plt.subplots(
             3, 1, sharex=True, figsize=SIZE_IN, height_ratios=(3.0, 0.22, 2.0)
         )

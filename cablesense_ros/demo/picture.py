@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_ros.demo.picture_style import DIM, DPI, STYLE
 from cablesense_ros.demo.result import PushResult, Record, summary
 from cablesense_ros.page.colours import (
     ESTIMATE_RGB,
@@ -24,9 +25,7 @@ from cablesense_ros.page.snapshot import Contact, Snapshot
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
-GROUND, INK, DIM, GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
 SIZE_IN = (14.0, 8.0)
-DPI = 110
 HEAD_M = 0.034
 
 
@@ -39,21 +38,7 @@ def draw_picture(
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style: Any = {
-        "figure.facecolor": GROUND,
-        "axes.facecolor": GROUND,
-        "savefig.facecolor": GROUND,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": GRID,
-        "xtick.color": DIM,
-        "ytick.color": DIM,
-        "grid.color": GRID,
-        "font.size": 10,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with plt.rc_context(style):
+    with plt.rc_context(STYLE):
         figure = plt.figure(figsize=SIZE_IN)
         grid = figure.add_gridspec(
             3,
