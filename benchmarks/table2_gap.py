@@ -1,6 +1,6 @@
 """The gap between Table II's physical rows and this project's simulation of the same loads.
 
-    python benchmarks/table2_gap.py [--tables 40] [--out benchmarks/table2] [--ship]
+    python benchmarks/table2_gap.py [--tables 40] [--out benchmarks/table2] [--workers 2] [--ship]
 
 54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Writes
 `verdict.json`, `report.html` and `README.md`. Explanations are fitted to some rows and judged on
@@ -27,10 +27,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--tables", type=int, default=40, help="simulated tables of each kind")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "table2")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--ship", action="store_true", help=f"write {SHIPPED.name} too")
     options = parser.parse_args()
     command = f"python benchmarks/table2_gap.py {' '.join(sys.argv[1:])}".strip()
-    found = worded(diagnose_table(options.tables, command, _tell))
+    found = worded(diagnose_table(options.tables, command, _tell, options.workers))
     options.out.mkdir(parents=True, exist_ok=True)
     write_verdict(options.out / "verdict.json", found.verdict)
     (options.out / "report.html").write_text(page(found), encoding="utf-8")

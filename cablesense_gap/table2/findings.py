@@ -102,7 +102,10 @@ class Findings:
 
 
 def diagnose_table(
-    tables: int | None, command: str, tell: Callable[[float], None] = lambda done: None
+    tables: int | None,
+    command: str,
+    tell: Callable[[float], None] = lambda done: None,
+    workers: int = 1,
 ) -> Findings:
     """Everything from the table to the verdict.
 
@@ -111,6 +114,7 @@ def diagnose_table(
             counts that ship with the package.
         command: that makes the findings again.
         tell: hears which share is done.
+        workers: processes that diagnose the simulated tables.
 
     Raises:
         CableSenseError: the verdict is no longer `unknown`, so that the words do not hold.
@@ -127,7 +131,7 @@ def diagnose_table(
     tell(0.1 if tables else 0.6)
     if tables:
         rehearsal = rehearse(
-            simulator, scans, judged, tables, SEED, lambda done: tell(0.1 + 0.8 * done)
+            simulator, scans, judged, tables, SEED, lambda done: tell(0.1 + 0.9 * done), workers
         )
     else:
         rehearsal = read_rehearsal(SHIPPED)

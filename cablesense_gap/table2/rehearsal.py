@@ -11,10 +11,13 @@ that goes slack shows in one row or two, which no other row tells of.
 from __future__ import annotations
 
 import json
+import multiprocessing
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,29 +103,71 @@ def rehearse(
     count: int,
     seed: int,
     tell: Callable[[float], None],
+    workers: int = 1,
 ) -> Rehearsal:
     """Draw and diagnose `count` tables of each kind, with workshop scatter, noise and step.
 
-    `tell` hears after every table which share is done.
+    `tell` hears after every table which share is done. The counts are the same for any number of
+    workers.
     """
     unexplained = dict.fromkeys(KINDS, 0)
     mistaken: Counter[tuple[str, str]] = Counter()
     named = 0
-    for kind in KINDS:
-        for k in range(count):
-            rng = np.random.default_rng([seed, KINDS.index(kind), k])
-            effects, changes_n = _table(simulator, scans, kind, rng)
-            while not np.isfinite(changes_n).all():  # two effects with which no arm is at rest
-                effects, changes_n = _table(simulator, scans, kind, rng)
-            judged = judge(simulator, scans, changes_n)
-            unexplained[kind] += judged.least_left >= measured.least_left
-            if kind == KINDS[0]:
-                best = min(judged.singles, key=lambda s: s.held_out_rmse).number.effect
-                named += best == effects[0]
-                if best != effects[0]:
-                    mistaken[effects[0], best] += 1
-            tell((KINDS.index(kind) + (k + 1) / count) / len(KINDS))
+    cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
+    for done, found in enumerate(_each(simulator, scans, cases, workers), start=1):
+        unexplained[found.kind] += found.least_left >= measured.least_left
+        if found.kind == KINDS[0]:
+            (effect,) = found.effects
+            named += found.best == effect
+            if found.best != effect:
+                mistaken[effect, found.best] += 1
+        tell(done / len(cases))
     return Rehearsal(count, unexplained, named, dict(mistaken))
+
+
+class _Told(NamedTuple):
+    """A simulated table: its true effects, what they leave, and whose number leaves least."""
+
+    kind: str
+    effects: list[str]
+    least_left: float
+    best: str
+
+
+_Case = tuple[int, str, int]
+_shared: list[tuple[ChangeSimulator, Sequence[Scan]]] = []
+
+
+def _each(
+    simulator: ChangeSimulator, scans: Sequence[Scan], cases: Sequence[_Case], workers: int
+) -> Iterator[_Told]:
+    if workers == 1:
+        yield from (_told(simulator, scans, case) for case in cases)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        workers, context, initializer=_share, initargs=(simulator, scans)
+    ) as pool:
+        yield from pool.map(_told_by_worker, cases)
+
+
+def _share(simulator: ChangeSimulator, scans: Sequence[Scan]) -> None:
+    _shared.append((simulator, scans))
+
+
+def _told_by_worker(case: _Case) -> _Told:
+    return _told(*_shared[0], case)
+
+
+def _told(simulator: ChangeSimulator, scans: Sequence[Scan], case: _Case) -> _Told:
+    seed, kind, k = case
+    rng = np.random.default_rng([seed, KINDS.index(kind), k])
+    effects, changes_n = _table(simulator, scans, kind, rng)
+    while not np.isfinite(changes_n).all():  # two effects with which no arm is at rest
+        effects, changes_n = _table(simulator, scans, kind, rng)
+    judged = judge(simulator, scans, changes_n)
+    best = min(judged.singles, key=lambda s: s.held_out_rmse).number.effect
+    return _Told(kind, effects, judged.least_left, best)
 
 
 def read_rehearsal(path: Path) -> Rehearsal:

@@ -136,6 +136,8 @@ def reasons(found: Findings) -> tuple[str, ...]:
                 f"({len(hypothesis.values)} numbers): it leaves "
                 f"{newtons(hypothesis.held_out_rmse)}."
             )
+    if pair is None:
+        sentences.append("No two effects at once leave clearly less than one of them alone.")
     return (*sentences, rehearsed(found), blindness(found))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cablesense_gap.report.figure_style import WIDTH_IN
+from cablesense_gap.report.figure_style import WIDTH_IN, plain_log_ticks
 from cablesense_paper.palette import BLACK, BLUE, DASHES, GREEN, ORANGE, SERIES
 from cablesense_paper.study import Study, Tell
 from cablesense_paper.study_result import (
@@ -360,7 +360,7 @@ def _panels(metrics: Sequence[str]) -> tuple[Any, Any]:
     for axes, metric in zip(every[0], metrics, strict=True):
         axes.axhline(PAPER[metric], color=BLACK, ls="--", lw=1.0)
         axes.set(yscale="log", ylabel=f"{metric} (logarithmic)".replace("wrong,", "wrong class,"))
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        plain_log_ticks(axes.yaxis)
         axes.grid()
     return figure, every[0]
 
@@ -412,6 +412,7 @@ def _compared_picture(done: Sequence[Trial], plan: Plan) -> Picture:
                 label=architecture if axes is every[0] else "",
             )  # fmt: skip
         axes.set(xscale="log", xlabel="parameters (logarithmic)")
+        plain_log_ticks(axes.xaxis)
     figure.legend(loc="outside upper center", ncols=3)
     return picture(
         "networks_architectures",
@@ -440,10 +441,9 @@ def _cost_picture(done: Sequence[Trial], cost_us: dict[Shape, float], plan: Plan
     axes.set(
         xlabel="one answer in ONNX Runtime, µs", ylabel="force MAE, N (logarithmic)", yscale="log"
     )
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_minor_formatter(lambda value, _: "")
+    plain_log_ticks(axes.yaxis)
     axes.set_xlim(0.0, None)
-    axes.grid(which="both")
+    axes.grid()
     figure.legend(loc="outside right center")
     return picture(
         "networks_cost",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import WIDTH_IN
+from cablesense_gap.report.figure_style import WIDTH_IN, plain_log_ticks
 from cablesense_paper.palette import BLACK, BLUE, DASHES, GREEN, GREY, VERMILION
 from cablesense_paper.study import Study, Tell
 from cablesense_paper.study_result import (
@@ -220,18 +220,17 @@ def _confusion_picture(test: Dataset, tested: dict[str, _Tested], weakest_n: flo
         for n, axes in enumerate(row):
             counted = ~test.contacts[:, n] | (test.magnitudes_n[:, n] >= weakest_n)
             counts = confusion_matrix(test.contacts[counted, n], one.touched[counted, n], 2)
-            draw_confusion(axes, counts, ("–", "touched"))
-            axes.set_yticks((0, 1), ("–", "touched"), rotation=90, va="center")
+            draw_confusion(axes, counts, ("no", "yes"))
             if one is tested[_SHIPPED]:
                 axes.set_title(f"point {n + 1}")
             if n == 0:
-                axes.set_ylabel(f"{name}\ntrue")
+                axes.set_ylabel(f"{name}\ntouched")
             if one is tested[_TREES]:
-                axes.set_xlabel("answered")
+                axes.set_xlabel("answered as touched")
     return picture(
         "fig_13_confusion",
         figure,
-        "Fig. 13 of the paper: is a segment touched (–: untouched), percent of each row; contacts "
+        "Fig. 13 of the paper: is a point touched, percent of each row; contacts "
         f"from {weakest_n:.0f} N.",
         "Confusion matrices of touched and untouched for each point and estimator",
     )
@@ -286,7 +285,7 @@ def _error_picture(tested: dict[str, _Tested], bound_n: Array) -> Picture:
         xlabel="contact point, 4 is the tip", ylabel="mean absolute error, N (logarithmic)",
         yscale="log", xticks=points,
     )  # fmt: skip
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    plain_log_ticks(axes.yaxis)
     axes.grid()
     figure.legend(loc="outside right center")
     return picture(

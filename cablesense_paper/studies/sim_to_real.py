@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,7 +40,12 @@ def run(quick: bool, tell: Tell) -> StudyResult:
         slack_cable,
     )
 
-    found = diagnose_table(None if quick else TABLES, COMMAND, lambda done: tell(0.95 * done))
+    found = diagnose_table(
+        None if quick else TABLES,
+        COMMAND,
+        lambda done: tell(0.95 * done),
+        workers=min(2, os.cpu_count() or 1),
+    )
     gap, left_n = found.verdict.gap, best_listed_n(found)
     inner = float((found.internal_n**2).sum() / (found.gap_n**2).sum())
     paper_gap_n = found.changes.changes_n - found.paper_n
