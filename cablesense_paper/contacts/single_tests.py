@@ -90,12 +90,12 @@ def all_settings() -> tuple[Setting, ...]:
     return (*SETTINGS, table2)
 
 
-def tested_setting(
+def answered_setting(
     setting: Setting, samples: int, training_samples: int, boosting: BoostingSettings
 ) -> SettingTest:
     """All estimators of a setting; trees are grown where there are samples to train on."""
     dataset = Dataset.from_protocol(setting.arm, setting.protocol(samples), TEST_SEED)
-    tested = tested_models(setting, dataset)
+    tested = answered_models(setting, dataset)
     if training_samples:
         training = Dataset.from_protocol(
             setting.arm, setting.protocol(training_samples), TRAIN_SEED
@@ -115,7 +115,7 @@ def tested_setting(
     )
 
 
-def tested_models(setting: Setting, dataset: Dataset) -> dict[str, Tested]:
+def answered_models(setting: Setting, dataset: Dataset) -> dict[str, Tested]:
     """The bundled models of a setting on a dataset."""
     models = {SHIPPED: setting.model, **setting.peers}
     return {
@@ -129,7 +129,7 @@ def as_the_paper_tests(setting: Setting, samples: int) -> dict[str, Tested]:
     protocol = SingleContact(
         samples=samples, pose=setting.pose, noise=False, no_contact_fraction=0.0
     )
-    return tested_models(setting, Dataset.from_protocol(setting.arm, protocol, TEST_SEED))
+    return answered_models(setting, Dataset.from_protocol(setting.arm, protocol, TEST_SEED))
 
 
 def _tested(dataset: Dataset, answer: ContactAnswer) -> Tested:

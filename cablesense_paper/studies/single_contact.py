@@ -25,8 +25,8 @@ def run(quick: bool, tell: Tell) -> StudyResult:
         LABELS,
         SHIPPED,
         all_settings,
+        answered_setting,
         as_the_paper_tests,
-        tested_setting,
     )
     from cablesense_training.peers.boosting import BoostingSettings
 
@@ -38,7 +38,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
         boosting = BoostingSettings(pose_aware=setting.name in _AWARE)
         if quick:
             boosting = BoostingSettings(rounds=QUICK_ROUNDS)
-        tests.append(tested_setting(setting, samples, training, boosting))
+        tests.append(answered_setting(setting, samples, training, boosting))
         tell(0.85 * (number + 1) / len(settings))
     like_paper = as_the_paper_tests(settings[0], samples)
     tell(0.9)

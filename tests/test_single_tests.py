@@ -1,0 +1,58 @@
+"""Every bundled single-contact model is put to the test, on the same samples as the bound."""
+
+import numpy as np
+import pytest
+
+from cablesense_paper.contacts.single_tests import (
+    FORCE_EDGES_N,
+    LABELS,
+    SHIPPED,
+    TITLES,
+    TREES,
+    all_settings,
+    answered_setting,
+    as_the_paper_tests,
+)
+from cablesense_training.inference.model_files import bundled_models
+from cablesense_training.peers.boosting import BoostingSettings
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return answered_setting(all_settings()[0], 512, 512, BoostingSettings(rounds=10, leaves=15))
+
+
+def test_no_bundled_single_contact_model_is_left_out():
+    asked = {
+        model for setting in all_settings() for model in (setting.model, *setting.peers.values())
+    }
+    single = {name for name in bundled_models() if "multi" not in name}
+    assert asked == single
+    assert {setting.name for setting in all_settings()} == set(TITLES)
+
+
+def test_all_estimators_answer_the_same_samples(straight):
+    assert set(straight.tested) == set(LABELS)
+    for tested in straight.tested.values():
+        assert tested.metrics.samples == len(straight.truth.segment) == 512
+        assert np.sum(tested.metrics.confusion) == 512
+
+
+def test_errors_by_force_average_to_the_error_over_all(straight):
+    count, _ = np.histogram(straight.truth.magnitude_n[straight.truth.segment > 0], FORCE_EDGES_N)
+    for name, tested in straight.tested.items():
+        mean_n = np.average(straight.error_by_force_n(name), weights=count)
+        assert mean_n == pytest.approx(tested.metrics.errors.magnitude_mae_n, rel=1e-9)
+
+
+def test_the_shipped_model_comes_near_the_bound_and_trees_do_not(straight):
+    bound_n = straight.bound.magnitude_mae_n
+    assert straight.tested[SHIPPED].metrics.errors.magnitude_mae_n < 1.3 * bound_n
+    assert straight.tested[TREES].metrics.errors.magnitude_mae_n > 10.0 * bound_n
+    assert sum(part.contacts for part in straight.bound_by_force) == straight.bound.contacts
+
+
+def test_the_paper_tests_without_noise_and_with_contacts_alone():
+    tested = as_the_paper_tests(all_settings()[0], 256)
+    assert sum(tested[SHIPPED].metrics.confusion[0]) == 0
+    assert tested[SHIPPED].metrics.errors.magnitude_mae_n < 0.01
