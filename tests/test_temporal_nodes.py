@@ -1,0 +1,68 @@
+"""An estimator that remembers, beside the sim over the real middleware: it answers in motion."""
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from ros_graph import Graph, NodeProcess, force  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from cablesense_sim.arm_files import open_arm  # noqa: E402
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+ARM = open_arm("cdsm")
+AWAY, BACK = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0]), np.zeros(8)
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """The graph, with both nodes running and the first tare taken."""
+    graph = Graph()
+    sim = NodeProcess("cablesense_ros.sim_node")
+    estimator = NodeProcess("cablesense_ros.estimator_node", model="cdsm_moving")
+    graph.until(lambda: "tare taken" in estimator.log, "the first tare")
+    graph.until(lambda: graph.command.get_subscription_count() == 2, "sim and estimator")
+    yield graph
+    for process in (sim, estimator):
+        assert process.stop() == 0, process.log
+        assert "Traceback" not in process.log
+    graph.close()
+
+
+def _swing(graph, seconds=4.0):
+    """Commands to and fro; what was heard meanwhile, as wrenches."""
+    graph.wrenches.clear()
+    for target in (AWAY, BACK, AWAY, BACK):
+        message = JointState(name=list(ARM.joint_names), position=target.tolist())
+        graph.command.publish(message)
+        graph.spin(seconds / 4)
+    return list(graph.wrenches)
+
+
+def _strength_n(wrench):
+    return float(np.linalg.norm(force(wrench)))
+
+
+def test_a_free_arm_in_motion_feels_nothing(moving):
+    heard = [_strength_n(wrench) for wrench in _swing(moving)]
+    assert len(heard) > 200
+    assert np.mean(np.array(heard) == 0.0) > 0.9
+    assert np.mean(heard) < 0.1
+
+
+def test_a_push_is_told_in_motion_where_statics_is_silent(moving):
+    moving.push(4, (0.0, 0.0, -25.0))
+    moving.spin(0.5)
+    heard = _swing(moving)
+    moving.push(4, (0.0, 0.0, 0.0))
+    assert np.mean([wrench.header.frame_id == "segment_4" for wrench in heard]) > 0.95
+    strength = np.array([_strength_n(wrench) for wrench in heard])
+    # gravity's direction turns against the segment's normal plane by up to 20 degrees
+    assert np.quantile(strength, 0.05) > 21.0
+    assert np.quantile(strength, 0.95) < 27.0
