@@ -1,11 +1,11 @@
 """Estimators along courses: in motion and at rest, with memory and without, under friction.
 
-    python benchmarks/temporal.py [--sequences 48] [--duration 30] [--write]
+    python benchmarks/temporal.py [--sequences 24] [--duration 30] [--write]
 
 Fresh courses of commands and contacts, seeds that no training has seen, sensor noise on. Those
 without memory are told the set-point at every tick, which is more than the node tells them: there
-they say nothing until the arm rests again, and that is a row of its own. Two long courses per arm
-show whether the memory holds. `--write` puts `temporal.json`, `temporal.md` and a picture into
+they say nothing until the arm rests again, and that is a row of its own. One long course per arm
+shows whether the memory holds. `--write` puts `temporal.json`, `temporal.md` and a picture into
 `benchmarks/results/`.
 """
 
@@ -41,7 +41,7 @@ import matplotlib.pyplot as plt
 
 RESULTS = Path(__file__).parent / "results"
 SEED, LONG_SEED = 7_000_001, 7_000_002
-LONG_S = 600.0
+LONG_S = 300.0
 
 GATED = "statics, silent in motion (as the node runs it)"
 
@@ -80,7 +80,7 @@ CASES = (
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sequences", type=int, default=48, help="courses for each arm")
+    parser.add_argument("--sequences", type=int, default=24, help="courses for each arm")
     parser.add_argument("--duration", type=float, default=30.0, help="of each, in s")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
     parser.add_argument("--write", action="store_true", help="write the results")
@@ -105,7 +105,7 @@ def main() -> None:
 
 def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> dict[str, Any]:
     sequences = _drawn(case.arm, protocol, SEED, workers)
-    long_protocol = replace(protocol, sequences=2, duration_s=LONG_S)
+    long_protocol = replace(protocol, sequences=1, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     figures: dict[str, Any] = {}
     for name, model in case.estimators.items():

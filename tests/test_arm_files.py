@@ -42,7 +42,7 @@ def test_what_is_neither_is_answered_with_the_names(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ArmFileError) as caught:
         find_arm(wrong)
-    assert "cdsm, cdsm_lab, cdsm_table2" in str(caught.value)
+    assert "cdsm, cdsm_friction, cdsm_lab, cdsm_table2" in str(caught.value)
 
 
 def test_a_folder_is_no_arm_file(tmp_path: Path) -> None:

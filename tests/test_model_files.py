@@ -4,10 +4,10 @@ import pytest
 
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.config_files import config_path
-from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import ModelFileError
 from cablesense_training.inference.model_files import bundled_models, find_model
 from cablesense_training.inference.multi_estimator import MultiEstimator
+from cablesense_training.inference.open_estimator import open_estimator
 from cablesense_training.inference.session import read_model
 
 
@@ -21,7 +21,7 @@ def test_every_bundled_model_is_found_by_its_name():
 @pytest.mark.parametrize("name", bundled_models())
 def test_every_bundled_model_opens_for_the_bundled_arm_it_was_made_for(name):
     _, metadata = read_model(find_model(name))
-    load = MultiEstimator.load if metadata.kind == "multi-contact" else Estimator.load
+    load = MultiEstimator.load if metadata.kind == "multi-contact" else open_estimator
     assert load(find_model(name), open_arm(metadata.arm.name)).metadata == metadata
 
 
