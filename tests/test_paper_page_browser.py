@@ -40,7 +40,8 @@ def program():
 
 @pytest.mark.parametrize("width", [1200, 500])
 def test_the_page_is_whole_and_fits(program, tmp_path, width):
-    real = [run_study(chosen, True, ignore) for chosen in chosen_studies(["pretension"])]
+    chosen = chosen_studies(["pretension", "table_2"])
+    real = [run_study(one, True, ignore) for one in chosen]
     failed = run_study(study(failing, name="rope"), True, ignore)
     page = paper_page([*real, failed], quick=True)
     path = tmp_path / "report.html"
@@ -54,8 +55,8 @@ def test_the_page_is_whole_and_fits(program, tmp_path, width):
     title = re.search(r"<title>(\{.*?\})</title>", done.stdout)
     assert title, done.stderr[-500:]
     seen = json.loads(title[1])
-    assert len(seen["drawn"]) == 2
+    assert len(seen["drawn"]) == 4
     assert all(pixels > 1000 for pixels in seen["drawn"])
-    assert seen["sections"] == 2
+    assert seen["sections"] == 3
     assert seen["anchors"]
     assert seen["wide"] <= width

@@ -121,7 +121,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
             "27 cells follow from one radius, one set of angles and the middle of each segment "
             "is the finding.",
             "The constant, paper less ours, on cables 1 to 9: "
-            + ", ".join(f"{value:+.2f}" for value in constant_n)
+            + ", ".join(_signed(value) for value in constant_n)
             + " N.",
         ),
     )  # fmt: skip
@@ -164,6 +164,12 @@ def _kg(weight_n: float) -> float:
     return weight_n / STANDARD_GRAVITY_M_S2
 
 
+def _signed(value: float) -> str:
+    """Two decimals, with a true minus sign and none before nothing."""
+    rounded = round(value, 2)
+    return f"{rounded:+.2f}".replace("-", "−") if rounded else "0.00"
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))
 
@@ -176,7 +182,7 @@ def _values(names: list[str], physical_n: Array, paper_n: Array, ours_n: Array) 
     rows: list[tuple[str | float, ...]] = []
     for name, *three in zip(names, physical_n, paper_n, ours_n, strict=True):
         for source, values in zip(("physical", "the paper’s", "ours"), three, strict=True):
-            rows.append((name, source, *(f"{value:+.2f}".replace("-", "−") for value in values)))
+            rows.append((name, source, *(_signed(value) for value in values)))
     return SmallTable(
         "Table II of the paper with our rows: changes of the cable tensions, N.",
         ("load", "row", *(f"cable {i + 1}" for i in range(9))),

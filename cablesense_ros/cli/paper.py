@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -56,6 +57,7 @@ def paper(
     from cablesense_paper.requirements import require_drawing
 
     require_drawing()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
     studies = chosen_studies(only or ())
     claim_folder(out)
     console = Console()
