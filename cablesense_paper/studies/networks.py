@@ -411,8 +411,9 @@ def _compared_picture(done: Sequence[Trial], plan: Plan) -> Picture:
                 color=colour, marker=mark, ls=dashes,
                 label=architecture if axes is every[0] else "",
             )  # fmt: skip
-        axes.set(xscale="log", xlabel="parameters (logarithmic)")
+        axes.set(xscale="log", xlabel="thousand parameters (logarithmic)")
         plain_log_ticks(axes.xaxis)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1e3:g}")
     figure.legend(loc="outside upper center", ncols=3)
     return picture(
         "networks_architectures",
