@@ -29,7 +29,7 @@ IMAGES = HERE.parent / "docs" / "images"
 PICTURES = {
     "table_2_loads": "paper_table_2",
     "fig_12_error_against_force": "paper_error",
-    "networks_architectures": "paper_networks",
+    "fig_6_hysteresis": "paper_friction",
 }
 """Of the report, by the names that the README calls them."""
 

@@ -46,7 +46,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
     shipped, two_stage = first.tested[SHIPPED].metrics, first.tested[_TWO_STAGE].metrics
     return StudyResult(
         lead=(
-            "On the paper’s straight arm its two-stage network finds "
+            "On the straight arm the paper’s two-stage network, trained here, finds "
             f"{pictures.shown_accuracy(two_stage.contact_accuracy)} of the contacts, no contact "
             f"being a class too, with {two_stage.errors.direction_mae_deg:.2f}° and "
             f"{two_stage.errors.magnitude_mae_n:.2f} N of error. The shipped model, which has the "
