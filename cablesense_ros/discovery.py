@@ -1,4 +1,4 @@
-"""How soon nodes find each other: Fast DDS is given a profile that announces more often."""
+"""How soon nodes find each other, and again after one was killed: settings of Fast DDS."""
 
 from __future__ import annotations
 
@@ -12,9 +12,16 @@ from cablesense_sim.config_files import config_path
 PROFILES: Final = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS looks for profiles, by its older and its newer name."""
 
+TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+"""Which transports Fast DDS brings along, where no profile says otherwise.
+
+Shared memory is left out: a process that is killed leaves its ports in it, and others that wrote
+to them need a second or two before they reach who comes back. Over UDP they need none.
+"""
+
 
 def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Use the bundled profile, unless the user has one; call it before `rclpy.init`.
+    """Use the bundled profile and UDP, unless the user has a profile; call it before `rclpy.init`.
 
     Other middleware takes no notice. Without the bundled file everything works as well, with
     Fast DDS's own timing.
@@ -27,3 +34,4 @@ def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -
         return
     for name in PROFILES:
         environment[name] = str(path)
+    environment.setdefault(TRANSPORTS, "UDPv4")

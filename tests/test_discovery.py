@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree
 
-from cablesense_ros.discovery import PROFILES, prefer_quick_discovery
+from cablesense_ros.discovery import PROFILES, TRANSPORTS, prefer_quick_discovery
 
 
 def test_the_bundled_profile_is_used():
@@ -26,3 +26,12 @@ def test_an_empty_setting_is_none():
     environment = {PROFILES[0]: ""}
     prefer_quick_discovery(environment)
     assert environment[PROFILES[0]].endswith("quick_discovery.xml")
+
+
+def test_no_shared_memory_unless_the_user_wants_it():
+    environment = {}
+    prefer_quick_discovery(environment)
+    assert environment[TRANSPORTS] == "UDPv4"
+    environment = {TRANSPORTS: "DEFAULT"}
+    prefer_quick_discovery(environment)
+    assert environment[TRANSPORTS] == "DEFAULT"
