@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def train_on_sequences(
     count = protocol.sequences + count_of_test(protocol)
     with sample_progress(count, shown=not as_json, what="sequences") as advance:
         training, test = training_and_test(
-            arm, protocol, settings.seed, workers=settings.threads, on_done=advance
+            arm, protocol, settings.seed, workers=os.cpu_count() or 1, on_done=advance
         )
     with epoch_progress(settings.epochs, shown=not as_json) as on_epoch:
         report = train_temporal(
