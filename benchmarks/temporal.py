@@ -1,6 +1,6 @@
 """Estimators along courses: in motion and at rest, with memory and without, under friction.
 
-    python benchmarks/temporal.py [--sequences 24] [--duration 30] [--write]
+    python benchmarks/temporal.py [--sequences 16] [--duration 30] [--write]
 
 Fresh courses of commands and contacts, seeds that no training has seen, sensor noise on. Those
 without memory are told the set-point at every tick, which is more than the node tells them: there
@@ -80,7 +80,7 @@ CASES = (
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sequences", type=int, default=24, help="courses for each arm")
+    parser.add_argument("--sequences", type=int, default=16, help="courses for each arm")
     parser.add_argument("--duration", type=float, default=30.0, help="of each, in s")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
     parser.add_argument("--write", action="store_true", help="write the results")
