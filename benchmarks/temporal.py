@@ -142,6 +142,8 @@ def _plain(figures: CourseFigures) -> dict[str, Any]:
     for part in ("every", "moving", "rest"):
         for bulky in ("confusion", "bins"):
             del plain[part][bulky]
+        errors = plain[part]["errors"]
+        plain[part]["errors"] = {k: v if np.isfinite(v) else None for k, v in errors.items()}
     return plain
 
 
@@ -185,7 +187,7 @@ def _tables(result: dict[str, Any]) -> str:
                 errors = figures[state]["errors"]
                 cells += [
                     f"{figures[state]['contact_accuracy']:.2%}",
-                    f"{errors['direction_mae_deg']:.2f}°",
+                    _degrees(errors["direction_mae_deg"]),
                     f"{errors['magnitude_mae_n']:.3f} N",
                     f"{figures[f'false_force_{state}_n']:.3f} N",
                 ]
@@ -202,6 +204,11 @@ def _tables(result: dict[str, Any]) -> str:
             "",
         ]
     return "\n".join(lines)
+
+
+def _degrees(angle_deg: float | None) -> str:
+    """A dash where no contact was found; JSON has no NaN."""
+    return "–" if angle_deg is None else f"{angle_deg:.2f}°"
 
 
 if __name__ == "__main__":
