@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 PREDICTED_EVERY_RAD = 2e-3
 """How far a joint turns before the unloaded tensions on the way are predicted anew.
 
-On the bundled arms they change by less than 0.1 N over this, and a prediction takes a millisecond.
+On the arm `cdsm` they change by less than 0.1 N over this.
 """
 
 
