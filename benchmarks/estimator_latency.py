@@ -38,6 +38,7 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.qos_profiles import qos_profile
 from cablesense_ros.spin import run_node
 from cablesense_sim.arm import Arm
@@ -186,6 +187,7 @@ def measure(arm_name: str, seconds: float) -> dict[str, object]:
         "OMP_NUM_THREADS": "1",
     }
     os.environ.update(environment)
+    prefer_quick_discovery()
     arm = open_arm(arm_name)
     blocks = round(seconds / BLOCK_S)
     schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]

@@ -1,18 +1,90 @@
 """Nodes find each other soon, unless the user has profiles of their own."""
 
+import os
+import subprocess
+import sys
 from xml.etree import ElementTree
 
-from cablesense_ros.discovery import PROFILES, TRANSPORTS, prefer_quick_discovery
+import pytest
+
+from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, prefer_quick_discovery
+
+FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+NAMESPACE = {"dds": "http://www.eprosima.com"}
+PEER = """
+import sys
+from cablesense_ros.discovery import prefer_quick_discovery
+if sys.argv[1] == "prefers":
+    prefer_quick_discovery()
+import rclpy
+from std_msgs.msg import String
+says, hears = ("question", "reply") if sys.argv[2] == "asks" else ("reply", "question")
+rclpy.init()
+node = rclpy.create_node(sys.argv[2])
+out = node.create_publisher(String, says, 10)
+heard = []
+node.create_subscription(String, hears, heard.append, 10)
+while says == "reply" or not heard:
+    if says == "question" or heard:
+        out.publish(String())
+    rclpy.spin_once(node, timeout_sec=0.1)
+"""
+"""Asks until it hears a reply, or replies for ever once it was asked."""
 
 
-def test_the_bundled_profile_is_used():
-    environment = {}
-    prefer_quick_discovery(environment)
+def parsed(environment):
     (path,) = {environment[name] for name in PROFILES}
-    namespace = {"dds": "http://www.eprosima.com"}
-    discovery = ElementTree.parse(path).find(".//dds:discovery_config", namespace)
-    announced = discovery.find("dds:leaseAnnouncement", namespace)
-    assert int(announced.find("dds:sec", namespace).text) == 0
+    return ElementTree.parse(path)
+
+
+@pytest.mark.parametrize("given", [{}, {RANGE: "LOCALHOST"}])
+def test_the_bundled_profiles_announce_soon_and_repeat_soon(given):
+    environment = {**FAST_DDS, **given}
+    prefer_quick_discovery(environment)
+    discovery = parsed(environment).find(".//dds:discovery_config", NAMESPACE)
+    announced = discovery.find("dds:leaseAnnouncement", NAMESPACE)
+    assert int(announced.find("dds:sec", NAMESPACE).text) == 0
+    heartbeat = parsed(environment).find(".//dds:heartbeatPeriod", NAMESPACE)
+    assert int(heartbeat.find("dds:sec", NAMESPACE).text) == 0
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{RANGE: "LOCALHOST"}, {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_LOCALHOST_ONLY": "1", RANGE: "OFF"}],
+)
+def test_this_machine_alone_is_loopback_udp_and_nothing_else(given):
+    environment = {**FAST_DDS, **given}
+    prefer_quick_discovery(environment)
+    assert environment[RANGE] == "SYSTEM_DEFAULT"
+    assert "ROS_LOCALHOST_ONLY" not in environment
+    profile = parsed(environment)
+    kinds = [
+        kind.text for kind in profile.findall(".//dds:transport_descriptor/dds:type", NAMESPACE)
+    ]
+    allowed = profile.findall(".//dds:interfaceWhiteList/dds:address", NAMESPACE)
+    assert kinds == ["UDPv4"]
+    assert [address.text for address in allowed] == ["127.0.0.1"]
+    assert profile.find(".//dds:useBuiltinTransports", NAMESPACE).text == "false"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
+        {**FAST_DDS, "ROS_DISTRO": "kilted", RANGE: "LOCALHOST"},
+    ],
+)
+def test_others_find_their_settings_untouched(given):
+    environment = dict(given)
+    prefer_quick_discovery(environment)
+    assert environment == given
+
+
+def test_shared_memory_on_this_machine_alone_for_who_asks_for_it():
+    environment = {**FAST_DDS, RANGE: "LOCALHOST", TRANSPORTS: "DEFAULT"}
+    prefer_quick_discovery(environment)
+    assert environment[RANGE] == "LOCALHOST"
+    assert environment[TRANSPORTS] == "DEFAULT"
 
 
 def test_a_profile_of_the_user_stays():
@@ -23,15 +95,30 @@ def test_a_profile_of_the_user_stays():
 
 
 def test_an_empty_setting_is_none():
-    environment = {PROFILES[0]: ""}
+    environment = {**FAST_DDS, PROFILES[0]: ""}
     prefer_quick_discovery(environment)
     assert environment[PROFILES[0]].endswith("quick_discovery.xml")
 
 
 def test_no_shared_memory_unless_the_user_wants_it():
-    environment = {}
+    environment = dict(FAST_DDS)
     prefer_quick_discovery(environment)
     assert environment[TRANSPORTS] == "UDPv4"
-    environment = {TRANSPORTS: "DEFAULT"}
+    environment = {**FAST_DDS, TRANSPORTS: "DEFAULT"}
     prefer_quick_discovery(environment)
     assert environment[TRANSPORTS] == "DEFAULT"
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("asker", "replier"), [("prefers", "plain"), ("plain", "prefers")])
+@pytest.mark.parametrize("given", [{RANGE: "LOCALHOST"}, {}])
+def test_who_prefers_it_and_who_does_not_hear_each_other(given, asker, replier):
+    pytest.importorskip("rclpy")
+    environment = {name: value for name, value in os.environ.items() if name != RANGE}
+    environment |= given | {"ROS_DOMAIN_ID": "93"}
+    peer = [sys.executable, "-c", PEER]
+    with subprocess.Popen([*peer, replier, "replies"], env=environment) as other:
+        try:
+            subprocess.run([*peer, asker, "asks"], env=environment, timeout=20.0, check=True)
+        finally:
+            other.kill()

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_ros.demo.nodes import PROFILES, demo_environment, node_command
+from cablesense_ros.demo.nodes import demo_environment, node_command
+from cablesense_ros.discovery import PROFILES
 from cablesense_ros.page.exposure import exposure_warning, is_loopback
 
 LISTENING = "0A"
@@ -31,13 +32,18 @@ def test_anything_else_is_said_in_one_line(host):
 
 
 def test_the_demo_keeps_dds_on_this_machine_unless_told_otherwise(monkeypatch):
-    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
-    monkeypatch.delenv(PROFILES, raising=False)
+    nothing_set(monkeypatch)
     environment = demo_environment()
-    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    assert "127.0.0.1" in Path(environment[PROFILES]).read_text(encoding="utf-8")
+    assert {Path(environment[name]).name for name in PROFILES} == {"loopback.xml"}
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    assert PROFILES not in demo_environment()
+    environment = demo_environment()
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert {Path(environment[name]).name for name in PROFILES} == {"quick_discovery.xml"}
+
+
+def nothing_set(monkeypatch):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", *PROFILES):
+        monkeypatch.delenv(name, raising=False)
 
 
 def bound(pid):
@@ -77,8 +83,7 @@ def bound(pid):
 )
 def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch):
     pytest.importorskip("rclpy")
-    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
-    monkeypatch.delenv(PROFILES, raising=False)
+    nothing_set(monkeypatch)
     environment = demo_environment()
     domain = int(environment["ROS_DOMAIN_ID"])
     first = FIRST_DDS_PORT + PORTS_OF_A_DOMAIN * domain
@@ -101,10 +106,8 @@ def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch)
             node.terminate()
     listening = {entry for entry in waiting if entry[0].startswith("tcp")}
     assert len(listening) == (name == "page")
-    # UDP sockets of other ports are those that Fast DDS sends from
-    in_domain = {e for e in waiting if first <= e[2] < first + PORTS_OF_A_DOMAIN}
-    assert in_domain
-    assert {address for _, address, _ in listening | in_domain} <= set(LOOPBACK)
+    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in waiting)
+    assert {address for _, address, _ in waiting} <= set(LOOPBACK)
 
 
 @pytest.mark.ros

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_msgs_py import topics
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.sample_check import PLAUSIBLE_N
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -39,6 +40,7 @@ def fuzz_live_node(seed: int, count: int) -> Result:
     """Send `count` broken messages; what was found."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(DOMAIN))
+    prefer_quick_discovery()
     import rclpy
 
     result = Result(items=count)

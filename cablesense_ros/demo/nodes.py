@@ -8,10 +8,7 @@ import sys
 from collections.abc import Mapping
 
 from cablesense_ros.demo.processes import ChildCommand
-from cablesense_sim.config_files import config_path
-
-PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-"""Where Fast DDS of ROS 2 Jazzy looks for its settings; other middleware does not."""
+from cablesense_ros.discovery import RANGE, prefer_quick_discovery
 
 DOMAINS = 100
 """Domain ids that are safe on Linux go from 0 to 101; 0 is everyone's: the demo takes 1 … 100."""
@@ -38,12 +35,11 @@ def demo_environment() -> dict[str, str]:
     """This process's environment, with DDS kept on this machine.
 
     Unless ROS_DOMAIN_ID is set, the nodes get a ROS domain of their own. Who sets a discovery
-    range or a profile of Fast DDS gets that: the range alone leaves ports open to the network.
+    range or a profile of Fast DDS gets that.
     """
     environment = dict(os.environ)
-    if "ROS_AUTOMATIC_DISCOVERY_RANGE" not in environment:
-        environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-        environment.setdefault(PROFILES, str(config_path("dds/loopback.xml")))
+    environment.setdefault(RANGE, "LOCALHOST")
+    prefer_quick_discovery(environment)
     environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
     environment.setdefault("OMP_NUM_THREADS", "1")
     environment["PYTHONUNBUFFERED"] = "1"
