@@ -178,3 +178,16 @@ class AnswersAlongCourse:
             self._predicted_at_rad = angle_rad
             self._predicted_n = self._predict_n(angle_rad)
         return self._tare.unloaded_where(self._predicted_n)
+
+
+def answers_of(
+    estimator: EstimatesAtRest | EstimatesAlongCourse,
+    tare: TareModel,
+    predict_n: Callable[[Array], Array],
+    command_rad: Array,
+    joint_speed_rad_s: float,
+) -> Answers:
+    """The way of asking that an estimator needs, for an arm that rests at a command (2N,)."""
+    if isinstance(estimator, EstimatesAlongCourse):
+        return AnswersAlongCourse(estimator, tare, predict_n, command_rad, joint_speed_rad_s)
+    return AnswersAtRest(estimator, tare, command_rad)

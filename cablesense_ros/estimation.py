@@ -2,77 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from math import isfinite
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_msgs_py.contact import NO_CONTACT, Contact
 from cablesense_msgs_py.contract_error import ContractError
 from cablesense_msgs_py.effort_reader import EffortReader, Efforts
 from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.joint_state import joint_command_rad
-from cablesense_msgs_py.journal import Event, EventKind, JournalEntry
+from cablesense_msgs_py.journal import EventKind, JournalEntry
 from cablesense_msgs_py.named_values import NamedOrder
-from cablesense_ros.answering import (
-    Answers,
-    AnswersAlongCourse,
-    AnswersAtRest,
-    Estimate,
-    EstimatesAlongCourse,
-    EstimatesAtRest,
-)
+from cablesense_ros.answering import EstimatesAlongCourse, EstimatesAtRest, answers_of
+from cablesense_ros.contact_decision import ContactDecision
+from cablesense_ros.estimation_journal import EstimationJournal
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.input_health import InputHealth
+from cablesense_ros.journal_follower import JournalFollower
 from cablesense_ros.motion_gate import MotionGate
+from cablesense_ros.outcome import Outcome
 from cablesense_ros.sample_check import SampleCheck
 from cablesense_ros.sample_clock import SampleClock
 from cablesense_ros.sample_error import ProblemKind, SampleError
 from cablesense_ros.tare import Tare, TareModel
+from cablesense_ros.unloaded_tensions import UnloadedTensions
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.chains import amended
-from cablesense_sim.effects.entry import entries_of
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-
-TARES = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
-
-@dataclass(frozen=True)
-class EstimationSettings:
-    """As the node's parameters of the same names say."""
-
-    contact_threshold: float
-    stale_after_s: float
-    slack_below_n: float
-    tare_samples: int
-    tare_steady_n: float
-    auto_tare: bool
-    joint_speed_rad_s: float
-    settle_s: float
-
-
-class Outcome(NamedTuple):
-    """The answer to one sample.
-
-    Attributes:
-        contact: `NO_CONTACT` also when the sample was of no use.
-        probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
-        stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
-        problem: why the sample was of no use.
-        new_tare: the tare that was taken by itself; it counts from the next sample on.
-        entry: what the answers rest on from this sample on, where that has changed.
-    """
-
-    contact: Contact = NO_CONTACT
-    probabilities: Sequence[float] = ()
-    stamp_ns: int = 0
-    problem: SampleError | None = None
-    new_tare: Tare | None = None
-    entry: JournalEntry | None = None
 
 
 class Estimation:
@@ -99,29 +54,31 @@ class Estimation:
         described: Mapping[str, str] | None = None,
     ) -> None:
         """`described` goes into the journal beside the settings."""
-        self._arm_identity = arm.identity
-        self._described = dict(described or {})
+        unloaded = UnloadedTensions(arm)
         self._settings = settings
-        self._nominal = Mechanism.from_arm(arm)
-        self._mechanism = amended(self._nominal, entries_of(arm))
-        self._contact_m = self._mechanism.contact_m.tolist()
         self._auto_tare = settings.auto_tare
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._command_rad = np.zeros(arm.joint_count)
-        self._events = [self._start_event()]
-        self._followed = False
+        self._journal = EstimationJournal(arm, described or {})
+        self._journal.start(self._command_rad)
         self.command_received = False
         self.largest_force_n = 0.0
         self.health = InputHealth(now_s)
         self.clock = SampleClock(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
-        self.gate = MotionGate(self._command_rad, settings.joint_speed_rad_s, settings.settle_s)
+        speed = settings.joint_speed_rad_s
+        self.gate = MotionGate(self._command_rad, speed, settings.settle_s)
         self.tare = TareModel(
-            self._predict_n, self._command_rad, settings.tare_samples, settings.tare_steady_n
+            unloaded.predict_n, self._command_rad, settings.tare_samples, settings.tare_steady_n
         )
-        self._answers = self._answers_of(estimator)
+        contact_m = unloaded.mechanism.contact_m.tolist()
+        self._decision = ContactDecision(contact_m, settings.contact_threshold)
+        self._answers = answers_of(
+            estimator, self.tare, unloaded.predict_n, self._command_rad, speed
+        )
+        self._follower = JournalFollower(self._answers)
 
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
         """Take over settings that may change while running."""
@@ -131,17 +88,17 @@ class Estimation:
             stale_after_s=stale_after_s,
             slack_below_n=slack_below_n,
         )
+        self._decision.threshold = contact_threshold
         self.clock.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
-        self._events.append(Event(EventKind.SETTINGS))
+        self._journal.note(EventKind.SETTINGS)
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
         self.health = InputHealth(now_s)
         self.tare.forget_readings()
         self._answers.restore(self._command_rad)
-        if self._start_event() not in self._events:
-            self._events.append(self._start_event())
+        self._journal.start(self._command_rad)
 
     def command(self, message: Any) -> None:
         """Take note of a `JointState` of commanded angles.
@@ -156,7 +113,7 @@ class Estimation:
             self.gate.command(command)
             self._answers.command(command)
             self._command_rad = command
-            self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
+            self._journal.command(command)
         self.command_received = True
 
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Outcome:
@@ -175,8 +132,10 @@ class Estimation:
             stamp_ns = sample.stamp_ns or now_ns
             moving = self.gate.moving(stamp_ns)
             if self.gate.stepped_back:
-                self._events.append(Event(EventKind.CLOCK))
-            entry = self._new_entry(stamp_ns) if self._events else None
+                self._journal.note(EventKind.CLOCK)
+            entry = self._journal.next_entry(
+                stamp_ns, self._settings, self._command_rad, self.gate, self.tare
+            )
             tensions = self._arrange(sample)
             self.check.check(tensions)
             return self._answer(tensions, stamp_ns, moving, entry)
@@ -200,7 +159,7 @@ class Estimation:
         """
         earlier = self.tare.undo()
         self._answers.begin()
-        self._events.append(Event(EventKind.TARE_UNDO))
+        self._journal.note(EventKind.TARE_UNDO)
         return earlier
 
     def restore(self, entry: JournalEntry) -> None:
@@ -212,21 +171,9 @@ class Estimation:
             CableSenseError: the entry is of an arm with other joints or cables, or of a pose that
                 this arm cannot take.
         """
-        joints, cables = len(self._joint_order.names), len(self._cable_order.names)
-        lengths = {"joint angles": (entry.command_rad, joints)}
-        lengths["lowest joint angles"] = (entry.lowest_rad, joints)
-        lengths["highest joint angles"] = (entry.highest_rad, joints)
-        if entry.tared_n:
-            lengths["joint angles at the tare"] = (entry.tare_command_rad, joints)
-            lengths["tared tensions"] = (entry.tared_n, cables)
-            lengths["unloaded tensions"] = (entry.unloaded_n, cables)
-        for what, (numbers, wanted) in lengths.items():
-            if len(numbers) != wanted:
-                raise ContractError(
-                    f"journal: {len(numbers)} {what}; the arm {self._arm_identity} has {wanted}"
-                )
+        self._journal.require_fitting(entry)
         command = np.array(entry.command_rad)
-        same_arm = entry.arm == self._arm_identity
+        same_arm = entry.arm == self._journal.arm_identity
         self.tare.restore(
             command,
             np.array(entry.unloaded_n) if same_arm else None,
@@ -236,10 +183,10 @@ class Estimation:
         self.gate.restore(
             command, np.array(entry.lowest_rad), np.array(entry.highest_rad), entry.rest_from_ns
         )
-        self._follow(entry, command)
+        self._follower.follow(entry)
         self._command_rad = command
         self._auto_tare = False
-        self._events.clear()
+        self._journal.forget()
 
     @property
     def answers_in_motion(self) -> bool:
@@ -248,11 +195,8 @@ class Estimation:
 
     @property
     def vouches(self) -> bool:
-        """Whether the answers after `restore` are those of the object that made the entries.
-
-        A model with memory has a past from the start on.
-        """
-        return self._followed or not self._answers.in_motion
+        """Whether the answers after `restore` are those of the object that made the entries."""
+        return self._follower.vouches
 
     @property
     def command_deg(self) -> list[float]:
@@ -293,74 +237,14 @@ class Estimation:
         if estimate is None:
             return Outcome(stamp_ns=stamp_ns, entry=entry)
         probabilities = estimate.probabilities.tolist()
-        contact = self._contact(probabilities, estimate)
+        contact = self._decision.decide(
+            probabilities, float(estimate.angle_deg), float(estimate.magnitude_n)
+        )
+        self.largest_force_n = max(self.largest_force_n, contact.magnitude_n)
         return Outcome(contact, probabilities, stamp_ns, entry=entry)
-
-    def _contact(self, probabilities: list[float], estimate: Estimate) -> Contact:
-        touched = 1.0 - probabilities[0]
-        angle, magnitude = float(estimate.angle_deg), float(estimate.magnitude_n)
-        if not (isfinite(sum(probabilities)) and isfinite(angle) and isfinite(magnitude)):
-            raise SampleError(
-                ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
-            )
-        if touched < self._settings.contact_threshold or magnitude <= 0.0:
-            return NO_CONTACT
-        self.largest_force_n = max(self.largest_force_n, magnitude)
-        segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
-        return Contact(segment, angle, magnitude, self._contact_m[segment - 1])
 
     def _take_tare(self, now_ns: int, how: EventKind) -> Tare:
         tare = self.tare.take(now_ns)
         self._answers.begin()
-        self._events.append(Event(how))
+        self._journal.note(how)
         return tare
-
-    def _new_entry(self, before_ns: int) -> JournalEntry:
-        events, self._events = tuple(self._events), []
-        tare, unloaded = self.tare.present, self.tare.unloaded_n
-        lowest, highest = self.gate.range_rad
-        return JournalEntry(
-            before_ns=before_ns,
-            events=events,
-            arm=self._arm_identity,
-            settings={
-                **self._described,
-                "joints": " ".join(self._joint_order.names),
-                **{name: repr(value) for name, value in asdict(self._settings).items()},
-            },
-            command_rad=tuple(self._command_rad.tolist()),
-            lowest_rad=tuple(lowest.tolist()),
-            highest_rad=tuple(highest.tolist()),
-            rest_from_ns=self.gate.rest_from_ns,
-            unloaded_n=() if unloaded is None else tuple(unloaded.tolist()),
-            tared_n=() if tare is None else tuple(tare.measured_n.tolist()),
-            tare_command_rad=() if tare is None else tuple(tare.command_rad.tolist()),
-        )
-
-    def _start_event(self) -> Event:
-        return Event(EventKind.START, tuple(self._command_rad.tolist()))
-
-    def _follow(self, entry: JournalEntry, command_rad: Array) -> None:
-        """Let what remembers go through the same events, from its own past where it has one."""
-        if not self._followed:
-            self._answers.restore(command_rad)
-        for event in entry.events:
-            if event.kind is EventKind.START and event.command_rad:
-                self._answers.restore(np.array(event.command_rad))
-            elif event.kind is EventKind.COMMAND:
-                self._answers.command(np.array(event.command_rad))
-            elif event.kind in TARES:
-                self._answers.begin()
-            self._followed |= event.kind is EventKind.START
-
-    def _answers_of(self, estimator: EstimatesAtRest | EstimatesAlongCourse) -> Answers:
-        if isinstance(estimator, EstimatesAlongCourse):
-            speed = self._settings.joint_speed_rad_s
-            return AnswersAlongCourse(
-                estimator, self.tare, self._predict_n, self._command_rad, speed
-            )
-        return AnswersAtRest(estimator, self.tare, self._command_rad)
-
-    def _predict_n(self, command_rad: Array) -> Array:
-        held = held_lengths_m(self._nominal, command_rad)
-        return solve_equilibrium(self._mechanism, command_rad, held_m=held).tensions_n

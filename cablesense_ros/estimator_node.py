@@ -21,7 +21,7 @@ from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_ros.configured_node import ConfiguredNode, run_configured_node
 from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
-from cablesense_ros.estimation import Estimation, Outcome
+from cablesense_ros.estimation import Estimation
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.estimator_parameters import (
     ESTIMATOR_PARAMETERS,
@@ -31,6 +31,7 @@ from cablesense_ros.estimator_parameters import (
 from cablesense_ros.estimator_report import cable_status, model_status, pose_status
 from cablesense_ros.loaded_model import LoadedModel, load_model
 from cablesense_ros.node_parameters import declare_parameters, parameter_values
+from cablesense_ros.outcome import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
 from cablesense_ros.state_file import StateFile
 from cablesense_ros.tare_services import TareServices

@@ -22,7 +22,7 @@ from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
 from cablesense_msgs_py.markers import ContactMarkers
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.wrench_writer import wrench_writers
-from cablesense_ros.estimation import Outcome
+from cablesense_ros.outcome import Outcome
 from cablesense_ros.qos_profiles import overridable, qos_profile
 
 DISPLAY_PERIOD_S = 1.0 / 30.0

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from cablesense_ros.estimation import EstimationSettings
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.node_parameters import NodeParameter
 
 ESTIMATOR_PARAMETERS: Final = (

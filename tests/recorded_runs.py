@@ -15,7 +15,8 @@ from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.journal import put_journal_entry
 from cablesense_msgs_py.topic_types import CONTRACT, resolved
 from cablesense_msgs_py.wrench_writer import wrench_writers
-from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.loaded_model import load_model
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism

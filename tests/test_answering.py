@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_ros.answering import AnswersAlongCourse, AnswersAtRest
-from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_ros.answering import AnswersAlongCourse, AnswersAtRest, answers_of
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.tare import TareModel
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -76,9 +77,7 @@ def test_the_tare_is_carried_along_the_way(tare):
     _through(answers, tare)
     for difference, angle, *_ in model.asked:
         unloaded = predicted_n(angle) + 0.5
-        np.testing.assert_allclose(
-            predicted_n(STRAIGHT) - difference, unloaded, atol=0.1
-        )
+        np.testing.assert_allclose(predicted_n(STRAIGHT) - difference, unloaded, atol=0.1)
 
 
 def test_a_tare_and_a_restart_are_told_to_the_model(tare):
@@ -100,6 +99,15 @@ def test_without_a_tare_there_is_no_estimate_but_the_course_is_followed():
         assert answers.estimate([50.0] * 12, 1) is None
     (difference, *_), *_ = model.asked
     assert (difference == 0.0).all()
+
+
+def test_a_model_with_memory_is_asked_along_the_course_and_another_at_rest(tare):
+    for model, in_motion in (
+        (Listener(), True),
+        (SimpleNamespace(pose_aware=True, estimate=None), False),
+    ):
+        answers = answers_of(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
+        assert answers.in_motion is in_motion
 
 
 serialization = pytest.importorskip("rclpy.serialization")

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from cablesense_msgs_py.contact import NO_CONTACT
 from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.sample_error import ProblemKind
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -84,9 +85,7 @@ class Feed:
         return self
 
     def command(self, angles_rad):
-        self.estimation.command(
-            SimpleNamespace(name=ARM.joint_names, position=angles_rad)
-        )
+        self.estimation.command(SimpleNamespace(name=ARM.joint_names, position=angles_rad))
 
 
 def test_a_push_after_the_tare_is_a_contact():

@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 
 from cablesense_msgs_py.contract_error import ContractError
 from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.journal import EventKind
-from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_msgs_py.journal import Event, EventKind
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_journal import EstimationJournal
+from cablesense_ros.estimation_settings import EstimationSettings
+from cablesense_ros.motion_gate import MotionGate
+from cablesense_ros.tare import TareModel
+from cablesense_ros.unloaded_tensions import UnloadedTensions
 from cablesense_sim.arm_files import open_arm
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -151,9 +156,67 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
     same.restore(replace(entry, command_rad=(0.01,) * 8))
     np.testing.assert_array_equal(same.tare.unloaded_n, entry.unloaded_n)
     gone = other.tare.unloaded_n - np.array(entry.tared_n)
+    predict_n = UnloadedTensions(ARM).predict_n
     np.testing.assert_allclose(
-        gone, other._predict_n(np.full(8, 0.01)) - other._predict_n(np.zeros(8)), atol=1e-9
+        gone, predict_n(np.full(8, 0.01)) - predict_n(np.zeros(8)), atol=1e-9
     )
+
+
+def parts():
+    """A journal with the state that its entries tell, before any tare."""
+    command = np.zeros(8)
+    gate = MotionGate(command, SETTINGS.joint_speed_rad_s, SETTINGS.settle_s)
+    tare = TareModel(UnloadedTensions(ARM).predict_n, command, SETTINGS.tare_samples, 1.0)
+    return EstimationJournal(ARM, {"model": "any.onnx"}), (SETTINGS, command, gate, tare)
+
+
+def test_an_entry_comes_once_and_only_after_a_change():
+    journal, state = parts()
+    assert journal.next_entry(1, *state) is None
+    journal.note(EventKind.SETTINGS)
+    assert journal.next_entry(2, *state).before_ns == 2
+    assert journal.next_entry(3, *state) is None
+    journal.note(EventKind.TARE)
+    journal.forget()
+    assert journal.next_entry(4, *state) is None
+
+
+def test_events_are_told_in_order_and_a_start_before_the_first_sample_once():
+    journal, state = parts()
+    journal.start(np.zeros(8))
+    journal.start(np.zeros(8))
+    journal.command(np.full(8, 0.01))
+    journal.note(EventKind.TARE_UNDO)
+    assert journal.next_entry(1, *state).events == (
+        Event(EventKind.START, (0.0,) * 8),
+        Event(EventKind.COMMAND, (0.01,) * 8),
+        Event(EventKind.TARE_UNDO),
+    )
+
+
+def test_an_entry_tells_model_joints_and_settings_as_text():
+    journal, state = parts()
+    journal.start(np.zeros(8))
+    told = journal.next_entry(1, *state).settings
+    assert told["model"] == "any.onnx"
+    assert told["joints"].split() == list(ARM.joint_names)
+    assert told["stale_after_s"] == "0.2"
+    assert told["auto_tare"] == "True"
+
+
+def test_an_entry_tells_the_tare_once_there_is_one():
+    journal, state = parts()
+    *_, tare = state
+    journal.start(np.zeros(8))
+    entry = journal.next_entry(1, *state)
+    assert (entry.unloaded_n, entry.tared_n, entry.tare_command_rad) == ((), (), ())
+    for _ in range(SETTINGS.tare_samples):
+        tare.add([100.0] * 12)
+    tare.take(0)
+    journal.note(EventKind.TARE)
+    entry = journal.next_entry(2, *state)
+    assert entry.tared_n == entry.unloaded_n == (100.0,) * 12
+    assert entry.tare_command_rad == (0.0,) * 8
 
 
 @pytest.mark.parametrize(
@@ -166,7 +229,16 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
     ],
 )
 def test_an_entry_of_another_arm_is_refused(wrong, said):
+    journal, state = parts()
+    journal.start(np.zeros(8))
+    entry = journal.next_entry(1, *state)
+    journal.require_fitting(entry)
+    with pytest.raises(ContractError, match=said):
+        journal.require_fitting(replace(entry, **wrong))
+
+
+def test_restoring_from_an_entry_of_another_arm_is_refused():
     live = estimation()
     entry = live.sample(sample(np.full(12, 100.0), EPOCH_NS), EPOCH_NS, 0.0).entry
-    with pytest.raises(ContractError, match=said):
-        live.restore(replace(entry, **wrong))
+    with pytest.raises(ContractError, match="7 joint angles"):
+        live.restore(replace(entry, command_rad=(0.0,) * 7))

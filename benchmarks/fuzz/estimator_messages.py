@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.estimation import Estimation, EstimationSettings
-from cablesense_ros.estimation import Outcome as Estimated
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
+from cablesense_ros.outcome import Outcome as Estimated
 from cablesense_ros.sample_check import PLAUSIBLE_N
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium

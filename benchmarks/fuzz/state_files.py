@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_msgs_py.journal import JournalEntry
-from cablesense_ros.estimation import Estimation, EstimationSettings
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.state_file import StateFile
 from cablesense_sim.arm_files import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_ros.estimation import Outcome
+from cablesense_ros.outcome import Outcome
 
 
 class EstimateTable:

@@ -11,8 +11,10 @@ from cablesense_gap.recordings.recording_error import RecordingError
 from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.journal import JournalEntry
 from cablesense_msgs_py.wrench_writer import WrenchWriter, wrench_writers
-from cablesense_ros.estimation import Estimation, EstimationSettings, Outcome
+from cablesense_ros.estimation import Estimation
+from cablesense_ros.estimation_settings import EstimationSettings
 from cablesense_ros.loaded_model import LoadedModel, load_model
+from cablesense_ros.outcome import Outcome
 from cablesense_training.inference.model_files import find_model
 from cablesense_training.inference.open_estimator import open_estimator
 
