@@ -1,60 +1,61 @@
-"""The exploration of networks, at a tiny size: what is asked is answered, whatever comes out."""
+"""The study of networks says what was found, whatever that is."""
 
 import pytest
+from network_findings import PLAN, WORSE, made_up
 
 from cablesense_gap.report.figure_style import style
-from cablesense_paper.networks import trials
+from cablesense_paper.networks import exploration
+from cablesense_paper.networks.plan import FULL, QUICK
 from cablesense_paper.studies import networks
-from cablesense_paper.studies.networks import FULL, QUICK, Plan, explored
+from cablesense_paper.studies.networks import said_of
 
-pytestmark = pytest.mark.slow  # trains and draws
-
-TINY = Plan(
-    depths=(1, 2),
-    widths=(4, 8),
-    compared_depth=2,
-    seeds=(0,),
-    samples=256,
-    batch_size=64,
-    epochs=1,
-    test_samples=256,
-    paper_poses=("straight", "random"),
-    workers=1,
-)
+pytestmark = pytest.mark.slow  # draws
 
 
 @pytest.fixture(scope="module")
-def result():
-    told = []
-    with pytest.MonkeyPatch.context() as patch, style():
-        patch.setattr(trials, "answer_us", lambda shape, arm: 20.0 + shape.width)
-        patch.setattr(networks, "PAPER_SAMPLES", 128)
-        found = explored(TINY, told.append)
-    assert told == sorted(told)
-    return found
+def poor():
+    with style():
+        return said_of(made_up(50.0))
 
 
-def test_every_shape_has_a_row(result):
-    rows = [row[:3] for row in result.tables[0].rows]
-    assert len(rows) == len(set(rows)) == 2 * 2 + 2 * 2
-    timed = [row for row in result.tables[0].rows if row[-1] != "–"]
-    assert {row[1] for row in timed} == {TINY.compared_depth}
+@pytest.fixture(scope="module")
+def good():
+    with style():
+        return said_of(made_up(1.0))
 
 
-def test_networks_that_learnt_next_to_nothing_are_not_praised(result):
-    assert result.lead.startswith("No decoupled network tried here")
-    forces = [c for c in result.comparisons if c.what.endswith("force error")]
+def test_every_shape_has_a_row(good):
+    assert [row[:3] for row in good.tables[0].rows] == list(PLAN.shapes)
+    timed = [row for row in good.tables[0].rows if row[-1] != "–"]
+    assert {row[1] for row in timed} == {PLAN.compared_depth}
+
+
+def test_networks_that_learnt_next_to_nothing_are_not_praised(poor):
+    assert poor.lead.startswith("No decoupled network tried here")
+    forces = [c for c in poor.comparisons if c.what.endswith("force error")]
     assert [c.agreement for c in forces] == ["no", "no"]
 
 
-def test_the_papers_figures_close_the_table_of_its_amount_of_data(result):
-    assert result.tables[1].rows[-1][0] == "the paper"
-    assert len(result.tables[1].rows) == 3
+def test_the_smallest_networks_that_reach_the_paper_are_named(good):
+    assert "have 2 layers of 8 each, 4,800 parameters in all." in good.lead
+    assert all(architecture in good.lead for architecture in WORSE)
 
 
-def test_the_quick_plan_is_a_small_part_of_the_full_one():
-    assert set(QUICK.depths) < set(FULL.depths)
-    assert set(QUICK.widths) < set(FULL.widths)
-    assert QUICK.samples * QUICK.epochs < 0.1 * FULL.samples * FULL.epochs
-    assert FULL.compared_depth in FULL.depths
-    assert QUICK.compared_depth in QUICK.depths
+def test_architectures_agree_with_the_paper_where_their_errors_do(good):
+    apart, together, stages, *little = good.comparisons
+    assert [c.agreement for c in (apart, together, stages)] == ["yes", "yes", "no"]
+    assert apart.ours == "×0.50 wrong contacts, ×0.50 direction, ×0.50 force"
+    assert together.ours.startswith("33% of the parameters, 100% of the time; ×2.00")
+    assert [c.agreement for c in little] == ["yes"] * 4
+
+
+def test_the_papers_figures_close_the_table_of_its_amount_of_data(good):
+    assert good.tables[1].rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
+    assert len(good.tables[1].rows) == 1 + len(PLAN.paper_poses)
+
+
+@pytest.mark.parametrize(("quick", "plan"), [(True, QUICK), (False, FULL)], ids=["quick", "full"])
+def test_a_quick_run_carries_out_the_quick_plan(quick, plan, monkeypatch):
+    monkeypatch.setattr(exploration, "explore", lambda plan, tell: plan)
+    monkeypatch.setattr(networks, "said_of", lambda found: found)
+    assert networks.run(quick, lambda share: None) is plan

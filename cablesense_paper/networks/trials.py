@@ -1,28 +1,18 @@
-"""Shapes trained on the same samples, tested on the same others, and timed."""
+"""Shapes trained on the same samples, tested on the same others."""
 
 from __future__ import annotations
 
 import multiprocessing
-import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import numpy as np
-
-from cablesense_paper.networks.shapes import Shape, build, parameters
-from cablesense_sim.arm import Arm
+from cablesense_paper.networks.building import build, parameters
+from cablesense_paper.networks.shapes import Shape
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
-from cablesense_training.export import export_model
 from cablesense_training.fit import FitSettings, fit
-from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import TENSION, open_session, read_model
-
-_BLOCKS, _RUNS = 7, 300
 
 
 @dataclass(frozen=True)
@@ -95,38 +85,3 @@ def _share(training: Dataset, test: Dataset, settings: FitSettings) -> None:
 def _shared_trial(case: tuple[Shape, int]) -> Trial:
     training, test, settings = _SHARED["samples"]
     return trial(*case, training, test, settings)
-
-
-def answer_us(shape: Shape, arm: Arm) -> float:
-    """Microseconds that ONNX Runtime takes for one answer on one core: the best of some blocks.
-
-    What a network has learnt does not change how long it takes, so an untrained one is timed.
-    """
-    metadata = ModelMetadata(
-        kind="single-contact",
-        network=shape.architecture,
-        arm=arm,
-        arm_identity=arm.identity,
-        cable_names=arm.cable_names,
-        joint_names=arm.joint_names,
-        pose_aware=False,
-        pose_range_deg=0.0,
-        force_range_n=200.0,
-        tare_samples=1,
-        command="",
-        seed=0,
-        version="",
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "shape.onnx")
-        export_model(build(shape, arm, 0), path, metadata)
-        model, _ = read_model(path)
-    session = open_session(model)
-    inputs = {TENSION: np.linspace(-20.0, 30.0, arm.cable_count)[None]}
-    took = []
-    for _ in range(_BLOCKS):
-        began = time.perf_counter()
-        for _ in range(_RUNS):
-            session.run(None, inputs)
-        took.append((time.perf_counter() - began) / _RUNS)
-    return 1e6 * min(took)

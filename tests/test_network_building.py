@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from cablesense_paper.networks.shapes import ARCHITECTURES, Shape, build, parameters
+from cablesense_paper.networks.building import build, parameters
+from cablesense_paper.networks.shapes import ARCHITECTURES, Shape
 from cablesense_sim.arm_files import open_arm
 
 ARM = open_arm("cdsm")
