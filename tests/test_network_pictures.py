@@ -53,8 +53,9 @@ def test_the_line_is_the_mean_of_the_seeds_which_are_its_dots(drawn):
 
 
 def test_a_picture_becomes_a_file():
+    before = plt.get_fignums()
     with style():
         picture = cost_picture(made_up(1.0))
     assert picture.png.startswith(b"\x89PNG")
     assert "at 2 layers" in picture.caption
-    assert not plt.get_fignums()
+    assert plt.get_fignums() == before
