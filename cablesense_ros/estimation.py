@@ -68,15 +68,15 @@ class Estimation:
         self.health = InputHealth(now_s)
         self.clock = SampleClock(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
-        speed = settings.joint_speed_rad_s
-        self.gate = MotionGate(self._command_rad, speed, settings.settle_s)
+        speed_rad_s = settings.joint_speed_rad_s
+        self.gate = MotionGate(self._command_rad, speed_rad_s, settings.settle_s)
         self.tare = TareModel(
             unloaded.predict_n, self._command_rad, settings.tare_samples, settings.tare_steady_n
         )
         contact_m = unloaded.mechanism.contact_m.tolist()
         self._decision = ContactDecision(contact_m, settings.contact_threshold)
         self._answers = answers_of(
-            estimator, self.tare, unloaded.predict_n, self._command_rad, speed
+            estimator, self.tare, unloaded.predict_n, self._command_rad, speed_rad_s
         )
         self._follower = JournalFollower(self._answers)
 
