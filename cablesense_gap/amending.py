@@ -15,9 +15,7 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.effects.registry import known_effects
 
 
-def amended_arm(
-    arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]
-) -> Arm:
+def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:
     """The arm with effects beside those that it lists already; numbers stay in their ranges.
 
     It keeps its name: without its effects it is the nominal arm, and whatever was made for that
@@ -38,8 +36,7 @@ def _listed(
         every = (*effect.parameters, *effect.history(segment_count, cable_count))
         ranges = {p.name: (p.low, p.high) for p in every}
         numbers = {
-            term.parameter: float(np.clip(values[term], *ranges[term.parameter]))
-            for term in terms
+            term.parameter: float(np.clip(values[term], *ranges[term.parameter])) for term in terms
         }
         found.append(ListedEffect(effect=name, at=place, parameters=numbers))
     return found

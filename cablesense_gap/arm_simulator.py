@@ -36,9 +36,7 @@ class ArmSimulator:
         self.candidates = tuple(_candidate(e, *sizes) for e in effects if not e.tolerance)
         self.tolerances = tuple(_candidate(e, *sizes) for e in effects if e.tolerance)
         self._listed = entries_of(arm)
-        self._replay = Replay(
-            arm, recording.time_s, recording.command_rad, recording.forces_n
-        )
+        self._replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
         self._nominal_n: Array | None = None
         self._shape = recording.tensions_n.shape
 

@@ -12,17 +12,13 @@ Array = NDArray[np.float64]
 _DRAWS = 2000
 
 
-def gap_size(
-    before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n: float
-) -> Gap:
+def gap_size(before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n: float) -> Gap:
     """Sizes over residuals (R, M) before and after, with a bootstrap over trials (R,).
 
     The floor is that of the sensors; what a workshop leaves is in the amended arm's own file.
     """
     trial = np.unique(trial, return_inverse=True)[1]  # a draw of empty trials has no size
-    per_trial = [
-        np.bincount(trial, (residual**2).sum(-1)) for residual in (before_n, after_n)
-    ]
+    per_trial = [np.bincount(trial, (residual**2).sum(-1)) for residual in (before_n, after_n)]
     count = np.bincount(trial) * before_n.shape[1]
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(count), (_DRAWS, len(count)))

@@ -88,9 +88,7 @@ class _PlainLoader(yaml.SafeLoader):
             if key.tag == "tag:yaml.org,2002:merge":
                 self.refuse("a merge (<<); write the keys out", key.start_mark)
             if key.value in seen:
-                self.refuse(
-                    f"key {_short(key.value)} stands twice; give it once", key.start_mark
-                )
+                self.refuse(f"key {_short(key.value)} stands twice; give it once", key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 

@@ -101,9 +101,7 @@ class QuasiStaticArm:
         pose = self._next(rest_m, arms)
         self._require_room(pose.angles_rad)
         self._angles_rad = pose.angles_rad
-        rest = Rest(
-            time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n
-        )
+        rest = Rest(time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n)
         for memory in self._memories:
             memory.settle(rest)
         return pose.tensions_n
@@ -139,9 +137,10 @@ class QuasiStaticArm:
         for _ in range(_FOLLOWING_STEPS):
             span = kinematics.spans(self._mechanism, angles)
             jacobian = kinematics.interleave(span)
-            pull = np.swapaxes(jacobian, -1, -2) * np.broadcast_to(
-                stiffness, wanted.shape
-            )[..., None, :]
+            pull = (
+                np.swapaxes(jacobian, -1, -2)
+                * np.broadcast_to(stiffness, wanted.shape)[..., None, :]
+            )
             missing = (wanted - span.length_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)

@@ -35,9 +35,7 @@ class Replay:
         forces_n: (R, N, 3) loads in base axes.
     """
 
-    def __init__(
-        self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array
-    ) -> None:
+    def __init__(self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> None:
         """The actuators hold the cable lengths that the `nominal` arm has at the commands."""
         self.time_s, self.command_rad, self.forces_n = time_s, command_rad, forces_n
         self._nominal = Mechanism.from_arm(nominal)
@@ -83,9 +81,7 @@ class Replay:
                 held[:, row] = actuation.step(time, held[:, row])
         return held
 
-    def _at_rest_n(
-        self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None
-    ) -> Array:
+    def _at_rest_n(self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
         first, same = self._first, self._same
         if not np.array_equal(held_m, held_m[first][same]):

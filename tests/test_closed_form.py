@@ -87,9 +87,7 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(arm):
         loaded, unloaded = _tensions(mechanism, command, segment, [40.0], [10.0])
         assert (loaded > 1.0).all()
         read = loaded - unloaded + rng.normal(0.0, VARIANCE_N2**0.5, (3000, mechanism.cable_count))
-        found = _candidates(
-            _closed_form(mechanism), read, np.repeat(command, 3000, axis=0)
-        )
+        found = _candidates(_closed_form(mechanism), read, np.repeat(command, 3000, axis=0))
         own = found.force_n[:, segment - 1]
         stated = found.covariance_n2[:, segment - 1].mean(axis=0)
         whitened = np.linalg.solve(np.linalg.cholesky(stated), (own - own.mean(axis=0)).T)

@@ -74,9 +74,7 @@ def test_spans_and_jacobian_agree_for_any_arm_at_any_pose(mechanism, seed):
     np.testing.assert_allclose(span[:, passes], expected[:, passes], atol=1e-12)
     np.testing.assert_array_equal(span[:, ~passes], 1.0)
     jacobian = _pitch_first(kinematics.cable_jacobian_m(mechanism, q))
-    np.testing.assert_allclose(
-        pose.jacobian_t_m.numpy(), jacobian.swapaxes(1, 2), atol=1e-12
-    )
+    np.testing.assert_allclose(pose.jacobian_t_m.numpy(), jacobian.swapaxes(1, 2), atol=1e-12)
 
 
 @settings(max_examples=40, deadline=None)
@@ -109,9 +107,7 @@ def test_the_jacobian_is_the_derivative_of_the_spans():
         return compact(angles).span_m.sum((1, 2))
 
     derivative = torch.autograd.functional.jacobian(lengths, column)[0, :, 0, :, 0]
-    torch.testing.assert_close(
-        compact(column).jacobian_t_m[0].T, derivative, atol=1e-12, rtol=0.0
-    )
+    torch.testing.assert_close(compact(column).jacobian_t_m[0].T, derivative, atol=1e-12, rtol=0.0)
 
 
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])

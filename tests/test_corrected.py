@@ -68,14 +68,10 @@ def test_untrained_it_answers_as_the_closed_form(untrained):
     assert (answered == segment).mean() > 0.98
     chosen = torch.as_tensor(answered - 1)
     rows = torch.arange(len(chosen))
-    torch.testing.assert_close(
-        _force(output), found.force_n[rows, chosen], atol=1e-6, rtol=1e-6
-    )
+    torch.testing.assert_close(_force(output), found.force_n[rows, chosen], atol=1e-6, rtol=1e-6)
     covariance = found.covariance_n2[rows, chosen]
     along = output.direction[:, None] @ covariance @ output.direction[..., None]
-    torch.testing.assert_close(
-        output.magnitude_std_n, along[:, 0, 0].sqrt(), atol=1e-6, rtol=1e-4
-    )
+    torch.testing.assert_close(output.magnitude_std_n, along[:, 0, 0].sqrt(), atol=1e-6, rtol=1e-4)
 
 
 @pytest.mark.parametrize("size_n", [0.0, 1.0, 50.0, 1e3, 1e6, 1e9])

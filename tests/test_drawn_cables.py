@@ -51,6 +51,6 @@ def test_a_tare_is_remembered_beside_what_goes_on(drawn):
     later = _through(drawn, past, [0.0])
     seen = drawn.seen(later)[0]
     count = CABLES * len(GIVES_M)
-    assert seen[: count][len(GIVES_M)] == -1.0
+    assert seen[:count][len(GIVES_M)] == -1.0
     assert seen[count : 2 * count][len(GIVES_M)] == 1.0
     assert len(seen) == drawn.seen_size

@@ -88,7 +88,5 @@ def test_the_file_predicts_what_the_diagnosis_did(tmp_path):
     course = small_recording(peak_n=20.0).rows(slice(0, 60))
     path = tmp_path / "arm.yaml"
     write_arm(path, amended_arm(LAB, values, {}), "x")
-    replayed = replay_arm(
-        load_arm(path), course.time_s, course.command_rad, course.forces_n
-    )
+    replayed = replay_arm(load_arm(path), course.time_s, course.command_rad, course.forces_n)
     assert_allclose(replayed, ArmSimulator(LAB, course).predict([values])[0], atol=1e-6)

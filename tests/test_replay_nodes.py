@@ -64,11 +64,15 @@ def replay(path, *arguments):
 
 def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
     whole, late = tmp_path / "whole.mcap", tmp_path / "late.mcap"
-    sim = NodeProcess(SIM, rate_hz=200.0)
+    nodes = [NodeProcess(SIM, rate_hz=200.0)]
     recorder = record(whole)
-    graph.until(lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow")
-    estimator = NodeProcess(ESTIMATOR, tare_samples=20)
+    recorders = [recorder]
     try:
+        graph.until(
+            lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow"
+        )
+        estimator = NodeProcess(ESTIMATOR, tare_samples=20)
+        nodes.append(estimator)
         graph.until(lambda: "tare taken" in estimator.log, "the first tare")
         graph.until(
             lambda: graph.command.get_subscription_count() == 3, "sim, estimator, recorder"
@@ -77,6 +81,7 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.02] * 8))
         graph.spin(0.2)
         second = record(late)  # joins in mid-move
+        recorders.append(second)
         graph.until(lambda: graph.command.get_subscription_count() == 4, "the second recorder")
         graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.01] * 8))
         graph.spin(2.5)
@@ -88,10 +93,10 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         assert graph.call("/estimator/tare_undo").success
         graph.spin(0.5)
     finally:
-        for process in (recorder, second):
+        for process in recorders:
             process.send_signal(signal.SIGINT)
             said, _ = process.communicate(timeout=30)
-        codes = [process.stop() for process in (estimator, sim)]
+        codes = [process.stop() for process in reversed(nodes)]
     assert codes == [0, 0], estimator.log
     assert recorder.returncode == 0, said
     got = replay(whole)

@@ -38,9 +38,7 @@ def test_what_finds_no_stable_pose_keeps_a_residual() -> None:
         **{**vars(SOFT), "stiffness_n_m": np.full(12, 1e2), "pretension_n": pretension}
     )
     command = np.full((1, 8), 0.05)
-    *_, residual, _ = search_rest(
-        weak, 1e-9, rest_m(weak, command), np.zeros((1, 4, 3)), command
-    )
+    *_, residual, _ = search_rest(weak, 1e-9, rest_m(weak, command), np.zeros((1, 4, 3)), command)
     assert residual[0] > 1e-7
 
 

@@ -94,9 +94,7 @@ def test_information_is_the_inverse_of_the_covariance(pushes):
 
     closed_form = SecondOrderClosedForm(CDSM, VARIANCE_N2)
     with torch.no_grad():
-        found = closed_form.weigh(
-            torch.as_tensor(difference), torch.as_tensor(command), weighing
-        )
+        found = closed_form.weigh(torch.as_tensor(difference), torch.as_tensor(command), weighing)
     [(information, covariance)] = seen
     np.testing.assert_array_equal(found.covariance_n2, covariance)
     product = information @ covariance
@@ -147,7 +145,5 @@ def test_without_contact_what_a_segment_explains_is_chi_squared():
 @pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])
 def test_absurd_readings_get_finite_weighed(size_n):
     command = np.stack([np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)])
-    found = _weighed(
-        SecondOrderClosedForm(CDSM, VARIANCE_N2), np.full((3, 12), size_n), command
-    )
+    found = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), np.full((3, 12), size_n), command)
     assert all(np.isfinite(part).all() for part in found)

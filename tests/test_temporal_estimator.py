@@ -29,8 +29,7 @@ def course():
 
 def _through(estimator, course, times):
     return [
-        estimator.estimate(*(part[row] for part in course), time)
-        for row, time in enumerate(times)
+        estimator.estimate(*(part[row] for part in course), time) for row, time in enumerate(times)
     ]
 
 

@@ -1,5 +1,7 @@
 """The network with memory: untrained it is statics, and its corrections are bounded."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,8 @@ from cablesense_sim.arm_files import open_arm
 from cablesense_training.data import Dataset, SingleContact
 from cablesense_training.networks.temporal import (
     LARGEST_CORRECTION,
+    LARGEST_LOG_FACTOR,
+    LARGEST_OFFSET,
     TemporalNetwork,
     Ticks,
 )
@@ -60,6 +64,25 @@ def test_whatever_the_state_the_torques_move_by_a_bounded_amount(network):
         answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double())
     moved = (answer.torque_n_m - balance.torque_n_m[..., 0]).abs().max()
     assert 0.3 < moved <= LARGEST_CORRECTION * 0.3 + 1e-9
+
+
+def test_whatever_the_state_each_cable_is_corrected_by_a_bounded_amount(network):
+    network.error.std.fill_(1e-9)
+    network.tension.std.fill_(0.5)
+    torch.nn.init.normal_(network.offset.weight, std=50.0)
+    torch.nn.init.normal_(network.factor.weight, std=50.0)
+    dataset = Dataset.from_protocol(CDSM, SingleContact(samples=50, pose="random"))
+    ticks = _ticks(dataset)
+    with torch.no_grad():
+        balance = network.balance(ticks)
+        past = torch.zeros(50, network.drawn.size).double()
+        encoded = network.encode(network.joint_torque_n_m(balance), past, ticks)
+        answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double())
+        off_n = LARGEST_OFFSET * 0.5 + math.expm1(LARGEST_LOG_FACTOR) * balance.tension_n.abs()
+        most_n_m = (balance.jacobian_t_m.abs() @ off_n)[..., 0]
+        moved_n_m = (answer.torque_n_m - balance.torque_n_m[..., 0]).abs()
+    assert moved_n_m.max() > 0.01
+    assert (moved_n_m <= most_n_m + 1e-6).all()
 
 
 def test_the_two_orders_of_joints_are_inverse(network):

@@ -124,9 +124,7 @@ def _together(
         ]
 
 
-def _as_block(
-    candidate: Candidate, place: str, shape: dict[str, float], changes: Array
-) -> Block:
+def _as_block(candidate: Candidate, place: str, shape: dict[str, float], changes: Array) -> Block:
     probed = [parameter for parameter, _ in _probes(candidate, shape)]
     first = next(k for k, p in enumerate(probed) if p.role == "size")
     columns = [

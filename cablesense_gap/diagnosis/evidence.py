@@ -38,9 +38,7 @@ class Products:
     def columns(self, chosen: Indices | Sequence[int]) -> Products:
         """Those of some of the columns."""
         at = np.asarray(chosen, dtype=np.int64)
-        return Products(
-            self.gram[:, at[:, None], at], self.moment[:, at], self.square, self.count
-        )
+        return Products(self.gram[:, at[:, None], at], self.moment[:, at], self.square, self.count)
 
     @property
     def mean_square(self) -> float:
@@ -65,9 +63,7 @@ def weight(mean_square: float, floor: float) -> float:
     return 1.0 / (floor**2 + CORRELATION * max(mean_square - floor**2, 0.0))
 
 
-def solve(
-    gram: Array, moment: Array, precision: Array, offset: Array, weight_: float
-) -> Array:
+def solve(gram: Array, moment: Array, precision: Array, offset: Array, weight_: float) -> Array:
     """The coefficients (K,) that are most probable, with priors N(-offset, 1 / precision)."""
     system = weight_ * gram + np.diag(precision)
     return np.asarray(np.linalg.solve(system, weight_ * moment - precision * offset))

@@ -56,9 +56,7 @@ def pair_looks(
     owned = [np.arange(e - len(b.columns), e) for e, b in zip(ends, blocks, strict=True)]
     chosen: dict[Effects, list[int]] = {}
     for _ in range(_ROUNDS):
-        reduced = Reduced(
-            data, base, precision, weight(mean_square, course.floor), course.fold
-        )
+        reduced = Reduced(data, base, precision, weight(mean_square, course.floor), course.fold)
         chosen, mean_square = _best_of_each(_Pairing(reduced, owned, course), sides)
     placing = Placing(course, data, precision, np.arange(base), [base + own for own in owned])
     return {names: placing.placed(at, blocks) for names, at in chosen.items()}

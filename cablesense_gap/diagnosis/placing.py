@@ -80,9 +80,7 @@ def place(
     if len(best[0]) == 1:
         others = [search.grow([k], most=1) for k in range(len(offered)) if k != best[0][0]]
         found += sorted(others, key=lambda path: path[1])[:1]
-    return [
-        search.placed(chosen, offered) for chosen, left in found if left <= _NEARLY * best[1]
-    ]
+    return [search.placed(chosen, offered) for chosen, left in found if left <= _NEARLY * best[1]]
 
 
 class Placing:
@@ -158,9 +156,7 @@ class Placing:
         first = self._mean_square(part, precision, self._weight)
         weight_ = weight(first, self._course.floor)
         found = self._solved(part, precision, weight_)
-        return self._course.cost(
-            self._mean_square(part, precision, weight_), self._strain(found)
-        )
+        return self._course.cost(self._mean_square(part, precision, weight_), self._strain(found))
 
     def _solved(self, part: Products, precision: Array, weight_: float) -> Array:
         none = np.zeros(len(precision))

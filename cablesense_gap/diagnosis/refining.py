@@ -167,9 +167,7 @@ class _Refining:
     def _products(self, linear: _Linear) -> Products:
         course = self._course
         columns = np.concatenate([course.tolerance_columns, linear.columns])
-        return products(
-            columns, course.readings - linear.prediction, course.trial, course.used
-        )
+        return products(columns, course.readings - linear.prediction, course.trial, course.used)
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
@@ -235,9 +233,7 @@ class _Refining:
         )
 
 
-def _held_out(
-    course: Course, linear: _Linear, without: Array, at: NDArray[np.int64]
-) -> Array:
+def _held_out(course: Course, linear: _Linear, without: Array, at: NDArray[np.int64]) -> Array:
     """(R, C) prediction of each trial by the fit without its fold."""
     columns = np.concatenate([course.tolerance_columns, linear.columns])[at]
     prediction = linear.prediction.copy()
@@ -253,9 +249,7 @@ def _squares(course: Course, residual: Array) -> Array:
     return np.bincount(course.trial, of_row, minlength=len(course.fold)).astype(float)
 
 
-def _spread(
-    gram: Array, moment: Array, found: Array, precision: Array, weight_: float
-) -> Array:
+def _spread(gram: Array, moment: Array, found: Array, precision: Array, weight_: float) -> Array:
     """Standard deviations (K,) that allow for residuals that hang together within a trial.
 
     The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors

@@ -34,9 +34,7 @@ _BARELY = 1.25
 _ALIKE = 1.02
 
 
-def search(
-    course: Course, tell: Tell = lambda *_: None, workers: int = 1
-) -> list[Hypothesis]:
+def search(course: Course, tell: Tell = lambda *_: None, workers: int = 1) -> list[Hypothesis]:
     """Every hypothesis that was fitted, that of tolerances alone first.
 
     Effects that remember are dear: they are left alone where one of the others, or two of them,

@@ -19,6 +19,7 @@ from cablesense_ros.can.dbc_bounds import require_bounded_sizes
 _SHOWN_NAMES = 8
 _LARGEST_FACTOR = 1e30
 
+
 @dataclass(frozen=True)
 class ChannelSignal:
     """What the DBC file makes of a channel's bits: `value = factor * bits + offset`, in `unit`."""

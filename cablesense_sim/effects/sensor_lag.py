@@ -65,9 +65,7 @@ class _Lagging(Sensing):
         second = np.exp(-passed / (self._share * self._first_s))[:, None]
         behind_n = self._filtered_n - tensions_n
         across = (first - second) / (1.0 - self._share[:, None])
-        self._reading_n = (
-            tensions_n + second * (self._reading_n - tensions_n) + across * behind_n
-        )
+        self._reading_n = tensions_n + second * (self._reading_n - tensions_n) + across * behind_n
         self._filtered_n = tensions_n + first * behind_n
         self._time_s = time_s
         late = chosen(self._place, tensions_n.shape[-1])

@@ -104,9 +104,7 @@ class SingleRun:
             self._buffers.setdefault(name, value)
         binding = session.io_binding()
         for name, buffer in inputs.items():
-            binding.bind_input(
-                name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data
-            )
+            binding.bind_input(name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data)
         for name in names:
             buffer = self._buffers[name]
             binding.bind_output(
@@ -114,9 +112,7 @@ class SingleRun:
             )
         return session, binding
 
-    def _run(
-        self, session: onnxruntime.InferenceSession, binding: onnxruntime.IOBinding
-    ) -> None:
+    def _run(self, session: onnxruntime.InferenceSession, binding: onnxruntime.IOBinding) -> None:
         try:
             session.run_with_iobinding(binding)
         except Exception as error:  # ONNX Runtime's classes have no common base

@@ -82,9 +82,7 @@ def course_figures(answer: ContactAnswer, sequences: Sequences) -> CourseFigures
         return metrics, float(force.mean()) if force.size else 0.0
 
     every, in_motion, at_rest = (figures(rows) for rows in (everywhere, moving, ~moving))
-    return CourseFigures(
-        every[0], in_motion[0], at_rest[0], every[1], in_motion[1], at_rest[1]
-    )
+    return CourseFigures(every[0], in_motion[0], at_rest[0], every[1], in_motion[1], at_rest[1])
 
 
 def unsettled(sequences: Sequences) -> NDArray[np.bool_]:

@@ -67,9 +67,7 @@ def draw_sequences(
     return Sequences.concatenate([part for part in parts if len(part)])
 
 
-def draw_block(
-    arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int
-) -> Sequences:
+def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int) -> Sequences:
     """Some sequences of a run, by their block's number."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block,)))
     nominal, entries = Mechanism.from_arm(arm), entries_of(arm)

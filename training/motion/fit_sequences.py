@@ -153,9 +153,7 @@ class _Fit:
                 sums, count = sums + torch.stack(terms).detach(), count + 1
         return LossTerms(*(sums / count))
 
-    def _terms(
-        self, part: SequenceSamples, state: Tensor, phase: int
-    ) -> tuple[LossTerms, Tensor]:
+    def _terms(self, part: SequenceSamples, state: Tensor, phase: int) -> tuple[LossTerms, Tensor]:
         """The loss of the judged ticks, and the last state.
 
         The force is judged on the segment that is truly touched: where another was believed in,

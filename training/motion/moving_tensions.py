@@ -16,6 +16,7 @@ from cablesense_training.motion.commanded_motion import STEP_S, CommandedMotion
 
 Array = NDArray[np.float64]
 
+
 def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
     """(T, M) tensions of an arm without memory under loads (T, N, 3), at rest at the start."""
     dynamics = ArmDynamics(arm, STEP_S)
@@ -73,4 +74,3 @@ def _through(arm: Arm, course_rad: Array, loads_n: Array, tick_s: float) -> Arra
             held = actuation.step(tick * tick_s, held)
         found[tick] = resting.step(tick * tick_s, held, loads_n[tick])
     return found
-

@@ -33,6 +33,9 @@ LARGEST_CORRECTION = 6.0
 LARGEST_LOG_FACTOR = 0.5
 """Bound on the logarithm of a cable's factor: friction beyond it is beyond this correction."""
 
+LARGEST_OFFSET = 4.0
+"""Bound on a cable's offset, in standard deviations of its tension differences in training."""
+
 _LOG_STD_RANGE = (-7.0, 3.0)
 
 
@@ -122,9 +125,7 @@ class TemporalNetwork(nn.Module):
         self.spread = StatedSpread(2)
 
     @classmethod
-    def for_arm(
-        cls, arm: Arm, tare_samples: int = 50, remembers: bool = True
-    ) -> TemporalNetwork:
+    def for_arm(cls, arm: Arm, tare_samples: int = 50, remembers: bool = True) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
         statics = exact_statics(arm, tare_samples, unexplained_n2=0.0)
         return cls(arm, statics, remembers=remembers)
@@ -174,9 +175,7 @@ class TemporalNetwork(nn.Module):
         following: Tensor = (1.0 - update) * new + update * state
         return following
 
-    def answer(
-        self, balance: Balance, encoded: Tensor, states: Tensor
-    ) -> CorrectedAnswer:
+    def answer(self, balance: Balance, encoded: Tensor, states: Tensor) -> CorrectedAnswer:
         """Answers for B flat ticks, of what was encoded and remembered (B, hidden) of each."""
         read = self.reader(torch.cat([encoded, states], dim=-1))
         bounded = LARGEST_CORRECTION * torch.tanh(self.shift(read) / LARGEST_CORRECTION)
@@ -185,7 +184,8 @@ class TemporalNetwork(nn.Module):
         std = std * self.error.std.double()
         factor = LARGEST_LOG_FACTOR * torch.tanh(self.factor(read) / LARGEST_LOG_FACTOR)
         lost = balance.tension_n * (torch.exp(factor.double()) - 1.0)[..., None]
-        lost = lost + (self.offset(read) * self.tension.std).double()[..., None]
+        offset = LARGEST_OFFSET * torch.tanh(self.offset(read) / LARGEST_OFFSET)
+        lost = lost + (offset * self.tension.std).double()[..., None]
         torque = balance.torque_n_m - self.pitches_first(shift)[..., None]
         torque = torque + balance.jacobian_t_m @ lost
         noise = inverse(balance.precision)

@@ -158,9 +158,7 @@ class SecondOrderClosedForm(nn.Module):
         n, m = self.exact.kinematics.segment_count, self.exact.kinematics.cable_count
         joints = 2 * n
         around = self.exact.kinematics((angles[:, None] + self.offsets).reshape(-1, joints, 1))
-        spread = (normal_cross[:, None] + 0.0 * self.offsets[:, :1]).reshape(
-            -1, 6 * n + 6, 3
-        )
+        spread = (normal_cross[:, None] + 0.0 * self.offsets[:, :1]).reshape(-1, 6 * n + 6, 3)
         lever, weight = self.exact.kinematics.levers(commanded, normal_cross)
         levers, weights = self.exact.kinematics.levers(around, spread)
 
