@@ -28,6 +28,7 @@ test: setup build/mypy/cablesense_training  ## style, types, the arrows between 
 lint: setup build/mypy/cablesense_training  ## style, types and the arrows between rooms
 	@failed=0; \
 	$(BIN)/ruff check || failed=1; \
+	$(BIN)/ruff format --check || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo || failed=1; \
 	exit $$failed
