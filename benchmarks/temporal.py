@@ -114,6 +114,7 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
         figures[name] = _plain(course_figures(answer, sequences))
         tenths = _tenths(course_answer(estimator, long), long)
         figures[name]["by_tenth_of_the_long_course"] = tenths
+        figures[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
             figures[GATED] = _plain(course_figures(_gated(answer, sequences), sequences))
         _draw(axis, name, answer, sequences)
@@ -201,6 +202,14 @@ def _tables(result: dict[str, Any]) -> str:
                 if "by_tenth_of_the_long_course" in figures
             )
             + " N.",
+            "",
+            "Trained by:",
+            "",
+            *(
+                f"- {name}: `{figures['trained by']}`"
+                for name, figures in part["estimators"].items()
+                if "trained by" in figures
+            ),
             "",
         ]
     return "\n".join(lines)
