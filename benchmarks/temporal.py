@@ -4,8 +4,9 @@
 
 Fresh courses of commands and contacts, seeds that no training has seen, sensor noise on. Those
 without memory are told the set-point at every tick, which is more than the node tells them: there
-they say nothing until the arm rests again, and that is a row of its own. One long course per arm
-shows whether the memory holds. `--write` puts `temporal.json`, `temporal.md` and a picture into
+they say nothing until the arm rests again, and that is a row of its own. Long courses show whether
+the memory holds; where cables rub there are several, as a late start weighs more than the time
+since. `--write` puts `temporal.json`, `temporal.md` and a picture into
 `benchmarks/results/`.
 """
 
@@ -20,6 +21,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_sim.arm_files import open_arm
 from cablesense_training.data.progress import sample_progress
@@ -40,6 +42,8 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 RESULTS = Path(__file__).parent / "results"
+Array = NDArray[np.float64]
+
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0
 
@@ -47,10 +51,11 @@ GATED = "statics, silent in motion (as the node runs it)"
 
 
 class Case(NamedTuple):
-    """An arm, and its estimators by what the table calls them."""
+    """An arm, how many long courses it gets, and its estimators by what the table calls them."""
 
     arm: str
     why: str
+    long_courses: int
     estimators: dict[str, str]
 
 
@@ -58,6 +63,7 @@ CASES = (
     Case(
         "cdsm",
         "no friction, in time by MuJoCo: inertia and swinging",
+        1,
         {
             "temporal (shipped)": "cdsm_moving",
             "the same without memory": "peers/cdsm_momentary",
@@ -67,6 +73,7 @@ CASES = (
     Case(
         "cdsm_friction",
         "capstan friction of 0.15 with half a radian of pulley wrap, from rest to rest",
+        8,
         {
             "temporal (shipped)": "cdsm_friction",
             "the same without memory": "peers/cdsm_friction_momentary",
@@ -105,15 +112,17 @@ def main() -> None:
 
 def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> dict[str, Any]:
     sequences = _drawn(case.arm, protocol, SEED, workers)
-    long_protocol = replace(protocol, sequences=1, duration_s=LONG_S)
+    long_protocol = replace(protocol, sequences=case.long_courses, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     figures: dict[str, Any] = {}
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
         answer = course_answer(estimator, sequences)
         figures[name] = _plain(course_figures(answer, sequences))
-        tenths = _tenths(course_answer(estimator, long), long)
-        figures[name]["by_tenth_of_the_long_course"] = tenths
+        error_n = _force_error_n(course_answer(estimator, long), long)
+        figures[name]["by_tenth_of_the_long_courses"] = _tenths(error_n)
+        if case.long_courses > 1:
+            figures[name]["of_long_courses_started"] = _by_start(error_n, long)
         figures[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
             figures[GATED] = _plain(course_figures(_gated(answer, sequences), sequences))
@@ -124,7 +133,12 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
     axis.set_xscale("log")
     axis.set_xlim(0.01, 30.0)
     axis.legend(fontsize=6, frameon=False)
-    return {"why": case.why, "sequences": len(sequences), "estimators": figures}
+    return {
+        "why": case.why,
+        "sequences": len(sequences),
+        "long courses": len(long),
+        "estimators": figures,
+    }
 
 
 def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
@@ -148,11 +162,24 @@ def _plain(figures: CourseFigures) -> dict[str, Any]:
     return plain
 
 
-def _tenths(answer: ContactAnswer, sequences: Sequences) -> list[float]:
-    """Mean absolute force error over all ticks, tenth by tenth."""
+def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
+    """(S, T) absolute errors of the force, where nothing is answered the force itself."""
     answered = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
-    error = np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
-    return [float(part.mean()) for part in np.array_split(error, 10, axis=1)]
+    return np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
+
+
+def _tenths(error_n: Array) -> list[float]:
+    """Means over all ticks, tenth by tenth."""
+    return [float(part.mean()) for part in np.array_split(error_n, 10, axis=1)]
+
+
+def _by_start(error_n: Array, sequences: Sequences) -> dict[str, float]:
+    """Means over courses whose earlier commands the estimator has heard, and over the others."""
+    moved = np.abs(sequences.before_rad - sequences.before_rad[:, -1:]).max((1, 2)) > 0.0
+    return {
+        "before the arm moved": float(error_n[moved].mean()),
+        "late": float(error_n[~moved].mean()),
+    }
 
 
 def _draw(axis: plt.Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
@@ -195,13 +222,14 @@ def _tables(result: dict[str, Any]) -> str:
             lines.append("| " + " | ".join(cells) + " |")
         lines += [
             "",
-            f"Force error over a course of {LONG_S:g} s, by tenths: "
+            f"Force error over {part['long courses']} of {LONG_S:g} s, by tenths of the time: "
             + "; ".join(
-                f"{name}: " + " ".join(f"{n:.2f}" for n in figures["by_tenth_of_the_long_course"])
+                f"{name}: " + " ".join(f"{n:.2f}" for n in figures["by_tenth_of_the_long_courses"])
                 for name, figures in part["estimators"].items()
-                if "by_tenth_of_the_long_course" in figures
+                if "by_tenth_of_the_long_courses" in figures
             )
-            + " N.",
+            + " N."
+            + "".join(_starts(part["estimators"])),
             "",
             "Trained by:",
             "",
@@ -213,6 +241,16 @@ def _tables(result: dict[str, Any]) -> str:
             "",
         ]
     return "\n".join(lines)
+
+
+def _starts(estimators: dict[str, Any]) -> list[str]:
+    return [
+        f" {name}, started "
+        + ", ".join(f"{when}: {n:.2f} N" for when, n in figures["of_long_courses_started"].items())
+        + "."
+        for name, figures in estimators.items()
+        if "of_long_courses_started" in figures
+    ]
 
 
 def _degrees(angle_deg: float | None) -> str:
