@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_msgs_py import topics
 from cablesense_msgs_py.journal import EventKind
 from cablesense_ros.replay.recorded_run import RecordedRun
 from cablesense_sim.arm_files import open_arm
@@ -116,8 +118,7 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
     killed = replay(late)
     assert "breaks off" in killed["cut"]
     assert 100 < killed["compared"] == killed["identical"]
-    topics = {message.topic for message in McapMessages(whole)}
-    assert topics == {
+    assert {message.topic for message in McapMessages(whole)} == {
         "/applied_wrench",
         "/cable_tensions",
         "/diagnostics",
@@ -138,6 +139,28 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         assert fresh.stop() == 0, fresh.log
     assert again["compared"] == again["identical"] == got["compared"]
     assert "tare of" in fresh.log  # its undo
+
+
+@pytest.mark.parametrize("missed", [0, 6])
+def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(missed, tmp_path):
+    from recorded_runs import SETTINGS, MadeRun
+
+    made = MadeRun()
+    first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
+    path = made.write(tmp_path / "made.mcap", [r for r in made.records if r not in first])
+    fresh = NodeProcess(
+        ESTIMATOR,
+        tare_samples=SETTINGS.tare_samples,
+        joint_speed_deg_s=math.degrees(SETTINGS.joint_speed_rad_s),
+        settle_s=SETTINGS.settle_s,
+    )
+    try:
+        got = replay(path, "--publish")
+    finally:
+        assert fresh.stop() == 0, fresh.log
+    assert got["unanswered"] == missed
+    assert got["identical"] == got["compared"] == 300 - missed
+    assert got["contacts"] > 100
 
 
 def test_without_an_estimator_publishing_says_so(tmp_path):
