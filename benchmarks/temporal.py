@@ -222,7 +222,7 @@ def _tables(result: dict[str, Any]) -> str:
             lines.append("| " + " | ".join(cells) + " |")
         lines += [
             "",
-            f"Force error over {part['long courses']} of {LONG_S:g} s, by tenths of the time: "
+            f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
             + "; ".join(
                 f"{name}: " + " ".join(f"{n:.2f}" for n in figures["by_tenth_of_the_long_courses"])
                 for name, figures in part["estimators"].items()
