@@ -70,6 +70,20 @@ def test_samples_between_ticks_are_answered_and_leave_the_state_alone(estimator,
         estimator.estimate(tension[row] - 1.0, *setpoint, time + 0.010)
 
 
+@pytest.mark.parametrize("rate_hz", [200, 250, 1000])
+def test_however_often_samples_come_the_memory_goes_at_its_own_rate(estimator, course, rate_hz):
+    still = [part[30] for part in course]
+    by_tick = _bytes(estimator.estimate(*still, time) for time in 0.02 * np.arange(60))
+    estimator.forget()
+    ticks, last = [], None
+    for sample in range(rate_hz):
+        answer = _bytes([estimator.estimate(*still, sample / rate_hz)])[0]
+        ticks += [answer] if answer != last else []
+        last = answer
+    assert ticks[:50] == by_tick[:50]
+    assert len(ticks) <= 52
+
+
 def test_missed_ticks_are_made_up_for_with_what_came(estimator, course):
     twice = [np.repeat(part[:10], 2, axis=0) for part in course]
     known = _through(estimator, twice, 0.02 * np.arange(20))

@@ -87,9 +87,10 @@ class TemporalEstimator:
     ) -> Estimate:
         """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
 
-        The state goes on by whole ticks of the model; a sample that comes sooner is answered from
-        the state of the last tick and leaves it alone. Time that runs back, or leaps by more than
-        `LONGEST_GAP_S`, begins a new past.
+        The state goes on by whole ticks of the model, at the model's rate however often samples
+        come; one that comes sooner is answered from the state of the last tick and leaves it
+        alone. Time that runs back by over half a tick, or leaps by more than `LONGEST_GAP_S`,
+        begins a new past.
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
@@ -109,7 +110,10 @@ class TemporalEstimator:
         if not all(np.isfinite(answer).all() for answer in answers):
             raise EstimateError(NO_ANSWER)
         if ticks:
-            self._state, self._tick_s = answers[-1], time_s
+            self._state = answers[-1]
+            # from where the tick is due, not from where it came: early ones would add up
+            due_s = time_s if self._tick_s is None else self._tick_s + ticks * self.metadata.tick_s
+            self._tick_s = due_s
         probability, direction, magnitude, std, angle_std = (answer[0] for answer in answers[:5])
         beliefs = probability.tolist()
         return Estimate(
@@ -184,10 +188,10 @@ class TemporalEstimator:
         if self._tick_s is None:
             return 1
         passed_s = time_s - self._tick_s
-        if not 0.0 <= passed_s <= LONGEST_GAP_S:
+        if not -0.5 * self.metadata.tick_s <= passed_s <= LONGEST_GAP_S:
             self.forget()
             return 1
-        return math.floor(passed_s / self.metadata.tick_s + _EARLY)
+        return max(0, math.floor(passed_s / self.metadata.tick_s + _EARLY))
 
 
 _EARLY = 0.25
