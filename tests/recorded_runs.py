@@ -43,8 +43,9 @@ class MadeRun:
         loaded: arm and model.
     """
 
-    def __init__(self, samples: int = 300) -> None:
-        self.loaded = load_model("cdsm", "")
+    def __init__(self, samples: int = 300, model: str = "") -> None:
+        """Of the arm `cdsm`, by its own model or another one."""
+        self.loaded = load_model("cdsm", model)
         arm = self.loaded.arm
         live = Estimation(
             arm,

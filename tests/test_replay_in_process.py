@@ -47,6 +47,16 @@ def test_every_byte_is_the_same(whole):
     assert not got.first_difference
 
 
+@pytest.mark.parametrize("model", ["", "cdsm_moving"])
+@pytest.mark.parametrize("missed", [2, 30])
+def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, missed, tmp_path):
+    made = MadeRun(model=model)
+    first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
+    path = made.write(tmp_path / "late.mcap", [r for r in made.records if r not in first])
+    got = replayed(path)
+    assert (got.unanswered, got.compared, got.identical) == (missed, 300 - missed, 300 - missed)
+
+
 def test_begun_anywhere_and_in_any_namespace_it_is_the_same(made, tmp_path):
     """The latest journal entry is latched, and comes first to who joins late."""
     latched = [

@@ -35,12 +35,14 @@ def replay_in_process(
         )
     rebuilt = RebuiltEstimation(arm, model)
     comparison = Comparison()
-    for entries, pair in run.steps():
+    for entries, pair, taken in run.steps():
         comparison.samples += 1
         for entry in entries:
             rebuilt.follow(entry)
         if pair.answer is None:
             comparison.unanswered += 1
+            if taken:  # a model with memory has heard it
+                rebuilt.answer(pair.sample, pair.stamp_ns)
         elif rebuilt.loaded is None:
             comparison.before_journal += 1
         elif not rebuilt.vouches:

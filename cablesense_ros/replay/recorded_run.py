@@ -11,7 +11,7 @@ from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage
 from cablesense_gap.recordings.recording_error import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.journal import JournalEntry, journal_entry
+from cablesense_msgs_py.journal import EventKind, JournalEntry, journal_entry
 from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, of_contract
 from cablesense_ros.replay.answered_samples import AnsweredSample, AnsweredSamples
 
@@ -23,10 +23,18 @@ _ENTRY_AFTER_NS = 1_000_000_000
 
 
 class Step(NamedTuple):
-    """One sample, and the journal entries that take effect with it."""
+    """One sample, and the journal entries that take effect with it.
+
+    Attributes:
+        taken: whether the estimator took the sample: its answer was recorded, or the sample came
+            after the estimator's start and before the first answer that the recorder heard. The
+            recorder hears answers only once it has found the estimator; the entry of the start
+            waits for it.
+    """
 
     entries: tuple[JournalEntry, ...]
     pair: AnsweredSample
+    taken: bool
 
 
 class RecordedRun:
@@ -101,7 +109,7 @@ class RecordedRun:
             RecordingError: the file has become unreadable.
         """
         self.pairs = AnsweredSamples()
-        following = 0
+        following, unheard = 0, False
         for pair in self.pairs.of(McapMessages(self.path)):
             first = following
             while following < len(self._entries):
@@ -110,7 +118,10 @@ class RecordedRun:
                 if entry.before_ns > pair.stamp_ns or log_ns > pair.log_ns + _ENTRY_AFTER_NS:
                     break
                 following += 1
-            yield Step(tuple(entry for _, entry in self._entries[first:following]), pair)
+            entries = tuple(entry for _, entry in self._entries[first:following])
+            unheard |= any(event.kind is EventKind.START for e in entries for event in e.events)
+            unheard &= pair.answer is None
+            yield Step(entries, pair, unheard or pair.answer is not None)
 
     def _check(self, topic: str, raw: RawMessage, names: dict[str, str]) -> None:
         first = names.setdefault(topic, raw.topic)

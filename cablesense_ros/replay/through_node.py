@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
@@ -107,7 +107,7 @@ class _Player:
         self._comparison = Comparison()
         self._others = deque(run.other_inputs)
         self._open: deque[_Open] = deque()
-        self._begun = self._sent = self._answers_recorded = False
+        self._begun = self._sent = False
         self._first_log_ns = self._first_stamp_ns = 0
         self._start_s, self._start_ns = 0.0, 0
 
@@ -120,7 +120,7 @@ class _Player:
             entries += step.entries
             if self._run.has_answers and step.pair.answer is None:
                 counts.unanswered += 1
-                if not self._answered_unheard(entries):
+                if not step.taken:
                     continue
             if not self._begun:
                 self._begin(step)
@@ -132,7 +132,6 @@ class _Player:
             self._sent = True
             self._live.publish(topics.CABLE_TENSIONS, restamped(step.pair.sample, stamp_ns))
             if step.pair.answer is not None:
-                self._answers_recorded = True
                 self._open.append(
                     _Open(counts.samples, stamp_ns, step.pair.stamp_ns, step.pair.answer)
                 )
@@ -147,15 +146,6 @@ class _Player:
         counts.unstamped, counts.lone_contacts = pairs.unstamped, pairs.lone_contacts
         counts.lone_zeros = pairs.lone_zeros
         return counts
-
-    def _answered_unheard(self, entries: Sequence[JournalEntry]) -> bool:
-        """Whether a sample counts for the first tare though no answer to it was recorded.
-
-        The recorder hears the estimator's first answers only once it has found the estimator; the
-        entry of its first sample waits for the recorder.
-        """
-        started = any(event.kind is EventKind.START for entry in entries for event in entry.events)
-        return not self._answers_recorded and (self._begun or started)
 
     def _begin(self, step: Step) -> None:
         self._begun = True
