@@ -19,30 +19,28 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
+from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.comparison import (
-    SettingFigures,
-    multi_figures,
-    setting_figures,
-    single_json,
-)
-from cablesense_training.evaluation.metrics import SingleContactMetrics, single_contact_metrics
-from cablesense_training.evaluation.settings import (
     MULTI_ARM,
     SETTINGS,
     TABLE2_MODELS,
     Setting,
+    SettingFigures,
+    multi_figures,
     multi_protocol,
+    setting_figures,
+    single_contact_answer,
+    single_contact_truth,
+    single_json,
 )
+from cablesense_training.evaluation.metrics import SingleContactMetrics, single_contact_metrics
 from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import fit
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.model_files import find_model
-from cablesense_training.networks.registry import build_network
-from cablesense_training.peers.boosting import BoostingPeer, BoostingSettings
-from cablesense_training.recipes import recipe_for
+from cablesense_training.inference.metadata import find_model
+from cablesense_training.recipes import build_network, recipe_for
 
 RESULTS = Path(__file__).parent / "results"
 TEST_SEED = 20_260_001

@@ -3,7 +3,7 @@
     python benchmarks/admittance.py --write
 
 For every segment, four directions and walls of several stiffnesses the loop of law, wall and arm
-at rest runs for `STEPS` steps (`cablesense_ros.admittance.sampled_loop`: no noise, nothing
+at rest runs for `STEPS` steps (`cablesense_online.admittance.wall`: no noise, nothing
 swings). Stable means that the force of the last steps does not rise and fall by more than
 `CHATTER_N`. Then the nodes run over the middleware, in simulated dynamics with the sensors'
 noise: `cablesense demo --controller admittance --headless`.
@@ -24,12 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_ros.admittance.admittance_law import AdmittanceLaw
-from cablesense_ros.admittance.arm_contact import compliance_m_n, wall_beside
-from cablesense_ros.admittance.controller import ControllerSettings
-from cablesense_ros.admittance.reach import Reach
-from cablesense_ros.admittance.sampled_loop import SampledLoop
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.admittance.controller import ControllerSettings
+from cablesense_online.admittance.law import AdmittanceLaw, Reach
+from cablesense_online.admittance.wall import SampledLoop, compliance_m_n, wall_beside
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
@@ -130,7 +128,7 @@ def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) ->
 def _real_nodes() -> dict[str, Any]:
     """The figures of one headless demo."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "demo"]
+        command = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "demo"]
         command += ["--controller", "admittance", "--headless", "--json"]
         command += ["--duration", f"{DEMO_S:g}", "--out", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -35,13 +35,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.arrays import Array
+from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 CASES = 65_536
 SHARE = 2_048

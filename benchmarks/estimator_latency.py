@@ -38,11 +38,9 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.qos_profiles import qos_profile
-from cablesense_ros.spin import run_node
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_ros.node_process import prefer_quick_discovery, run_node
+from cablesense_ros.parameters import qos_profile
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism

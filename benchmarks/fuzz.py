@@ -31,8 +31,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fuzz.target import Target
-from fuzz.watched import Result, run_watched
+from fuzz.watched import Result, Target, run_watched
 
 RESULT = Path(__file__).parent / "results" / "fuzz.json"
 SHARES = 3

@@ -18,19 +18,18 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 from rich.progress import track
 
 from cablesense_gap.diagnose import diagnose
-from cablesense_gap.plant.nominal import read_nominal
+from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
-from cablesense_gap.recordings.reading import read_recording
-from cablesense_gap.scoring.answers import read_answers
-from cablesense_gap.scoring.score import score
-from cablesense_gap.scoring.score_json import as_json
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.scoring import as_json, read_answers, score
 from cablesense_gap.verdict import Verdict, read_verdict, write_verdict
-from cablesense_sim.arm_files import find_arm, open_arm
+from cablesense_sim.arm import find_arm, open_arm
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 RESULTS = Path(__file__).parent / "gap_blind"
 ARM = "cdsm_lab"

@@ -18,8 +18,6 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import numpy as np
 from rich.progress import track
 from scipy.optimize import minimize
@@ -28,10 +26,13 @@ from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnose import course_of
 from cablesense_gap.diagnosis import belief
 from cablesense_gap.diagnosis.belief import Calibration, log_weights
-from cablesense_gap.diagnosis.searching import search
-from cablesense_gap.recordings.reading import read_recording
-from cablesense_gap.scoring.answers import read_answers
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.diagnosis.search import search
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.scoring import read_answers
+from cablesense_sim.arm import open_arm
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 ARM = "cdsm_lab"
 TARGET = Path(belief.__file__).with_name("calibration.json")

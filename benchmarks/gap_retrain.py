@@ -22,24 +22,22 @@ import time
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 from rich.console import Console
 
+from cablesense_base.installation import config_path
 from cablesense_gap import retraining
 from cablesense_gap.diagnose import diagnose
-from cablesense_gap.estimator_figures import answered_n, estimator_figures
-from cablesense_gap.past_replayed import arm_alone
-from cablesense_gap.plant.nominal import read_nominal
+from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
-from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.tared_loads import tared_loads
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import find_arm, open_arm
-from cablesense_sim.config_files import config_path
+from cablesense_gap.retraining import answered_n, arm_alone, estimator_figures, tared_loads
+from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import Estimator
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 RESULTS = Path(__file__).parent / "results" / "gap_retrain.json"
 ARM = "cdsm_lab"

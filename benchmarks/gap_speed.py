@@ -24,25 +24,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import mujoco
 import numpy as np
 from mujoco import sysid
-from numpy.typing import NDArray
 
-from cablesense_gap.one_rest import with_one_rest
-from cablesense_gap.plant.nominal import read_nominal
+from cablesense_base.arrays import Array
+from cablesense_gap.arm_simulator import with_one_rest
+from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
-from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import read_verdict
-from cablesense_sim.arm_files import find_arm, open_arm
+from cablesense_sim.arm import find_arm, open_arm
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 
-Array = NDArray[np.float64]
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 RESULTS = Path(__file__).parent / "results" / "gap_speed.json"
 ARM = "cdsm_lab"
@@ -100,7 +99,7 @@ def main() -> None:
 
 def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     """Wall seconds and peak memory of the verb, all of its processes together."""
-    command = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+    command = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
     command += ["gap", "diagnose", str(recording), "--arm", ARM, "--out", str(out)]
     began, peak_bytes = time.monotonic(), 0
     with subprocess.Popen(

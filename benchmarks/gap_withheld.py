@@ -15,15 +15,16 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 from rich.progress import track
 
 from cablesense_gap.diagnose import diagnose
-from cablesense_gap.folder import write_diagnosis
-from cablesense_gap.recordings.reading import read_recording
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.report.page import write_diagnosis
 from cablesense_gap.verdict import Verdict, read_verdict
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 FOLDER = Path(__file__).parent / "withheld"
 ARM = "cdsm_lab"

@@ -27,17 +27,13 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from kill.chain import STALE_AFTER_S, VICTIMS, Chain
-from kill.one_kill import Kill, KillTrials
-from kill.recordings import kill_recorders, whole
-from kill.watcher import LEASE_S, Watcher
-from nodes.node_process import own_graph
-from nodes.process_figures import shared_memory_mb
-from nodes.result_file import with_origin, write_result
+from kill.chain import STALE_AFTER_S, VICTIMS, Chain, kill_recorders, whole
+from kill.trials import LEASE_S, Kill, KillTrials, Watcher
+from nodes.harness import own_graph, shared_memory_mb, with_origin, write_result
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
 RATE_HZ = 200.0

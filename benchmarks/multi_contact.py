@@ -18,16 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
+from cablesense_training.baselines import BoostingPeer, MultiBoostingPeer
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.evaluation.comparison import multi_figures
+from cablesense_training.evaluation.comparison import (
+    MULTI_ARM,
+    WEAKEST_MULTI_N,
+    multi_figures,
+    multi_protocol,
+)
 from cablesense_training.evaluation.metrics import multi_contact_metrics
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-from cablesense_training.evaluation.settings import MULTI_ARM, WEAKEST_MULTI_N, multi_protocol
 from cablesense_training.evaluation.table2 import read_table2
-from cablesense_training.peers.boosting import BoostingPeer
-from cablesense_training.peers.multi_boosting import MultiBoostingPeer
 
 RESULTS = Path(__file__).parent / "results" / "multi_contact.json"
 TEST_SEED = 20_260_001

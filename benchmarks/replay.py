@@ -25,9 +25,15 @@ from typing import Any
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from nodes.node_process import NodeProcess, node_command, own_graph, wait_until
-from nodes.process_figures import cpu_s
-from nodes.result_file import with_origin, write_result
+from nodes.harness import (
+    NodeProcess,
+    cpu_s,
+    node_command,
+    own_graph,
+    wait_until,
+    with_origin,
+    write_result,
+)
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -38,10 +44,10 @@ from std_srvs.srv import Trigger
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
-from cablesense_msgs_py.stamped_bytes import stamp_ns
-from cablesense_ros.qos_profiles import qos_profile
-from cablesense_ros.replay.recorded_run import RecordedRun
-from cablesense_sim.arm_files import open_arm
+from cablesense_msgs_py.serialized import stamp_ns
+from cablesense_online.recorded_run import RecordedRun
+from cablesense_ros.parameters import qos_profile
+from cablesense_sim.arm import open_arm
 
 RATE_HZ = 1000.0
 SEED = 20
@@ -50,7 +56,7 @@ LARGEST_FORCE_N = 60.0
 LATE_JOINS_AT, LATE_DIES_AT = 0.4, 0.7
 """Shares of the run."""
 
-CLI = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+CLI = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
 
 
 class Person:

@@ -29,19 +29,23 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from nodes.node_process import NodeProcess, node_command, own_graph, wait_until
-from nodes.result_file import with_origin, write_result
+from nodes.harness import (
+    NodeProcess,
+    node_command,
+    own_graph,
+    wait_until,
+    with_origin,
+    write_result,
+)
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
-from soak.amplifiers import play
+from soak.course import line_limits, marked_course, play
 from soak.figures import answers, delivery, memory
-from soak.line_limits import line_limits
-from soak.marked_course import marked_course
 from soak.sink import Sink
 
-from cablesense_ros.can.signal_database import open_channel_map
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.can.channel_map import open_channel_map
+from cablesense_sim.arm import open_arm
 
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}

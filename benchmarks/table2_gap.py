@@ -16,10 +16,9 @@ from pathlib import Path
 
 from table2_page import page
 
-from cablesense_gap.table2.findings import diagnose_table
-from cablesense_gap.table2.rehearsal import SHIPPED, write_rehearsal
-from cablesense_gap.table2.words import readme, worded
 from cablesense_gap.verdict import write_verdict
+from cablesense_paper.table_2_gap import SHIPPED, diagnose_table, write_rehearsal
+from cablesense_paper.table_2_text import readme, worded
 
 
 def main() -> None:

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_gap.report.candidate_figure import candidate_figure
-from cablesense_gap.report.figure_style import as_uri, style
-from cablesense_gap.report.numbers import newtons, percent
-from cablesense_gap.report.page_file import page_css
-from cablesense_gap.table2.figures import gap_figure, paper_figure, proportion_figure
-from cablesense_gap.table2.findings import Findings
-from cablesense_gap.table2.words import (
+from cablesense_gap.report.pictures import candidate_figure
+from cablesense_gap.report.style import as_uri, newtons, page_css, percent, style
+from cablesense_paper.table_2_gap import Findings
+from cablesense_paper.table_2_text import (
     best_listed_n,
+    gap_figure,
     loads,
     named_tables,
     number_name,
+    paper_figure,
     paper_rows,
+    proportion_figure,
     resolution,
     shares,
     slack_cable,

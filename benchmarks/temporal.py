@@ -20,29 +20,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_sim.arm_files import open_arm
-from cablesense_training.data.progress import sample_progress
+from cablesense_base.arrays import Array
+from cablesense_base.progress import sample_progress
+from cablesense_sim.arm import open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
-from cablesense_training.inference.model_files import find_model
-from cablesense_training.inference.open_estimator import open_estimator
-from cablesense_training.motion.course_answers import (
+from cablesense_training.evaluation.sequence_figures import (
     CourseFigures,
     course_answer,
     course_figures,
     unsettled,
 )
-from cablesense_training.motion.drawing import draw_sequences
+from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.temporal_estimator import open_estimator
 from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import Sequences
+from cablesense_training.motion.sequences import Sequences, draw_sequences
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 RESULTS = Path(__file__).parent / "results"
-Array = NDArray[np.float64]
 
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0

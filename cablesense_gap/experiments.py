@@ -13,19 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.arm_simulator import ArmSimulator, entries_from
-from cablesense_gap.one_rest import with_one_rest
-from cablesense_gap.recordings.block import Block, rows_of
-from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_base.arrays import Array
+from cablesense_gap.arm_simulator import ArmSimulator, entries_from, with_one_rest
+from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.entry import entries_of
-from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.effects.registry import entries_of, known_effects
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay
 
-Array = NDArray[np.float64]
 Rival = Mapping[Term, float]
 
 SLOW_HZ = 2.5

@@ -10,6 +10,20 @@ What effects change of the arm itself, the estimator is trained on. What depends
 what sensors do, one sample cannot tell: that is taken off the readings by replaying the amended
 arm under what was estimated so far (`past_replayed`), which the nodes do not do. The same network
 trained on samples with friction instead trusts no reading any more, and misses contacts.
+
+What statics cannot carry of an amended arm, taken off its readings by replaying its past.
+
+A sample of an arm with friction, creep or a slow sensor cannot be told without what went before.
+Commands are known, and loads are once they are estimated: so the amended arm is replayed under
+the loads that were estimated so far, with all of its effects and with those on the arm itself
+alone. The difference is taken off the readings, and the loads are estimated again, some times
+over. A reading is corrected by what came before it and itself, never by what came after.
+
+The amended arm as it would have come out without some of the trials.
+
+Errors of a force estimator on the loads of a recording, which are known from outside.
+
+The loads of a recording as a force estimator gets them: what tensions differ by from a tare.
 """
 
 from __future__ import annotations
@@ -17,6 +31,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,24 +40,224 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
 from cablesense_gap.diagnose import course_of
-from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.estimator_figures import answered_n, estimator_figures
-from cablesense_gap.fold_refits import found_values, without_fold
-from cablesense_gap.past_replayed import Answering, answers_with_past, arm_alone
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.problem import Course, to_scaled
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.tared_loads import TaredLoads, tared_loads
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Estimator as Errors
-from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.arm import Arm
+from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.loads import normal_components_n, normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.inference.estimator import Estimator
+from cablesense_sim.replay import replay_arm
+from cablesense_training.inference.estimator import Estimates, Estimator
 from cablesense_training.recipes import adjusted, recipe_for
-from cablesense_training.train_model import train_model
-from cablesense_training.training_data import draw_samples
+from cablesense_training.train_model import draw_samples, train_model
 
-Array = NDArray[np.float64]
+AT_PEAK = 0.9
+"""Rows count as being at a trial's peak from this share of its highest load on."""
+
+
+@dataclass(frozen=True)
+class TaredLoads:
+    """B loaded rows of a recording that have a tare.
+
+    Attributes:
+        row: (B,) their numbers in the recording.
+        tension_difference_n: (B, M) reading less tare.
+        command_rad: (B, 2N) commanded joint angles.
+        segment: (B,) 1 to N that the load acts on.
+        force_n: (B, 3) the load, base frame.
+        trial: (B,) position of the trial among those of the recording, from 0.
+        at_peak: (B,) whether the load is near the highest of its trial.
+    """
+
+    row: NDArray[np.int64]
+    tension_difference_n: Array
+    command_rad: Array
+    segment: NDArray[np.int64]
+    force_n: Array
+    trial: NDArray[np.int64]
+    at_peak: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Number of rows B."""
+        return len(self.row)
+
+
+def tared_loads(recording: Recording) -> TaredLoads:
+    """All loaded rows with a tare: the mean of the unloaded rows just before, at their command.
+
+    A load under a command that was not rested at before has no tare and is left out.
+    """
+    tare = _tares_n(recording)
+    trial = np.unique(recording.trial, return_inverse=True)[1]
+    size = np.linalg.norm(recording.load_n, axis=1)
+    peak = np.zeros(int(trial.max(initial=0)) + 1)
+    np.maximum.at(peak, trial, size)
+    row = np.flatnonzero((recording.load_segment > 0) & np.isfinite(tare).all(axis=1))
+    return TaredLoads(
+        row=row,
+        tension_difference_n=recording.tensions_n[row] - tare[row],
+        command_rad=recording.command_rad[row],
+        segment=recording.load_segment[row],
+        force_n=recording.load_n[row],
+        trial=trial[row],
+        at_peak=size[row] >= AT_PEAK * peak[trial[row]],
+    )
+
+
+def _tares_n(recording: Recording) -> Array:
+    """(R, M) for loaded rows, NaN where there is none."""
+    loaded = recording.load_segment > 0
+    moved = np.concatenate([[True], (np.diff(recording.command_rad, axis=0) != 0.0).any(axis=1)])
+    tare = np.full_like(recording.tensions_n, np.nan)
+    first: int | None = None  # of the latest unloaded rows at the present command
+    last = 0
+    for row in range(len(recording)):
+        if moved[row]:
+            first = None
+        if not loaded[row]:
+            if first is None or loaded[row - 1]:
+                first = row
+            last = row
+        elif first is not None:
+            tare[row] = recording.tensions_n[first : last + 1].mean(axis=0)
+    return tare
+
+
+PASSES = 4
+
+Answering = Callable[[TaredLoads], Array]
+"""From loads to estimated forces (B, N, 3), base frame."""
+
+
+def arm_alone(arm: Arm) -> Arm:
+    """The arm with those of its effects that statics carries: those on the arm itself."""
+    known = known_effects()
+    kept = [e for e in arm.effects if known[e.effect].acts_on == "arm"]
+    return arm.model_copy(update={"effects": kept})
+
+
+def answers_with_past(recording: Recording, arm: Arm, answer: Answering) -> Array:
+    """Forces (B, N, 3) on the loads of a recording (`tared_loads`), estimated with the past known.
+
+    `answer` is an estimator for `arm_alone(arm)`. Unloaded rows are known to be so, as the tare is
+    taken on them. Where the arm finds no rest under what was estimated, the last answers stand.
+    """
+    alone = arm_alone(arm)
+    loads = tared_loads(recording)
+    answers = answer(loads)
+    if len(alone.effects) == len(arm.effects):
+        return answers
+    for _ in range(PASSES):
+        forces = np.zeros((len(recording), *answers.shape[1:]))
+        forces[loads.row] = answers
+        try:
+            whole, part = (
+                replay_arm(each, recording.time_s, recording.command_rad, forces)
+                for each in (arm, alone)
+            )
+        except EquilibriumError:
+            break
+        corrected = replace(recording, tensions_n=recording.tensions_n - (whole - part))
+        answers = answer(tared_loads(corrected))
+    return answers
+
+
+_STEPS = 3
+
+
+def found_values(nominal: Arm, amended: Arm) -> dict[Term, float]:
+    """The numbers of those effects that the amended arm lists beyond the nominal one.
+
+    A workshop's tolerances are left out.
+    """
+    known = known_effects()
+    return {
+        Term(listed.effect, listed.at, name): value
+        for listed in amended.effects[len(nominal.effects) :]
+        if not known[listed.effect].tolerance
+        for name, value in listed.parameters.items()
+    }
+
+
+def without_fold(course: Course, fold: int, nominal: Arm, amended: Arm) -> Arm:
+    """The amended arm, its numbers and tolerances fitted again without the trials of a fold.
+
+    The choice of effects and places stays, which was made with these trials; so does the arm as
+    it is where the fit finds no rest.
+    """
+    values = found_values(nominal, amended)
+    parameters = {
+        term: parameter
+        for term in values
+        for candidate in course.simulator.candidates
+        if candidate.effect == term.effect
+        for parameter in candidate.parameters
+        if parameter.name == term.parameter
+    }
+    seen = replace(course, used=course.used & (course.fold[course.trial] != fold))
+    start = [to_scaled(parameters[term], value) for term, value in values.items()]
+    fitted = refine(seen, parameters, [start], _STEPS)
+    if fitted is None:
+        return amended
+    return amended_arm(nominal, fitted.values, fitted.tolerances)
+
+
+def answered_n(mechanism: Mechanism, loads: TaredLoads, estimates: Estimates) -> Array:
+    """(B, N, 3) estimated forces in base axes; nothing where the answer is no contact."""
+    return normal_force_n(
+        mechanism,
+        loads.command_rad,
+        estimates.segment,
+        estimates.angle_deg,
+        np.maximum(estimates.magnitude_n, 0.0),
+    )
+
+
+def estimator_figures(
+    mechanism: Mechanism, loads: TaredLoads, answer_n: Array
+) -> dict[str, float]:
+    """Errors of answers (B, N, 3) at the peaks of loads.
+
+    `contact_accuracy` is the share of rows with the right segment, `force_mae_n` the mean error of
+    the magnitude over all rows, no contact being 0 N, `direction_mean_deg` the mean angle between
+    force and estimate over rows where a contact was found, and `loads` the number of loads. Of a
+    load only what is normal to its segment counts, as nothing else can be felt.
+    """
+    at = loads.at_peak
+    truth = _normal_n(mechanism, loads)[at]
+    answer = answer_n[at]
+    size = np.linalg.norm(answer, axis=-1)
+    segment = np.where(size.any(axis=1), size.argmax(axis=1) + 1, 0)
+    force, true_force = answer.sum(1), np.linalg.norm(truth, axis=-1)
+    found = (segment > 0) & (true_force > 0.0)
+    cosine = (force * truth).sum(-1)[found] / (size.sum(1) * true_force)[found]
+    figures = {
+        "contact_accuracy": float(np.mean(segment == loads.segment[at])),
+        "force_mae_n": float(np.abs(size.sum(1) - true_force).mean()),
+        "loads": float(len(np.unique(loads.trial[at]))),
+    }
+    if found.any():
+        angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        figures["direction_mean_deg"] = float(angle.mean())
+    return figures
+
+
+def _normal_n(mechanism: Mechanism, loads: TaredLoads) -> Array:
+    """(B, 3) what of each load is normal to its segment at the commanded angles."""
+    y, z = normal_components_n(mechanism, loads.command_rad, loads.segment, loads.force_n)
+    angle = np.rad2deg(np.arctan2(y, z))
+    return normal_force_n(mechanism, loads.command_rad, loads.segment, angle, np.hypot(y, z)).sum(
+        1
+    )
+
 
 NETWORK = "closed-form-corrected"
 SAMPLES = 2048

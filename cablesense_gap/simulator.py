@@ -9,12 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cablesense_base.arrays import Array
 from cablesense_sim.effects.effect import Parameter
-
-Array = NDArray[np.float64]
 
 
 class Term(NamedTuple):

@@ -1,4 +1,12 @@
-"""What can be said of a gap that no listed effect explains."""
+"""What can be said of a gap that no listed effect explains.
+
+What the arm was doing in each row of a recording, as features that a residual may go with.
+
+What to record where no listed effect explains the gap: the trial that shows most of it, varied.
+
+How a gap answers to the size of a load, to its duration and to its direction tells elasticity,
+creep, friction and measurement apart, whatever the cause is called.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +16,174 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.closer_look import closer_look
-from cablesense_gap.course_features import course_features
-from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.diagnosis.discrepancy import discrepancy
-from cablesense_gap.diagnosis.hypothesis import Hypothesis
+from cablesense_base.arrays import Array
+from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
+from cablesense_gap.diagnosis.problem import Course, Hypothesis
+from cablesense_gap.experiments import Experiment
+from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.residuals.looks import looks_like
+from cablesense_gap.residual_patterns import looks_like
 from cablesense_sim.arm import Arm
+from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.mechanism import Mechanism
 
-Array = NDArray[np.float64]
+POSE, LOAD, TENSION, MOTION, HISTORY, TIME = (
+    "pose", "load", "tension", "motion", "history", "time",
+)  # fmt: skip
+_PLAYS = (0.05, 0.3)
+"""Widths of the plays, as shares of a channel's range."""
+_WAITED_S = 10.0
+
+
+def course_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
+    """Features of the rows, beside the nominal prediction (R, M).
+
+    pose: commanded angles. load: by segment and axis, and its magnitude. tension: of each cable in
+    the nominal arm. motion: which way each cable is pulled. history: how far each cable's tension
+    lags behind itself in a play, which remembers where it turned. time: since the recording began,
+    since the trial did, and since the arm or its load last changed.
+    """
+    held_m = held_lengths_m(Mechanism.from_arm(arm), recording.command_rad)
+    trial = recording.trial
+    parts = {
+        POSE: (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
+        LOAD: (_loads(recording), _load_names(recording)),
+        TENSION: (nominal_n, [f"tension of {name}" for name in arm.cable_names]),
+        MOTION: (_directions(held_m, trial), [f"motion of {name}" for name in arm.cable_names]),
+        HISTORY: (
+            np.concatenate([_behind(nominal_n, share) for share in _PLAYS], axis=1),
+            [f"turning points of {name}" for _ in _PLAYS for name in arm.cable_names],
+        ),
+        TIME: (_times(recording), ["time", "time since the last change"]),
+    }
+    return Features(
+        values=np.concatenate([values for values, _ in parts.values()], axis=1),
+        names=tuple(name for _, names in parts.values() for name in names),
+        groups=tuple(group for group, (_, names) in parts.items() for _ in names),
+    )
+
+
+def _loads(recording: Recording) -> Array:
+    forces = recording.forces_n
+    size = np.linalg.norm(forces, axis=-1).sum(-1)
+    return np.column_stack([forces.reshape(len(forces), -1), size])
+
+
+def _load_names(recording: Recording) -> list[str]:
+    count = recording.forces_n.shape[1]
+    along = [f"load on segment_{n + 1} along {axis}" for n in range(count) for axis in "xyz"]
+    return [*along, "size of the load"]
+
+
+def _directions(held_m: Array, trial: NDArray[np.int64]) -> Array:
+    """-1, 0 or 1: which way each length last moved between two rows of one trial."""
+    step = np.diff(held_m, axis=0, prepend=held_m[:1])
+    step[np.diff(trial, prepend=trial[0]) != 0] = 0.0
+    return np.sign(np.where(np.abs(step) > 1e-9, step, 0.0))
+
+
+def _behind(signal: Array, share: float) -> Array:
+    """How far the signal is from the middle of a play that follows it, in half widths, -1 to 1."""
+    half = np.maximum(share * np.ptp(signal, axis=0), 1e-9)
+    middle = signal[0].copy()
+    found = np.empty_like(signal)
+    for row, value in enumerate(signal):
+        middle = np.clip(middle, value - half, value + half)
+        found[row] = (value - middle) / half
+    return found
+
+
+def _times(recording: Recording) -> Array:
+    forces = recording.forces_n.reshape(len(recording), -1)
+    state = np.concatenate([recording.command_rad, forces], axis=1)
+    changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
+    changed[0] = True
+    last_s = recording.time_s[np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))]
+    waited_s = recording.time_s - last_s
+    return np.column_stack([recording.time_s, np.exp(-waited_s / _WAITED_S)])
+
+
+FEWEST_ROWS = 10
+SIDES = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, 0.5**0.5, 0.5**0.5)}
+_BENT_RAD = float(np.deg2rad(1.5))
+
+
+def closer_look(recording: Recording, residual_n: Array, floor_n: float) -> Experiment:
+    """The trial of a recording where the residual (R, M) is largest, and how to repeat it.
+
+    Both hold the rows that count.
+
+    Raises:
+        ValueError: no trial has ten rows.
+    """
+    sizes = {
+        int(t): float(np.sqrt((residual_n[recording.trial == t] ** 2).mean()))
+        for t in np.unique(recording.trial)
+        if (recording.trial == t).sum() >= FEWEST_ROWS
+    }
+    if not sizes:
+        raise ValueError(f"no trial has {FEWEST_ROWS} rows")
+    trial = max(sizes, key=lambda t: sizes[t])
+    rms_n = sizes[trial]
+    done, again = _told(recording.rows(recording.trial == trial))
+    text = (
+        f"Repeat what shows most of it, trial {trial}: {done}. There {rms_n:.2g} N are left, "
+        f"{_short(rms_n / floor_n)} times the noise floor. {again} Watch and touch the arm "
+        "meanwhile."
+    )
+    return Experiment(text, f"{done[0].upper()}{done[1:]}.", rms_n, rms_n / floor_n)
+
+
+def _told(rows: Recording) -> tuple[str, str]:
+    """What was done in one trial, and how to vary it."""
+    size = np.linalg.norm(rows.load_n, axis=1)
+    if size.max() > 0.0:
+        peak = int(size.argmax())
+        side = _side(rows.load_n[peak] / size[peak])
+        return (
+            f"load segment {rows.load_segment[peak]} {side} up to {size[peak]:.2g} N, "
+            f"{_pose(rows)}",
+            "Then load it half as far, twice as slowly, and from the opposite side: what grows "
+            "faster than the load is no spring, what grows with time creeps, and what is not "
+            "opposite on the opposite side rubs, touches or is measured wrong.",
+        )
+    moved = np.ptp(rows.command_rad, axis=0)
+    if moved.max() > 0.0:
+        joints = np.flatnonzero(moved > 0.5 * moved.max()) // 2 + 1
+        named = ", ".join(str(j) for j in dict.fromkeys(joints.tolist()))
+        which = f"joint {named}" if "," not in named else f"joints {named}"
+        return (
+            f"move {which} by {np.rad2deg(moved.max()):.2g} degrees in all",
+            "Then move one joint at a time, twice as slowly, and once forth and back with stops: "
+            "what stays at a stop belongs to the pose, what depends on the way there rubs or has "
+            "play.",
+        )
+    return (
+        f"leave the arm alone, {_pose(rows)}",
+        "Then do so for ten minutes: what wanders is in the sensors or creeps, what stays is a "
+        "zero, a weight or a tension.",
+    )
+
+
+def _side(direction: Array) -> str:
+    names = list(SIDES)
+    along = np.array([SIDES[name] for name in names]) @ direction
+    if along.max() > 0.9:
+        return names[int(along.argmax())]
+    listed = ", ".join(f"{part:.2f}" for part in direction)
+    return f"along ({listed}) of the base frame"
+
+
+def _pose(rows: Recording) -> str:
+    bent = np.abs(rows.command_rad).max()
+    if bent <= _BENT_RAD:
+        return "arm straight"
+    return f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
 
 ONE_AT_A_TIME = (
     "Record again what the regimes above name, and change one thing at a time: "

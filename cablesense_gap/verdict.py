@@ -8,9 +8,9 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cablesense_msgs_py.bounded_file import read_bounded_text
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_sim.arm_problem import describe_problem
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_text
+from cablesense_base.plain_yaml import describe_problem
 
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"

@@ -14,7 +14,7 @@ from enum import Enum
 from math import isfinite
 from typing import Any
 
-from cablesense_msgs_py.contract_error import ContractError
+from cablesense_msgs_py.topics import ContractError
 
 MOST_NUMBERS = 4096
 

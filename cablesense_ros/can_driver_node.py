@@ -1,10 +1,14 @@
-"""The `can_driver` node: the real arm's tensions from a CAN bus (a lifecycle node)."""
+"""The `can_driver` node: the real arm's tensions from a CAN bus (a lifecycle node).
+
+The CAN driver node's parameters.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
+from typing import Final
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
@@ -12,23 +16,75 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.joint_state import put_tensions
+from cablesense_msgs_py.joint_states import put_tensions
 from cablesense_msgs_py.qos import PUBLISHER
-from cablesense_ros.can.calibration import Calibration, calibrated
-from cablesense_ros.can.calibration_file import load_calibration
-from cablesense_ros.can.calibration_report import calibration_status
-from cablesense_ros.can.driver import CanDriver
-from cablesense_ros.can.interface import CanInterface
-from cablesense_ros.can.sample_assembler import Sample
-from cablesense_ros.can.signal_database import open_channel_map
-from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
-from cablesense_ros.configured_node import ConfiguredNode, run_configured_node
-from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
-from cablesense_ros.node_parameters import declare_parameters, parameter_values
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.throttled_log import ThrottledLog
-from cablesense_sim.arm_files import open_arm
+from cablesense_msgs_py.topics import Frames
+from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.calibration import (
+    Calibration,
+    calibrated,
+    calibration_status,
+    load_calibration,
+)
+from cablesense_online.can.channel_map import open_channel_map
+from cablesense_online.can.decoder import Sample
+from cablesense_online.can.driver import CanDriver
+from cablesense_ros.node_process import (
+    ConfiguredNode,
+    DiagnosticsPublisher,
+    ThrottledLog,
+    run_configured_node,
+)
+from cablesense_ros.parameters import (
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    qos_profile,
+)
+from cablesense_sim.arm import open_arm
+
+CAN_DRIVER_PARAMETERS: Final = (
+    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    NodeParameter(
+        "map",
+        "twelve_channel_amplifier",
+        "Channel map: the name of a bundled one, or the path of a .yaml file.",
+    ),
+    NodeParameter(
+        "calibration",
+        "",
+        "Path of a calibration file, whose scales and zeros take the place of the map's; empty "
+        "for none.",
+    ),
+    NodeParameter(
+        "interface",
+        "socketcan",
+        "python-can's name of the kind of adapter: socketcan, slcan, pcan, kvaser, virtual, "
+        "udp_multicast.",
+    ),
+    NodeParameter(
+        "channel", "can0", "What that kind calls its channels: can0, /dev/ttyACM0, PCAN_USBBUS1."
+    ),
+    NodeParameter(
+        "bitrate_bit_s",
+        0,
+        "Bit rate of the bus, bit/s; 0 where the system sets it (socketcan) or there is none.",
+        0,
+        1_000_000,
+    ),
+    NodeParameter(
+        "autostart", True, "Configure and activate at start, without a lifecycle manager."
+    ),
+    NodeParameter("frame_prefix", "", "Goes before every frame name."),
+    NodeParameter(
+        "stale_after_s",
+        0.2,
+        "Without a sample for this long diagnostics say stale, s.",
+        0.001,
+        60.0,
+    ),
+)
 
 
 class CanDriverNode(ConfiguredNode):

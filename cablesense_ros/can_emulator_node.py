@@ -1,11 +1,14 @@
-"""The `can_emulator` node: a simulated or recorded arm as CAN frames, with faults on request."""
+"""The `can_emulator` node: a simulated or recorded arm as CAN frames, with faults on request.
+
+The CAN emulator node's parameters.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -13,26 +16,67 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.joint_state import put_joint_angles
-from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.joint_states import NamedOrder, put_joint_angles
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR
-from cablesense_ros.can.emulation.emulator import Emulator
-from cablesense_ros.can.emulation.frame_sink import BusSink, FrameSink
-from cablesense_ros.can.emulation.recording_player import RecordingPlayer
-from cablesense_ros.can.emulation.slcan_port import SlcanPort
-from cablesense_ros.can.interface import CanInterface
-from cablesense_ros.can.signal_database import open_channel_map
-from cablesense_ros.can_emulator_parameters import CAN_EMULATOR_PARAMETERS, SLCAN_PORT
-from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
-from cablesense_ros.node_parameters import declare_parameters, parameter_values
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
-from cablesense_ros.throttled_log import ThrottledLog
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.channel_map import open_channel_map
+from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer, SlcanPort
+from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
+from cablesense_ros.parameters import (
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    qos_profile,
+)
+from cablesense_sim.arm import Arm, open_arm
+
+SLCAN_PORT: Final = "slcan_port"
+"""The interface that is none of python-can's: a pseudo-terminal that poses as an adapter."""
+
+CAN_EMULATOR_PARAMETERS: Final = (
+    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    NodeParameter(
+        "map",
+        "twelve_channel_amplifier",
+        "Channel map: the name of a bundled one, or the path of a .yaml file.",
+    ),
+    NodeParameter(
+        "interface",
+        SLCAN_PORT,
+        "slcan_port poses as a serial adapter on a pseudo-terminal; else python-can's name of an "
+        "interface, such as socketcan.",
+    ),
+    NodeParameter(
+        "channel",
+        "/tmp/cablesense_can",
+        "With slcan_port, the path of a link to the terminal; else the interface's channel, such "
+        "as vcan0.",
+    ),
+    NodeParameter(
+        "bitrate_bit_s",
+        0,
+        "Bit rate of the bus, bit/s; 0 where the system sets it or there is none.",
+        0,
+        1_000_000,
+    ),
+    NodeParameter(
+        "recording",
+        "",
+        "Recording to play, a .csv or .mcap file; empty: what comes on simulated_tensions.",
+    ),
+    NodeParameter("loop", False, "Play the recording again when it has ended."),
+    NodeParameter(
+        "fault",
+        "",
+        "What goes wrong, such as 'missing_channel cable_5' or bus_off; empty for nothing. May "
+        "change at any time.",
+    ),
+)
+
 
 LISTEN_S = 0.01
 """How often frames of others are taken."""
@@ -173,7 +217,7 @@ def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:
 
 def _player(path: str, arm: Arm, loop: bool) -> RecordingPlayer:
     """Read a recording; what that needs is imported only here, as a robot may lack it."""
-    from cablesense_gap.recordings.reading import read_recording
+    from cablesense_gap.recordings.checks import read_recording
 
     recorded = read_recording(path, arm)
     return RecordingPlayer(recorded.time_s, recorded.tensions_n, recorded.command_rad, loop)

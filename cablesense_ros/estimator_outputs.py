@@ -1,29 +1,40 @@
-"""What the estimator node publishes for each sample: the wrench first, all else after it."""
+"""What the estimator node publishes for each sample: the wrench first, all else after it.
+
+The services `~/tare` and `~/tare_undo`, and what the log says of tares.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.node import Node
+from rclpy.service import Service
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.contact import (
+from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
+from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
+from cablesense_msgs_py.serialized import wrench_writers
+from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.wrenches import (
     Contact,
+    ContactMarkers,
     describe_probabilities,
     put_contact_point,
     put_force_direction,
     put_probabilities,
 )
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.journal import JournalEntry, put_journal_entry
-from cablesense_msgs_py.markers import ContactMarkers
-from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
-from cablesense_msgs_py.wrench_writer import wrench_writers
-from cablesense_ros.outcome import Outcome
-from cablesense_ros.qos_profiles import overridable, qos_profile
+from cablesense_online.answers import Outcome
+from cablesense_online.estimation import Estimation
+from cablesense_online.tare import Tare, tare_taken_line, tare_undone_line
+from cablesense_ros.parameters import overridable, qos_profile
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities come no faster than this: they are for eyes."""
@@ -119,3 +130,66 @@ class EstimatorOutputs:
 def _time(stamp_ns: int) -> Time:
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     return Time(sec=seconds, nanosec=nanoseconds)
+
+
+class TareServices:
+    """Takes tares, and takes them back, of an estimation that is at work."""
+
+    def __init__(
+        self,
+        node: Node,
+        cable_names: Sequence[str],
+        estimation: Callable[[], Estimation | None],
+        now_ns: Callable[[], int],
+    ) -> None:
+        """`estimation` gives the one at work, none while the node is not active."""
+        self._node, self._cable_names = node, cable_names
+        self._estimation, self._now_ns = estimation, now_ns
+        self._services: list[Service] = [
+            node.create_service(Trigger, topics.TARE, self._on_tare),
+            node.create_service(Trigger, topics.TARE_UNDO, self._on_tare_undo),
+        ]
+
+    def destroy(self) -> None:
+        """Offer them no more."""
+        for service in self._services:
+            self._node.destroy_service(service)
+        self._services = []
+
+    def log(self, tare: Tare, how: str) -> str:
+        """Say in the log that a tare was taken; gives the line."""
+        message = tare_taken_line(tare, self._cable_names, how)
+        self._node.get_logger().info(message)
+        return message
+
+    def _on_tare(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self._take)
+
+    def _on_tare_undo(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self._undo)
+
+    def _answer(
+        self, response: Trigger.Response, do: Callable[[Estimation], str]
+    ) -> Trigger.Response:
+        estimation = self._estimation()
+        if estimation is None:
+            response.success, response.message = False, "the node is not active"
+            return response
+        try:
+            response.message = do(estimation)
+            response.success = True
+        except CableSenseError as error:
+            response.success, response.message = False, str(error)
+            self._node.get_logger().warning(f"tare: {error}")
+        return response
+
+    def _take(self, estimation: Estimation) -> str:
+        return self.log(estimation.take_tare(self._now_ns()), "on request")
+
+    def _undo(self, estimation: Estimation) -> str:
+        undone = estimation.tare.present
+        earlier = estimation.undo_tare()
+        assert undone is not None  # or there would have been nothing to undo
+        message = tare_undone_line(undone, earlier, self._cable_names, estimation.tare.undoable)
+        self._node.get_logger().info(message)
+        return message

@@ -1,10 +1,14 @@
-"""The `obstacle` node: an elastic wall that presses on a segment of the simulated arm."""
+"""The `obstacle` node: an elastic wall that presses on a segment of the simulated arm.
+
+The obstacle node's parameters; `LIVE_PARAMETERS` may change while it runs.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -12,22 +16,62 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.joint_states import NamedOrder
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
-from cablesense_ros.admittance.arm_contact import compliance_m_n, contact_point_m, wall_beside
-from cablesense_ros.admittance.elastic_wall import Approach, WallPressing
-from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
-from cablesense_ros.node_parameters import ParameterError, declare_parameters, parameter_values
-from cablesense_ros.obstacle_parameters import LIVE_PARAMETERS, OBSTACLE_PARAMETERS
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
-from cablesense_ros.throttled_log import ThrottledLog
-from cablesense_sim.arm_files import open_arm
+from cablesense_msgs_py.topics import Frames
+from cablesense_online.admittance.wall import (
+    Approach,
+    WallPressing,
+    compliance_m_n,
+    contact_point_m,
+    wall_beside,
+)
+from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
+from cablesense_ros.parameters import (
+    NodeParameter,
+    ParameterError,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    qos_profile,
+)
+from cablesense_sim.arm import open_arm
 from cablesense_sim.mechanism import Mechanism
+
+OBSTACLE_PARAMETERS: Final = (
+    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
+    NodeParameter("segment", 3, "The segment that the wall presses on.", 1, 1000),
+    NodeParameter(
+        "angle_deg",
+        90.0,
+        "Direction of the push, normal to the segment as the wall first sees it, degrees from "
+        "the segment's +z towards its +y.",
+        -360.0,
+        360.0,
+    ),
+    NodeParameter("stiffness_n_m", 10_000.0, "Of the wall, N/m.", 1.0, 1e7),
+    NodeParameter("damping_n_s_m", 0.0, "Of the wall, N·s/m.", 0.0, 1e5),
+    NodeParameter("clearance_m", 0.005, "How far off the wall begins, m.", 0.0, 1.0),
+    NodeParameter(
+        "depth_m",
+        0.003,
+        "Where the wall stops, m beyond the contact point as it first saw it; negative is off "
+        "the arm.",
+        -1.0,
+        0.2,
+    ),
+    NodeParameter("speed_m_s", 0.005, "How fast the wall moves, m/s.", 1e-5, 1.0),
+    NodeParameter(
+        "delay_s", 5.0, "How long the wall waits at first: the estimator's tare.", 0.0, 3600.0
+    ),
+)
+
+LIVE_PARAMETERS: Final = ("depth_m", "speed_m_s")
+
 
 LONGEST_LOOK_S = 0.1
 """A pause longer than this between two `joint_states` does not move the wall on."""

@@ -12,20 +12,24 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.joint_state import put_joint_angles
-from cablesense_ros.contract_inputs import listen_to_arm, of_node
-from cablesense_ros.node_parameters import NodeParameter, declare_parameters, parameter_values
-from cablesense_ros.page.controls import Actions, Push
-from cablesense_ros.page.exposure import exposure_warning
-from cablesense_ros.page.live_arm import LiveArm
-from cablesense_ros.page.page import Page
-from cablesense_ros.page.snapshot import Array
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.spin import run_node
-from cablesense_sim.arm import load_arm
-from cablesense_sim.arm_files import find_arm
+from cablesense_msgs_py.joint_states import put_joint_angles
+from cablesense_online.page.exposure import exposure_warning
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.page import Page
+from cablesense_online.page.panel import Actions, Push
+from cablesense_ros.node_process import run_node
+from cablesense_ros.parameters import (
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    qos_profile,
+)
+from cablesense_ros.subscriptions import listen_to_arm, of_node
+from cablesense_sim.arm import find_arm, load_arm
 
 PAGE_PARAMETERS: Final = (
     NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),

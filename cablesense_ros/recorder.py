@@ -1,26 +1,36 @@
-"""Records topics of running nodes into one MCAP file, as the bytes that were sent."""
+"""Records topics of running nodes into one MCAP file, as the bytes that were sent.
+
+A recording from start to Ctrl-C: the node, its executor, and what people see meanwhile.
+"""
 
 from __future__ import annotations
 
+import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import rclpy
+import rclpy.utilities
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rich.console import Console
 
-from cablesense_gap.recordings.bag_rows import BagRows
-from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_gap.recordings.topic_file import CHUNK_S, TopicFile
+from cablesense_base.errors import CableSenseError
+from cablesense_gap.recordings.mcap_file import BagRows
+from cablesense_gap.recordings.mcap_writer import CHUNK_S, TopicFile
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.errors import CableSenseError
 from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved
-from cablesense_ros.message_classes import message_class
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_ros.node_process import ThrottledLog, prefer_quick_discovery
+from cablesense_ros.parameters import message_class, overridable, qos_profile
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0
@@ -169,3 +179,70 @@ class Recorder:
             name = resolved(topic, self._node.get_namespace())
             self._channels[topic] = self._file.add(name, wanted.kind, wanted.offered)
         return self._channels[topic]
+
+
+_WAKE_S = 0.25
+
+
+def record_topics(
+    path: Path,
+    wanted: Mapping[str, TopicType],
+    duration_s: float | None,
+    arm: Arm | None,
+    console: Console,
+    namespace: str = "",
+) -> None:
+    """Record until `duration_s` have passed, SIGINT or SIGTERM; the file is whole then.
+
+    Args:
+        path: of the file.
+        wanted: topics of the contract.
+        duration_s: how long, or until a signal.
+        arm: whose contract is checked, if any.
+        console: for people.
+        namespace: of the nodes to listen to.
+
+    Raises:
+        RecordingError: the file exists, cannot be written, or no tensions came.
+    """
+    say = partial(console.print, soft_wrap=True, markup=False, highlight=False)
+    wanted_end = Future()
+    before = {
+        number: signal.signal(number, lambda *_: wanted_end.set_result(None))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    prefer_quick_discovery()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("recorder", namespace=namespace or None)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        recorder = Recorder(node, path, wanted, arm, say)
+        try:
+            _spin(executor, recorder, wanted_end, duration_s, console)
+        finally:
+            recorder.close()
+        say(f"{path}: {recorder.status}")
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        with suppress(RuntimeError):
+            rclpy.utilities.try_shutdown()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _spin(
+    executor: EventsExecutor,
+    recorder: Recorder,
+    wanted_end: Future,
+    duration_s: float | None,
+    console: Console,
+) -> None:
+    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+    with console.status("waiting for the arm") as line:
+        while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
+            executor.spin_until_future_complete(wanted_end, timeout_sec=min(_WAKE_S, left_s))
+            recorder.flush()
+            recorder.hint_at_silence()
+            line.update(f"recording, Ctrl-C ends it: {recorder.status}")

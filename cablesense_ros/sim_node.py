@@ -1,4 +1,7 @@
-"""The `sim` node: the arm at real time with its effects, as if it were the real one on the bus."""
+"""The `sim` node: the arm at real time with its effects, as if it were the real one on the bus.
+
+The sim node's parameters.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -16,26 +19,66 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.joint_state import joint_command_rad, put_joint_angles, put_tensions
-from cablesense_msgs_py.load import read_load
-from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.joint_states import (
+    NamedOrder,
+    joint_command_rad,
+    put_joint_angles,
+    put_tensions,
+)
 from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER, Qos
-from cablesense_ros.diagnostics_publisher import DiagnosticsPublisher
-from cablesense_ros.node_parameters import declare_parameters, parameter_values
-from cablesense_ros.qos_profiles import overridable, qos_profile
-from cablesense_ros.sim_parameters import SIM_PARAMETERS
-from cablesense_ros.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.spin import run_node
-from cablesense_ros.throttled_log import ThrottledLog
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.effects.chains import sensings
-from cablesense_sim.effects.entry import entries_of
-from cablesense_sim.moving_arm import moving_arm
+from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.wrenches import read_load
+from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
+from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
+from cablesense_ros.parameters import (
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    qos_profile,
+)
+from cablesense_sim.arm import open_arm
+from cablesense_sim.dynamics import moving_arm
+from cablesense_sim.effects.registry import entries_of, sensings
 from cablesense_sim.urdf import urdf_xml
+
+SIM_PARAMETERS: Final = (
+    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    NodeParameter(
+        "rate_hz",
+        0.0,
+        "Rate of cable_tensions, Hz; 0 takes the sensors' rate from the arm file.",
+        0.0,
+        1000.0,
+    ),
+    NodeParameter(
+        "noise", True, "Whether readings have the sensors' noise and step; else true tensions."
+    ),
+    NodeParameter("seed", 0, "Seed of the noise.", 0, 2**31 - 1),
+    NodeParameter(
+        "frame_prefix",
+        "",
+        "Goes before every frame name, as robot_state_publisher's parameter does.",
+    ),
+    NodeParameter(
+        "load_timeout_s",
+        0.0,
+        "A load lapses this many seconds after its last message; 0: it holds until changed.",
+        0.0,
+        3600.0,
+    ),
+    NodeParameter(
+        "joint_speed_deg_s",
+        20.0,
+        "Peak speed at which joints approach a command, deg/s; the estimator must know it too.",
+        0.1,
+        360.0,
+    ),
+)
+
 
 TIMESTEP_S = 1e-3
 JOINT_STATES_HZ = 100.0

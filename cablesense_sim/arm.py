@@ -3,6 +3,8 @@
 Everything else (the MuJoCo model, the equilibrium, the URDF, the estimator) is made from it.
 Bounds on the numbers are those of any plausible cable-driven arm; their purpose is to catch a
 wrong unit, not to judge a design.
+
+The arm files that come with CableSense, found by name; any other arm is found by its path.
 """
 
 from __future__ import annotations
@@ -22,10 +24,10 @@ from pydantic import (
     model_validator,
 )
 
-from cablesense_msgs_py.bounded_file import read_bounded_text
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.plain_yaml import parse_plain_mapping
-from cablesense_sim.arm_problem import describe_problem
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_text
+from cablesense_base.installation import config_path
+from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 
 MAX_FILE_BYTES = 200_000
 """An arm file is a page of text; anything larger is not one."""
@@ -194,7 +196,7 @@ class Arm(_Part):
 
     def _check_effects(self) -> None:
         # here, as effects know mechanisms, and mechanisms arms
-        from cablesense_sim.effects.entry import checked_entry
+        from cablesense_sim.effects.registry import checked_entry
 
         for listed in self.effects:
             try:
@@ -285,3 +287,49 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
         return Arm.model_validate(content)
     except ValidationError as error:
         raise ArmFileError(f"{source}: {describe_problem(error, Arm)}") from None
+
+
+ARM_SUFFIXES = (".yaml", ".yml")
+
+
+def bundled_arms() -> list[str]:
+    """Names of the bundled arms, for example `cdsm`."""
+    return sorted(path.stem for path in config_path("arms").glob("*.yaml"))
+
+
+def find_arm(name_or_path: str | Path) -> Path:
+    """The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) stands for.
+
+    Raises:
+        ArmFileError: neither a bundled arm nor a file; the message lists the bundled names.
+    """
+    path = Path(name_or_path)
+    if path.suffix in ARM_SUFFIXES:
+        if _is_file(path):
+            return path
+        raise ArmFileError(
+            f"no arm file {path}; give an existing .yaml file or one of "
+            f"{', '.join(bundled_arms())}"
+        )
+    if str(name_or_path) in bundled_arms():
+        return config_path(f"arms/{name_or_path}.yaml")
+    raise ArmFileError(
+        f"unknown arm {str(name_or_path)!r}; bundled arms are {', '.join(bundled_arms())}, "
+        "and any other is given as the path of its .yaml file"
+    )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name too long to be one
+        return False
+
+
+def open_arm(name_or_path: str | Path) -> Arm:
+    """Find and read an arm.
+
+    Raises:
+        ArmFileError: as `find_arm` and `load_arm`.
+    """
+    return load_arm(find_arm(name_or_path))

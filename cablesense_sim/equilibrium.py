@@ -18,12 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import hessian_n_m, rounding_n_m, search_rest
-
-Array = NDArray[np.float64]
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cablesense_base.arrays import Array
 
 SHORTEST_MOVE_S = 0.1
 _PEAK_TO_MEAN_SPEED = 1.875

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 class LoadError(CableSenseError):

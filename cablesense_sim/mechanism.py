@@ -1,15 +1,21 @@
-"""The arm's numbers as arrays: what the MuJoCo model and the statics are both built from."""
+"""The arm's numbers as arrays: what the MuJoCo model and the statics are both built from.
+
+Several arms of one kind as one mechanism whose numbers have a leading axis.
+
+Guide holes that are not where they were drawn.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm, per_segment
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -152,3 +158,70 @@ class Mechanism:
             joint_damping_n_m_s=arm.segments.joint_damping_n_m_s,
             joint_stiffness_n_m_rad=np.zeros(count),
         )
+
+
+_STACKED = (
+    "gravity_m_s2",
+    "mass_kg",
+    "centre_of_mass_m",
+    "contact_m",
+    "hole_y_m",
+    "hole_z_m",
+    "stiffness_n_m",
+    "pretension_n",
+    "joint_stiffness_n_m_rad",
+)
+
+
+def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
+    """Mechanisms of one kind as one whose arrays have a leading axis P."""
+    fields: dict[str, Any] = {
+        name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED
+    }
+    if any(m.segment_hole_y_m is not None for m in mechanisms):
+        shape = (mechanisms[0].cable_count, mechanisms[0].segment_count)
+        for name in ("y", "z"):
+            fields[f"segment_hole_{name}_m"] = np.stack(
+                [np.broadcast_to(_plates(m, name), shape) for m in mechanisms]
+            )
+    return replace(mechanisms[0], **fields)
+
+
+def _plates(mechanism: Mechanism, axis: str) -> Array:
+    plates = getattr(mechanism, f"segment_hole_{axis}_m")
+    if plates is None:
+        plates = getattr(mechanism, f"hole_{axis}_m")[:, None]
+    return np.asarray(plates)
+
+
+Numbers = NDArray[np.floating[Any]]
+
+
+def with_cables_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
+    """Every hole of a cable further out and turned from +z towards +y, each (M,)."""
+    y, z = _moved_m(mechanism.hole_y_m, mechanism.hole_z_m, outward_m, turned_rad)
+    moved = replace(mechanism, hole_y_m=y, hole_z_m=z)
+    if mechanism.segment_hole_y_m is None or mechanism.segment_hole_z_m is None:
+        return moved
+    y, z = _moved_m(
+        mechanism.segment_hole_y_m,
+        mechanism.segment_hole_z_m,
+        outward_m[:, None],
+        turned_rad[:, None],
+    )
+    return replace(moved, segment_hole_y_m=y, segment_hole_z_m=z)
+
+
+def with_plates_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
+    """Every hole in the plates that a segment carries further out and turned, each (N,)."""
+    y, z = mechanism.segment_hole_y_m, mechanism.segment_hole_z_m
+    if y is None or z is None:
+        y, z = mechanism.hole_y_m[:, None], mechanism.hole_z_m[:, None]
+    y, z = _moved_m(y, z, outward_m, turned_rad)
+    return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
+
+
+def _moved_m(y: Array, z: Array, outward_m: Numbers, turned_rad: Numbers) -> tuple[Array, Array]:
+    radius = np.hypot(y, z) + outward_m
+    angle = np.arctan2(y, z) + turned_rad
+    return np.asarray(radius * np.sin(angle), float), np.asarray(radius * np.cos(angle), float)

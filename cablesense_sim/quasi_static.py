@@ -18,18 +18,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
-from cablesense_sim.effects.chains import memories
-from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.effects.registry import EffectEntry, memories
 from cablesense_sim.effects.transmission import Kept, Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.mechanism_stack import stack
+from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest_search import descent_step, load_hessian
-
-Array = NDArray[np.float64]
 
 _ENOUGH_N_M = 2e-6
 _TOLERATED_N_M = 1e-4

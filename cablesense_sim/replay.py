@@ -9,11 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.chains import actuations, amended, memories, sensings
-from cablesense_sim.effects.entry import EffectEntry, entries_of
+from cablesense_sim.effects.registry import (
+    EffectEntry,
+    actuations,
+    amended,
+    entries_of,
+    memories,
+    sensings,
+)
 from cablesense_sim.equilibrium import (
     Equilibrium,
     EquilibriumError,
@@ -22,8 +28,6 @@ from cablesense_sim.equilibrium import (
 )
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
-
-Array = NDArray[np.float64]
 
 
 class Replay:

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 100
 _ARMIJO = 1e-4

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Sensors
-
-Array = NDArray[np.float64]
 
 
 def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Generator) -> Array:

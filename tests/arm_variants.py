@@ -4,8 +4,7 @@ from typing import Any
 
 import yaml
 
-from cablesense_sim.arm import Arm, parse_arm
-from cablesense_sim.arm_files import find_arm
+from cablesense_sim.arm import Arm, find_arm, parse_arm
 
 
 def described(name: str = "cdsm") -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import can
 
-from cablesense_ros.can.signal_database import open_channel_map
+from cablesense_online.can.channel_map import open_channel_map
 
 PACKED, PACKED_DATABASE = open_channel_map("twelve_channel_amplifier")
 SINGLE, SINGLE_DATABASE = open_channel_map("cia404_amplifier")

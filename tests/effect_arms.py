@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.effects.entry import EffectEntry, checked_entry
+from cablesense_sim.arm import open_arm
+from cablesense_sim.effects.registry import EffectEntry, checked_entry
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import Replay
 

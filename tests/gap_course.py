@@ -8,10 +8,10 @@ from itertools import groupby
 
 import numpy as np
 
-from cablesense_gap.diagnosis.course import Course, prepare
-from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.simulator import Array, Assignment, Candidate, Term
+from cablesense_base.arrays import Array
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.problem import Course, Hypothesis, prepare
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 Change = Callable[[str, dict[str, float]], Array]

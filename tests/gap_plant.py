@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_gap.plant.body import stiff_body
-from cablesense_gap.plant.nominal import read_nominal
+from cablesense_base.installation import config_path
+from cablesense_gap.plant.body import read_nominal, stiff_body
 from cablesense_gap.plant.protocol import Schedule
-from cablesense_sim.config_files import config_path
 
 ARM_FILE = config_path("arms/cdsm_lab.yaml")
 NOMINAL = read_nominal(ARM_FILE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_gap.recordings.recording import Recording
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 LAB = open_arm("cdsm_lab")
 RATE_HZ = 5.0

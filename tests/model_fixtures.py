@@ -4,8 +4,7 @@ import functools
 
 import pytest
 
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.inference.metadata import ModelMetadata
 
 
@@ -39,7 +38,7 @@ def model_files(tmp_path_factory):
         # torch takes seconds to import, and most tests need none of this
         from cablesense_training.export import export_model
         from cablesense_training.networks import MultiContactNetwork
-        from cablesense_training.networks.registry import build_network
+        from cablesense_training.recipes import build_network
 
         arm = open_arm(arm_name)
         network = build_network(network_name, arm)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from cablesense_paper.networks.findings import Findings
-from cablesense_paper.networks.plan import Plan
-from cablesense_paper.networks.shapes import Shape
-from cablesense_paper.networks.trials import Trial
+from cablesense_paper.network_findings import Findings, Plan, Shape
+from cablesense_paper.network_trials import Trial
 
 PLAN = Plan(
     depths=(1, 2),

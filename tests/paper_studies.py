@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import base64
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.registry import chosen_studies
-from cablesense_paper.study import Study
-from cablesense_paper.study_result import (
+from cablesense_gap.report.style import style
+from cablesense_paper.study import (
     CLOSED_FORM,
     PAPER,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    chosen_studies,
 )
 
 DOT = base64.b64decode(

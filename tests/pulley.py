@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_gap.diagnosis.course import Course, prepare
-from cablesense_gap.simulator import Array, Assignment, Candidate, Term
+from cablesense_base.arrays import Array
+from cablesense_gap.diagnosis.problem import Course, prepare
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 G_M_S2 = 9.81

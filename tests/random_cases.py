@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 

@@ -9,15 +9,15 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from cablesense_gap.recordings.topic_file import TopicFile
+from cablesense_gap.recordings.mcap_writer import TopicFile
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.frames import Frames
 from cablesense_msgs_py.journal import put_journal_entry
+from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topic_types import CONTRACT, resolved
-from cablesense_msgs_py.wrench_writer import wrench_writers
-from cablesense_ros.estimation import Estimation
-from cablesense_ros.estimation_settings import EstimationSettings
-from cablesense_ros.loaded_model import load_model
+from cablesense_msgs_py.topics import Frames
+from cablesense_online.answers import load_model
+from cablesense_online.estimation import Estimation
+from cablesense_online.journal import EstimationSettings
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_ros.commissioning.sensor_expectation import expectation
-from cablesense_ros.commissioning.tension_series import TensionSeries
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.commissioning.readings import TensionSeries
+from cablesense_online.commissioning.sensor_check import expectation
+from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
 EXPECTED = expectation(ARM.sensors)

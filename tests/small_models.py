@@ -5,7 +5,7 @@ import pytest
 from model_fixtures import metadata_for
 from onnx import TensorProto, helper
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import OUTPUTS
 from cablesense_training.inference.metadata import ModelFileError
 from cablesense_training.inference.session import ModelSession

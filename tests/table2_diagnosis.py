@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 from unittest.mock import patch
 
-from cablesense_gap import one_number
-from cablesense_gap.table2.findings import Findings, diagnose_table
+from cablesense_paper import tension_changes
+from cablesense_paper.table_2_gap import Findings, diagnose_table
 
 
 @cache
 def diagnosed() -> Findings:
     """With the counts of the rehearsal that ship, and ranges gone through more coarsely."""
-    with patch.object(one_number, "VALUES", 21):
+    with patch.object(tension_changes, "VALUES", 21):
         return diagnose_table(None, "cablesense paper")

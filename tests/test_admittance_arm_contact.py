@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.admittance.arm_contact import compliance_m_n, contact_point_m, wall_beside
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_online.admittance.wall import compliance_m_n, contact_point_m, wall_beside
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.admittance.admittance_law import AdmittanceSettings
-from cablesense_ros.admittance.controller import AdmittanceController, ControllerSettings
-from cablesense_ros.admittance.estimate_watch import Sight, WatchSettings
-from cablesense_ros.admittance.report import control_status
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.admittance.controller import (
+    AdmittanceController,
+    ControllerSettings,
+    control_status,
+)
+from cablesense_online.admittance.estimate_watch import Sight, WatchSettings
+from cablesense_online.admittance.law import AdmittanceSettings
+from cablesense_sim.arm import open_arm
 from cablesense_sim.mechanism import Mechanism
 
 ARM = Mechanism.from_arm(open_arm("cdsm"))

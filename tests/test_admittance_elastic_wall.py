@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.admittance.elastic_wall import Approach, ElasticWall, WallPressing
+from cablesense_online.admittance.wall import Approach, ElasticWall, WallPressing
 
 NORMAL = np.array([0.0, 0.6, 0.8])
 POINT = np.array([0.3, 0.0, 0.0])

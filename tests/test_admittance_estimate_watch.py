@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.admittance.estimate_watch import EstimateWatch, Sight, WatchSettings
+from cablesense_online.admittance.estimate_watch import EstimateWatch, Sight, WatchSettings
 
 SETTINGS = WatchSettings(stale_after_s=0.2, resume_after_s=1.0, settle_s=0.5)
 REST, MOVED = np.zeros(8), np.full(8, 0.01)

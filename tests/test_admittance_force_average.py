@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.admittance.force_average import ForceAverage
+from cablesense_online.admittance.law import ForceAverage
 
 FORCE = np.array([0.0, 3.0, 4.0])
 

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.admittance.admittance_law import AdmittanceLaw, AdmittanceSettings, FeltForce
-from cablesense_ros.admittance.reach import Reach
+from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, FeltForce, Reach
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 

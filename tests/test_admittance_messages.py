@@ -4,20 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from std_msgs.msg import Float64MultiArray
 
-rclpy = pytest.importorskip("rclpy")
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-
-from cablesense_msgs_py.contract_error import ContractError  # noqa: E402
-from cablesense_msgs_py.frames import Frames  # noqa: E402
-from cablesense_ros.admittance.estimator_messages import (  # noqa: E402
+from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_online.admittance.estimate_watch import (
     check_probabilities,
     input_is_stale,
     read_wrench,
 )
+
+rclpy = pytest.importorskip("rclpy")
+
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 FRAMES = Frames(4, "left/")

@@ -4,16 +4,16 @@ import time
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
 
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from ros_graph import Graph, NodeProcess  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from cablesense_sim.arm_files import open_arm  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.admittance.reach import Reach
+from cablesense_online.admittance.law import Reach
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.mechanism import Mechanism
 
 ARM = Mechanism.from_arm(open_arm("cdsm"))

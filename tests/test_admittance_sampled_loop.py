@@ -5,12 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.admittance.admittance_law import AdmittanceLaw, AdmittanceSettings
-from cablesense_ros.admittance.arm_contact import compliance_m_n, wall_beside
-from cablesense_ros.admittance.elastic_wall import ElasticWall
-from cablesense_ros.admittance.reach import Reach
-from cablesense_ros.admittance.sampled_loop import SampledLoop
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, Reach
+from cablesense_online.admittance.wall import ElasticWall, SampledLoop, compliance_m_n, wall_beside
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

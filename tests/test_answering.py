@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_ros.answering import AnswersAlongCourse, AnswersAtRest, answers_of
-from cablesense_ros.estimation import Estimation
-from cablesense_ros.estimation_settings import EstimationSettings
-from cablesense_ros.tare import TareModel
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.answers import AnswersAlongCourse, AnswersAtRest, answers_of
+from cablesense_online.estimation import Estimation
+from cablesense_online.journal import EstimationSettings
+from cablesense_online.tare import TareModel
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.mechanism import Mechanism

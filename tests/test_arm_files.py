@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_sim.arm import ArmFileError, load_arm
-from cablesense_sim.arm_files import bundled_arms, find_arm, open_arm
+from cablesense_sim.arm import ArmFileError, bundled_arms, find_arm, load_arm, open_arm
 
 
 def test_the_arms_of_the_paper_come_along() -> None:

@@ -8,20 +8,15 @@ import torch
 from arm_variants import variant
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.effects.chains import amended
-from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.arm import open_arm
+from cablesense_sim.effects.registry import amended, entries_of
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data import Dataset, SingleContact
-from cablesense_training.physics.arm_statics import (
-    exact_statics,
-    statics,
-    unexplained_variance_n2,
-)
-from cablesense_training.physics.closed_form import ClosedForm
-from cablesense_training.physics.compact import CompactKinematics
-from cablesense_training.physics.second_order import SecondOrderClosedForm
+from cablesense_training.networks.closed_form import ClosedForm
+from cablesense_training.networks.compact import CompactKinematics
+from cablesense_training.networks.corrected import exact_statics, statics, unexplained_variance_n2
+from cablesense_training.networks.second_order import SecondOrderClosedForm
 
 PAYLOAD = ("payload", "segment_3", {"mass_kg": 0.6})
 SOFT = ("cable_stiffness", "arm", {"change": -0.4})

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_sim.config_files import config_path
+from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data import Dataset, SingleContact
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.answers import single_contact_truth
+from cablesense_training.evaluation.comparison import single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
-from cablesense_training.peers.boosting import BoostingPeer, BoostingSettings
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
 SMALL = BoostingSettings(rounds=20, leaves=31)

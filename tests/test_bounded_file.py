@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from cablesense_msgs_py.bounded_file import read_bounded_bytes, read_bounded_text
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_bytes, read_bounded_text
 
 
 class RefusedError(CableSenseError):

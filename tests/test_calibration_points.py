@@ -5,10 +5,8 @@ import pytest
 from can_frames import PACKED
 
 from cablesense_gap.recordings.recording import Recording
-from cablesense_ros.commissioning.calibration_points import calibration_points
-from cablesense_ros.commissioning.commissioning_error import CommissioningError
-from cablesense_ros.commissioning.known_load import KnownLoad
-from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_online.commissioning.known_loads import KnownLoad, calibration_points
+from cablesense_online.commissioning.readings import CommissioningError, TimeWindow
 
 TIME_S = np.arange(0.0, 20.0, 0.1)
 

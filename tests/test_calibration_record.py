@@ -4,9 +4,12 @@ from datetime import UTC, datetime
 
 from can_frames import PACKED, PACKED_DATABASE
 
-from cablesense_ros.can.calibration import calibrated
-from cablesense_ros.commissioning.calibration_record import calibration_record
-from cablesense_ros.commissioning.sensor_calibration import CalibrationPoint, calibrate_sensor
+from cablesense_online.can.calibration import calibrated
+from cablesense_online.commissioning.sensor_calibration import (
+    CalibrationPoint,
+    calibrate_sensor,
+    calibration_record,
+)
 
 POINTS = [CalibrationPoint(force, 3.0 + 4.0 * force) for force in (0.0, 20.0, 40.0, 60.0, 80.0)]
 

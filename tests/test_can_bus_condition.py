@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.can.bus_condition import BusCondition, BusWatch, error_words
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.watches import BusCondition, BusWatch, error_words
 
 
 @pytest.fixture

@@ -6,9 +6,8 @@ import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 from pydantic import ValidationError
 
-from cablesense_ros.can.calibration import CalibratedSensor, Calibration, calibrated
-from cablesense_ros.can.channel_map import ChannelMapError
-from cablesense_ros.can.signal_database import channel_signal
+from cablesense_online.can.calibration import CalibratedSensor, Calibration, calibrated
+from cablesense_online.can.channel_map import ChannelMapError, channel_signal
 
 
 def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):

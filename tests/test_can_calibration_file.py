@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_can_calibration import OTHERS, TWO, calibration
 
-from cablesense_ros.can.calibration_file import load_calibration, write_calibration
-from cablesense_ros.can.channel_map import ChannelMapError
+from cablesense_online.can.calibration import load_calibration, write_calibration
+from cablesense_online.can.channel_map import ChannelMapError
 
 
 def test_what_is_written_is_read(tmp_path):

@@ -3,7 +3,7 @@
 from test_can_calibration import OTHERS, TWO, WHOLE, calibration
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.can.calibration_report import calibration_status
+from cablesense_online.can.calibration import calibration_status
 
 
 def test_no_calibration_is_said_without_alarm():

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from cablesense_ros.can.channel_map import Channel, ChannelMap, ChannelMapError
+from cablesense_online.can.channel_map import Channel, ChannelMap, ChannelMapError
 
 GIVEN = {
     "name": "amplifier",

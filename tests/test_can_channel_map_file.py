@@ -5,15 +5,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.channel_map import ChannelMapError
-from cablesense_ros.can.channel_map_file import (
+from cablesense_online.can.channel_map import (
     MAX_MAP_BYTES,
+    ChannelMapError,
     bundled_maps,
     find_channel_map,
     load_channel_map,
     parse_channel_map,
 )
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 BUNDLED = find_channel_map("twelve_channel_amplifier").read_text(encoding="utf-8")
 

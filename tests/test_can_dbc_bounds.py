@@ -4,9 +4,11 @@ import time
 
 import pytest
 
-from cablesense_ros.can.channel_map import ChannelMapError
-from cablesense_ros.can.dbc_bounds import require_bounded_sizes
-from cablesense_ros.can.signal_database import parse_database
+from cablesense_online.can.channel_map import (
+    ChannelMapError,
+    parse_database,
+    require_bounded_sizes,
+)
 
 HEAD = 'VERSION ""\n'
 SIGNAL = 'BO_ 1 A: 8 X\n SG_ s : 0|8@1+ (1,0) [0|4000000000] "" X\n'

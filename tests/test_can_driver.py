@@ -8,12 +8,10 @@ import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.can.driver import CanDriver
-from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier
-from cablesense_ros.can.emulation.fault_request import parse_fault
-from cablesense_ros.can.emulation.frame_sink import BusSink, play
-from cablesense_ros.can.emulation.slcan_port import SlcanPort
-from cablesense_ros.can.interface import CanInterface
+from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.driver import CanDriver
+from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, parse_fault
+from cablesense_online.can.emulator import BusSink, SlcanPort, play
 
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
 _numbers = itertools.count()

@@ -5,21 +5,18 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from can_frames import PACKED, PACKED_DATABASE
+from lifecycle_msgs.msg import Transition
+from ros_graph import Graph, NodeProcess
+
+from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
+from cablesense_online.can.channel_map import channel_signal
+from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, parse_fault
+from cablesense_online.can.emulator import SlcanPort, play
+from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
 
-from can_frames import PACKED, PACKED_DATABASE  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from ros_graph import Graph, NodeProcess  # noqa: E402
-
-from cablesense_ros.can.calibration import CalibratedSensor, Calibration  # noqa: E402
-from cablesense_ros.can.calibration_file import write_calibration  # noqa: E402
-from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier  # noqa: E402
-from cablesense_ros.can.emulation.fault_request import parse_fault  # noqa: E402
-from cablesense_ros.can.emulation.frame_sink import play  # noqa: E402
-from cablesense_ros.can.emulation.slcan_port import SlcanPort  # noqa: E402
-from cablesense_ros.can.signal_database import channel_signal  # noqa: E402
-from cablesense_sim.arm_files import open_arm  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

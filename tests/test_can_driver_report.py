@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.can.bus_condition import BusCondition
-from cablesense_ros.can.driver_report import InterfaceState, SampleCounts, driver_statuses
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
+from cablesense_online.can.driver import InterfaceState, SampleCounts, driver_statuses
+from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.watches import BusCondition
 
 INTERFACE = InterfaceState("socketcan can0", True, 1, "", BusCondition.ACTIVE, 0)
 COUNTS = SampleCounts(frames=4000, samples=1000, withheld=0)

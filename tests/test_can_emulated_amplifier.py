@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 
-from cablesense_ros.can.emulation.emulated_amplifier import EmulatedAmplifier
-from cablesense_ros.can.emulation.fault_request import FaultRequestError, parse_fault
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.interface import CanInterface
-from cablesense_ros.can.network_management import booted_node, start_frames
-from cablesense_ros.can.signal_database import parse_database
-from cablesense_ros.can.tension_reader import TensionReader
-from cablesense_sim.config_files import config_path
+from cablesense_base.installation import config_path
+from cablesense_online.can.bus import CanInterface, booted_node, start_frames
+from cablesense_online.can.channel_map import parse_database
+from cablesense_online.can.driver import TensionReader
+from cablesense_online.can.emulated_amplifier import (
+    EmulatedAmplifier,
+    FaultRequestError,
+    parse_fault,
+)
+from cablesense_online.can.faults import FaultKind, FaultLedger
 
 NOW_S = 1.7e9
 TENSIONS_N = np.linspace(40.0, 62.0, 12)

@@ -3,9 +3,9 @@
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 
-from cablesense_ros.can.emulation.emulator import Emulator
-from cablesense_ros.can.emulation.fault_request import FaultRequestError
-from cablesense_ros.can.network_management import start_frames
+from cablesense_online.can.bus import start_frames
+from cablesense_online.can.emulated_amplifier import FaultRequestError
+from cablesense_online.can.emulator import Emulator
 
 TENSIONS_N = [50.0] * 12
 

@@ -4,15 +4,15 @@ import time
 
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
 
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from ros_graph import Graph, NodeProcess  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from cablesense_sim.arm_files import open_arm  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

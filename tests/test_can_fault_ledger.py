@@ -2,8 +2,7 @@
 
 from threading import Thread
 
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import ELSEWHERE, PLACES_KEPT, FaultLedger
+from cablesense_online.can.faults import ELSEWHERE, PLACES_KEPT, FaultKind, FaultLedger
 
 
 def test_a_report_covers_the_time_since_the_last_and_totals_go_on():

@@ -5,13 +5,13 @@ from can_frames import PACKED, SINGLE
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.can.emulation.fault_request import (
+from cablesense_online.can.emulated_amplifier import (
     OF_A_CABLE,
     FaultRequest,
     FaultRequestError,
     parse_fault,
 )
-from cablesense_ros.can.fault import FaultKind
+from cablesense_online.can.faults import FaultKind
 
 
 @pytest.mark.parametrize("kind", FaultKind)

@@ -3,9 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.flood_watch import FloodWatch
+from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.watches import FloodWatch
 
 
 def make(ledger):

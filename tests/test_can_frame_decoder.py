@@ -17,12 +17,10 @@ from can_frames import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.channel_map import Channel
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.frame_decoder import FrameDecoder
-from cablesense_ros.can.signal_database import parse_database
-from cablesense_sim.config_files import config_path
+from cablesense_base.installation import config_path
+from cablesense_online.can.channel_map import Channel, parse_database
+from cablesense_online.can.decoder import FrameDecoder
+from cablesense_online.can.faults import FaultKind, FaultLedger
 
 TENSIONS_N = [50.0 + number for number in range(12)]
 

@@ -7,10 +7,10 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.channel_map import Channel, ChannelMapError
-from cablesense_ros.can.emulation.frame_encoder import FrameEncoder
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.frame_decoder import FrameDecoder
+from cablesense_online.can.channel_map import Channel, ChannelMapError
+from cablesense_online.can.decoder import FrameDecoder
+from cablesense_online.can.emulated_amplifier import FrameEncoder
+from cablesense_online.can.faults import FaultLedger
 
 TWELVE = st.lists(st.floats(-49.0, 3270.0), min_size=12, max_size=12)
 

@@ -3,9 +3,9 @@
 import can
 import pytest
 
-from cablesense_ros.can.emulation.emulated_amplifier import PlannedFrame
-from cablesense_ros.can.emulation.frame_sink import BusSink, play
-from cablesense_ros.can.interface import CanInterface
+from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.emulated_amplifier import PlannedFrame
+from cablesense_online.can.emulator import BusSink, play
 
 FRAMES = [can.Message(arbitration_id=n, is_extended_id=False) for n in range(1, 5)]
 

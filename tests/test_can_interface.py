@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from cablesense_ros.can.interface import CanInterface, CanInterfaceError
+from cablesense_online.can.bus import CanInterface, CanInterfaceError
 
 
 def test_a_virtual_interface_opens_and_passes_frames():

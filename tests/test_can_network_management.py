@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from cablesense_ros.can.network_management import booted_node, start_frames
+from cablesense_online.can.bus import booted_node, start_frames
 
 
 def test_each_node_is_started_by_command_and_number_on_id_0():

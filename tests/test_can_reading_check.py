@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.reading_check import reading_fault
+from cablesense_online.can.decoder import reading_fault
+from cablesense_online.can.faults import FaultKind
 
 RANGE_N = (-50.0, 3276.0)
 

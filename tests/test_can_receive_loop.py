@@ -6,11 +6,10 @@ from queue import Empty, Queue
 import can
 import pytest
 
-from cablesense_ros.can import receive_loop
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.interface import CanInterfaceError
-from cablesense_ros.can.receive_loop import ReceiveLoop
+from cablesense_online.can import receive_loop
+from cablesense_online.can.bus import CanInterfaceError
+from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.receive_loop import ReceiveLoop
 
 FRAME = can.Message(arbitration_id=1, is_extended_id=False)
 

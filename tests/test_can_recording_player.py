@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.can.emulation.recording_player import PAUSE_S, RecordingPlayer
+from cablesense_online.can.emulator import PAUSE_S, RecordingPlayer
 
 TIME_S = np.array([5.0, 5.1, 5.2])
 TENSIONS_N = np.arange(6.0).reshape(3, 2)

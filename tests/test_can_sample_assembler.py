@@ -4,10 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.fault import FaultKind
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.frame_decoder import Decoded
-from cablesense_ros.can.sample_assembler import CUT_SAMPLES, SampleAssembler
+from cablesense_online.can.decoder import CUT_SAMPLES, Decoded, SampleAssembler
+from cablesense_online.can.faults import FaultKind, FaultLedger
 
 NAMES = [f"cable_{n}" for n in range(1, 7)]
 SKEW_S = 0.4e-3

@@ -5,10 +5,14 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.channel_map import ChannelMapError
-from cablesense_ros.can.channel_map_file import bundled_maps
-from cablesense_ros.can.signal_database import check_fit, open_channel_map, parse_database
-from cablesense_sim.config_files import config_path
+from cablesense_base.installation import config_path
+from cablesense_online.can.channel_map import (
+    ChannelMapError,
+    bundled_maps,
+    check_fit,
+    open_channel_map,
+    parse_database,
+)
 
 TEXT = config_path("can/twelve_channel_amplifier.dbc").read_text(encoding="utf-8")
 

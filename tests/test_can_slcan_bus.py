@@ -8,7 +8,7 @@ import tty
 import can
 import pytest
 
-from cablesense_ros.can.slcan_bus import SlcanBus
+from cablesense_online.can.bus import SlcanBus
 
 
 class Adapter:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cablesense_ros.can.emulation.slcan_port import SlcanPort, SlcanPortError
-from cablesense_ros.can.interface import CanInterface
+from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.emulator import SlcanPort, SlcanPortError
 
 
 @pytest.fixture

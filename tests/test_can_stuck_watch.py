@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.can.channel_map import StuckLimits
-from cablesense_ros.can.stuck_watch import StuckWatch
+from cablesense_online.can.channel_map import StuckLimits
+from cablesense_online.can.watches import StuckWatch
 
 LIMITS = StuckLimits(after_s=2.0, others_moved_n=20.0)
 

@@ -6,20 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from effect_arms import (
-    MECHANISM,
-    bent,
-    course,
-    entry,
-    readings,
-    small,
-    up_and_down,
-)
+from effect_arms import MECHANISM, bent, course, entry, readings, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.entry import side_by_side
+from cablesense_sim.effects.registry import side_by_side
 from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.quasi_static import QuasiStaticArm

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.commissioning.channel_figures import channel_figures, quantisation_step_n
+from cablesense_online.commissioning.sensor_check import channel_figures, quantisation_step_n
 
 TIME_S = np.arange(2000) / 100.0
 REST = np.ones(2000, dtype=bool)

@@ -11,11 +11,11 @@ import time
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_gap.recordings.columns import all_columns
-from cablesense_ros.cli.app import app
-from cablesense_sim.arm_files import open_arm
+from cablesense_cli.app import app
+from cablesense_gap.recordings.csv_file import all_columns
+from cablesense_sim.arm import open_arm
 
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
 VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
 GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
 
@@ -54,7 +54,7 @@ def test_every_verb_of_the_diagnosis_explains_itself(verb):
 
 def test_help_loads_neither_ros_nor_torch_nor_the_page():
     code = (
-        "import sys; from cablesense_ros.cli.app import app;"
+        "import sys; from cablesense_cli.app import app;"
         "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib',"
         " 'pandas', 'rosbags', 'jinja2', 'scipy') if m in sys.modules))"
     )
@@ -128,7 +128,7 @@ def test_info_of_an_arm_as_tables():
 
 
 def test_info_of_the_bundled_model_says_what_it_was_made_for():
-    from cablesense_sim.config_files import config_path
+    from cablesense_base.installation import config_path
 
     result = run("info", str(config_path("models/cdsm.onnx")), "--json")
     description = json.loads(result.stdout)
@@ -178,7 +178,7 @@ sys.meta_path.insert(0, Absent())
 """
 """The beginning of a program for which the libraries named first are not installed."""
 
-COMMAND_TEXT = "from cablesense_ros.cli.app import main\nmain()\n"
+COMMAND_TEXT = "from cablesense_cli.app import main\nmain()\n"
 
 
 def run_without(libraries, *arguments, program=COMMAND_TEXT):

@@ -7,11 +7,11 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_ros.cli.app import app
-from cablesense_training.evaluation.settings import TABLE2_MODEL
-from cablesense_training.inference.model_files import find_model
+from cablesense_cli.app import app
+from cablesense_training.evaluation.comparison import TABLE2_MODEL
+from cablesense_training.inference.metadata import find_model
 
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "evaluate"]
+COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "evaluate"]
 
 
 def _run(*arguments):

@@ -17,7 +17,7 @@ from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import replay_arm
 from cablesense_sim.sensors import read_tensions_n
 
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "gap"]
+COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
 COURSE = small_recording(peak_n=25.0)
 SHORT = COURSE.rows(np.flatnonzero(np.arange(len(COURSE)) % 4 == 0))
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.app import app
 from cablesense_gap.recordings.protocol import standard_protocol
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.cli.app import app
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 
 def test_the_table_has_a_line_for_every_block():

@@ -7,13 +7,12 @@ import pytest
 from can_frames import PACKED, PACKED_DATABASE
 from typer.testing import CliRunner
 
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.app import app
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.can.calibration import calibrated
-from cablesense_ros.can.calibration_file import load_calibration
-from cablesense_ros.cli.app import app
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.can.calibration import calibrated, load_calibration
+from cablesense_sim.arm import open_arm
 
 SCALE, ZERO = 0.125, 40.0
 MASSES_KG = (0.0, 2.0, 4.0, 8.0, 4.0, 2.0, 0.0)

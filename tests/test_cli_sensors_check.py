@@ -7,11 +7,11 @@ import pytest
 from sensor_series import ARM, RATE_HZ, good_tensions_n
 from typer.testing import CliRunner
 
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.app import app
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
 from cablesense_gap.recordings.recording import Recording
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.cli.app import app
 
 
 def run(*arguments):

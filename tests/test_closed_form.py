@@ -8,14 +8,14 @@ import torch
 from scipy import stats
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data import Dataset, SingleContact
 from cablesense_training.evaluation.noise_bound import noise_bound
-from cablesense_training.physics.closed_form import ClosedForm, pose_corrections_for
+from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
 
 VARIANCE_N2 = 0.005
 BARELY_TAUT_N = 0.3

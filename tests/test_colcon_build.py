@@ -87,7 +87,7 @@ def test_installed_packages_find_the_installed_arm_files(
     (site_packages,) = build[0].glob("**/cablesense_sim/..")
     script = (
         "import cablesense_training, cablesense_ros\n"
-        "from cablesense_sim.config_files import config_path\n"
+        "from cablesense_base.installation import config_path\n"
         "print(cablesense_training.__file__)\n"
         "print(cablesense_ros.__file__)\n"
         "print(config_path('arms/cdsm.yaml'))\n"

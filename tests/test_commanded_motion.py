@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_training.motion.commanded_motion import STEP_S, drawn_motion
-from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.motion_protocol import STEP_S, MotionProtocol, drawn_motion
 
 PROTOCOL = MotionProtocol(duration_s=12.0)
 

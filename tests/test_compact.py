@@ -7,10 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.physics.compact import CompactKinematics
+from cablesense_training.networks.compact import CompactKinematics
 
 CDSM = open_arm("cdsm").model_dump()
 

@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.data import Dataset, MultiContact, SingleContact
-from cablesense_training.evaluation import comparison, settings
+from cablesense_training.evaluation import comparison
 from cablesense_training.evaluation.comparison import (
+    SETTINGS,
+    Setting,
     as_json,
     compare,
     setting_figures,
     single_figures,
 )
-from cablesense_training.evaluation.settings import SETTINGS, Setting
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.metadata import ModelFileError, find_model
 
 FIGURES = {
     "contact_accuracy", "direction_mae_deg", "magnitude_mae_n", "magnitude_rmse_n", "macro_f1",
@@ -89,8 +89,8 @@ def test_settings_are_bundled_arms_of_known_protocols():
     for setting in SETTINGS:
         assert isinstance(setting.protocol(10), SingleContact)
         assert setting.arm.name == setting.arm_name
-    assert isinstance(settings.multi_protocol(10), MultiContact)
-    assert open_arm(settings.MULTI_ARM).segment_count == 4
+    assert isinstance(comparison.multi_protocol(10), MultiContact)
+    assert open_arm(comparison.MULTI_ARM).segment_count == 4
 
 
 def test_a_model_for_another_arm_is_refused(monkeypatch):
@@ -107,6 +107,6 @@ def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):
         raise AssertionError("samples were drawn for nothing")
 
     monkeypatch.setattr(Dataset, "from_protocol", refuse)
-    monkeypatch.setattr("cablesense_training.inference.model_files.bundled_models", list)
+    monkeypatch.setattr("cablesense_training.inference.metadata.bundled_models", list)
     with pytest.raises(ModelFileError, match="unknown model"):
         compare(0, 100)

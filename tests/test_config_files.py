@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_sim import config_files
-from cablesense_sim.config_files import config_path
+from cablesense_base import installation
+from cablesense_base.errors import CableSenseError
+from cablesense_base.installation import config_path
 
 
 def make_installation(prefix: Path, site_packages: str) -> Path:
@@ -18,7 +18,7 @@ def make_installation(prefix: Path, site_packages: str) -> Path:
     (arms / "cdsm.yaml").write_text("name: installed\n")
     package = prefix / site_packages / "cablesense_sim"
     package.mkdir(parents=True)
-    return Path(shutil.copy(config_files.__file__, package))
+    return Path(shutil.copy(installation.__file__, package))
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     module = tmp_path / "a/b/c/d/cablesense_sim/config_files.py"
     module.parent.mkdir(parents=True)
     module.touch()
-    monkeypatch.setattr(config_files, "__file__", str(module))
+    monkeypatch.setattr(installation, "__file__", str(module))
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "python"))
     return tmp_path
@@ -47,7 +47,7 @@ def test_an_installation_is_found_around_the_module(
     nowhere: Path, monkeypatch: pytest.MonkeyPatch, site_packages: str
 ) -> None:
     module = make_installation(nowhere / "install/cablesense_ros", site_packages)
-    monkeypatch.setattr(config_files, "__file__", str(module))
+    monkeypatch.setattr(installation, "__file__", str(module))
     assert config_path("arms/cdsm.yaml").read_text() == "name: installed\n"
 
 

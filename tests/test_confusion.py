@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.contacts.confusion import draw_confusion, shown_share
+from cablesense_gap.report.style import style
+from cablesense_paper.contact_tests import draw_confusion, shown_share
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.contact import (
+from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.wrenches import (
     NO_CONTACT,
     Contact,
     describe_probabilities,
     put_contact_point,
     put_force_direction,
 )
-from cablesense_msgs_py.frames import Frames
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:module .sre_:DeprecationWarning"

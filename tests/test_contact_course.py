@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from cablesense_training.motion.contact_course import drawn_contacts
-from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.motion_protocol import MotionProtocol, drawn_contacts
 
 PROTOCOL = MotionProtocol(duration_s=200.0, force_high_n=80.0)
 

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from cablesense_msgs_py.contact import NO_CONTACT, Contact
-from cablesense_ros.contact_decision import ContactDecision
-from cablesense_ros.sample_error import ProblemKind, SampleError
+from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
+from cablesense_online.answers import ContactDecision
+from cablesense_online.samples import ProblemKind, SampleError
 
 CONTACT_M = (0.05, 0.06, 0.07, 0.08)
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from cablesense_msgs_py.contact import NO_CONTACT, Contact
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.markers import ARROW_M_PER_N, ContactMarkers
+from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.wrenches import ARROW_M_PER_N, NO_CONTACT, Contact, ContactMarkers
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:module .sre_:DeprecationWarning"

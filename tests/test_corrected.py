@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.physics.closed_form import ClosedForm
-from cablesense_training.physics.corrected import LARGEST_CORRECTION, CorrectedClosedForm
-from cablesense_training.physics.second_order import SecondOrderClosedForm
+from cablesense_training.networks.closed_form import ClosedForm
+from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
+from cablesense_training.networks.second_order import SecondOrderClosedForm
 
 CDSM = open_arm("cdsm")
 

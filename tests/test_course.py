@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.effects.chains import amended
-from cablesense_sim.effects.entry import entries_of
+from cablesense_sim.arm import open_arm
+from cablesense_sim.effects.registry import amended, entries_of
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data import Dataset, DatasetError, SingleContact, read_dataset
-from cablesense_training.data.course import Course
-from cablesense_training.data.production import dataset_command
-from cablesense_training.data.writing import write_dataset
+from cablesense_training.data import Dataset, SingleContact, read_dataset
+from cablesense_training.data.chunk import Course
+from cablesense_training.data.generation import dataset_command
+from cablesense_training.data.parquet import write_dataset
+from cablesense_training.errors import DatasetError
 
 NOMINAL = Mechanism.from_arm(open_arm("cdsm_lab"))
 GENTLE = {"samples": 96, "pose": "random", "force_high_n": 25.0, "noise": False}

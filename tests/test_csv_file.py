@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from cablesense_gap.recordings import csv_file
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_sim.arm import open_arm
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 

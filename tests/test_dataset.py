@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import load_arm
-from cablesense_sim.kinematics import (
-    cable_jacobian_m,
-    contact_jacobians_m,
-    gravity_torques_n_m,
-)
+from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, gravity_torques_n_m
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data import Dataset, DatasetError, MultiContact, SingleContact
-from cablesense_training.data.summary import combine, summarise
+from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_training.data.dataset import combine, summarise
+from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parent.parent / "config" / "arms"
 

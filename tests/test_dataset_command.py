@@ -7,8 +7,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.cli.dataset import dataset
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.dataset import dataset
 from cablesense_training.data import dataset_command, read_dataset
 
 app = typer.Typer()

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from cablesense_sim.arm import load_arm, parse_arm
 from cablesense_training.data import (
     Dataset,
-    DatasetError,
     MultiContact,
     SingleContact,
     read_dataset,
@@ -22,6 +21,7 @@ from cablesense_training.data import (
     write_parts,
 )
 from cablesense_training.data.dataset import ARRAY_NAMES
+from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parent.parent / "config" / "arms"
 

@@ -14,14 +14,14 @@ import pytest
 from cablesense_sim.arm import load_arm
 from cablesense_training.data import (
     Dataset,
-    DatasetError,
     MultiContact,
     SingleContact,
     generate,
     generation,
     produce_dataset,
 )
-from cablesense_training.data.design import CHUNK_SAMPLES
+from cablesense_training.data.protocols import CHUNK_SAMPLES
+from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parent.parent / "config" / "arms"
 PROTOCOL = SingleContact(samples=2 * CHUNK_SAMPLES + 100, pose="random")

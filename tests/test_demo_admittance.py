@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.admittance.elastic_wall import Approach
-from cablesense_ros.admittance.estimate_watch import Sight
-from cablesense_ros.demo.admittance_record import AdmittanceRecord, figures
+from cablesense_online.admittance.estimate_watch import Sight
+from cablesense_online.admittance.wall import Approach
+from cablesense_ros.demo.admittance import AdmittanceRecord, figures
 
 
 def record(settling_s=3.0):
@@ -33,7 +33,7 @@ def test_figures_are_those_of_the_contact():
 
 def test_the_picture_is_written_whole(tmp_path):
     pytest.importorskip("matplotlib")
-    from cablesense_ros.demo.admittance_picture import draw_admittance
+    from cablesense_ros.demo.pictures import draw_admittance
 
     path = tmp_path / "admittance.png"
     draw_admittance(path, record(), 3, 2.0)
@@ -43,7 +43,7 @@ def test_the_picture_is_written_whole(tmp_path):
 
 def test_the_wall_of_the_play_moves_as_the_obstacles():
     pytest.importorskip("rclpy")
-    from cablesense_ros.demo.admittance_observer import play_wall
+    from cablesense_ros.demo.admittance import play_wall
 
     class Observer:
         asked = ()

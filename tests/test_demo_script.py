@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cablesense_ros.demo.result import PushResult, Record, as_json, push_results, summary
-from cablesense_ros.demo.script import ScriptError, make_script
-from cablesense_ros.demo.table import results_table
-from cablesense_ros.page.snapshot import Contact, Level, Snapshot, Status
+from cablesense_online.page.snapshot import Contact, Level, Snapshot, Status
+from cablesense_ros.demo.script import (
+    PushResult,
+    Record,
+    ScriptError,
+    as_json,
+    make_script,
+    push_results,
+    results_table,
+    summary,
+)
 
 
 def recorded(script, estimate_of, heard=True):
@@ -113,8 +120,8 @@ def test_the_picture_is_whole_and_not_empty(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    from cablesense_ros.demo.picture import draw_picture
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_ros.demo.pictures import draw_picture
+    from cablesense_sim.arm import open_arm
     from cablesense_sim.mechanism import Mechanism
 
     script = make_script(4, 12.0, seed=0)

@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, prefer_quick_discovery
+from cablesense_ros.node_process import PROFILES, RANGE, TRANSPORTS, prefer_quick_discovery
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
 PEER = """
 import sys
-from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.node_process import prefer_quick_discovery
 if sys.argv[1] == "prefers":
     prefer_quick_discovery()
 import rclpy

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cablesense_sim.effects.registry import known_effects
-from cablesense_training.data.drawn_arm import drawn_entries, effect_names
-from cablesense_training.data.errors import DatasetError
+from cablesense_training.data.protocols import drawn_entries, effect_names
+from cablesense_training.errors import DatasetError
 
 
 def test_names_are_known_each_once_and_all_means_all() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_training.networks.drawn_cables import GIVES_M, DrawnCables
+from cablesense_training.networks.temporal import GIVES_M, DrawnCables
 
 CABLES, JOINTS, HIDDEN = 3, 2, 5
 

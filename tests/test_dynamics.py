@@ -7,7 +7,7 @@ import pytest
 from arm_variants import variant
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import LoadError

@@ -11,10 +11,14 @@ from arm_variants import variant
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_sim.arm import ArmFileError, parse_arm
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.effects.entry import checked_entry, entries_of, side_by_side
-from cablesense_sim.effects.registry import EffectError, known_effects
+from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
+from cablesense_sim.effects.registry import (
+    EffectError,
+    checked_entry,
+    entries_of,
+    known_effects,
+    side_by_side,
+)
 
 GAIN = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
 CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}

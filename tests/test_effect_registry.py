@@ -24,7 +24,7 @@ FINDINGS = {
 
 STRANGER = """
 from cablesense_sim.effects.effect import Effect, Parameter, cables, chosen
-from cablesense_sim.effects.sensing import Sensing
+from cablesense_sim.effects.effect import Sensing
 
 class Doubled(Effect):
     name = "{name}"

@@ -7,12 +7,10 @@ import pytest
 from arm_variants import variant
 from effect_arms import bent
 
-from cablesense_msgs_py.load import Load
-from cablesense_ros.simulated_arm import SimulatedArm
-from cablesense_sim.effects.chains import sensings
-from cablesense_sim.effects.entry import entries_of
-from cablesense_sim.effects.registry import known_effects
-from cablesense_sim.moving_arm import moving_arm
+from cablesense_msgs_py.wrenches import Load
+from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_sim.dynamics import moving_arm
+from cablesense_sim.effects.registry import entries_of, known_effects, sensings
 from cablesense_sim.replay import replay_arm
 
 PERIOD_S = 0.1

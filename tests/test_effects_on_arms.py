@@ -8,8 +8,7 @@ from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, rea
 from scipy.spatial.transform import Rotation
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.chains import amended
-from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.effects.registry import EffectEntry, amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.effort_reader import EffortReader
+from cablesense_msgs_py.serialized import EffortReader
+from cablesense_msgs_py.topics import ContractError
 
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")

@@ -7,7 +7,7 @@ import pytest
 from arm_variants import variant
 from random_cases import HARD, SOFT, STIFF, STRAIGHT, random_cases
 
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.errors import CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.equilibrium import (
     Equilibrium,

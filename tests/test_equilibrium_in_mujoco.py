@@ -7,7 +7,7 @@ from arm_variants import variant
 from random_cases import HARD, SOFT, STIFF, STRAIGHT, Cases, random_cases
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import Equilibrium, solve_equilibrium
 from cablesense_sim.loads import normal_force_n

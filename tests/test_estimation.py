@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contact import NO_CONTACT
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.estimation import Estimation
-from cablesense_ros.estimation_settings import EstimationSettings
-from cablesense_ros.sample_error import ProblemKind
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.wrenches import NO_CONTACT
+from cablesense_online.estimation import Estimation
+from cablesense_online.journal import EstimationSettings
+from cablesense_online.samples import ProblemKind
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

@@ -11,16 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.journal import Event, EventKind
-from cablesense_ros.estimation import Estimation
-from cablesense_ros.estimation_journal import EstimationJournal
-from cablesense_ros.estimation_settings import EstimationSettings
-from cablesense_ros.motion_gate import MotionGate
-from cablesense_ros.tare import TareModel
-from cablesense_ros.unloaded_tensions import UnloadedTensions
-from cablesense_sim.arm_files import open_arm
+from cablesense_msgs_py.topics import ContractError
+from cablesense_online.estimation import Estimation
+from cablesense_online.journal import EstimationJournal, EstimationSettings
+from cablesense_online.motion_gate import MotionGate
+from cablesense_online.tare import TareModel, UnloadedTensions
+from cablesense_sim.arm import open_arm
 
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import EstimateError, Estimator
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.metadata import ModelFileError, find_model
 
 CDSM = open_arm("cdsm")
 FIELDS = (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.estimator_figures import answered_n, estimator_figures
-from cablesense_gap.tared_loads import Array, tared_loads
+from cablesense_base.arrays import Array
+from cablesense_gap.retraining import answered_n, estimator_figures, tared_loads
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import Estimates

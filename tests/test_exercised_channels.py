@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_ros.commissioning.exercised_channels import exercised_channel_findings
+from cablesense_online.commissioning.sensor_check import exercised_channel_findings
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
@@ -40,7 +40,7 @@ def test_an_arm_that_was_left_alone_tells_nothing(recording):
 
 
 def test_a_long_recording_is_thinned_out_and_says_so(recording, monkeypatch):
-    module = "cablesense_ros.commissioning.exercised_channels.MOST_ROWS"
+    module = "cablesense_online.commissioning.sensor_check.MOST_ROWS"
     monkeypatch.setattr(module, len(recording) // 2)
     swapped_n = recording.tensions_n.copy()
     swapped_n[:, [1, 6]] = swapped_n[:, [6, 1]]

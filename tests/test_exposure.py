@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_ros.demo.nodes import demo_environment, node_command
-from cablesense_ros.discovery import PROFILES
-from cablesense_ros.page.exposure import exposure_warning, is_loopback
+from cablesense_online.page.exposure import exposure_warning, is_loopback
+from cablesense_ros.demo.processes import demo_environment, node_command
+from cablesense_ros.node_process import PROFILES
 
 LISTENING = "0A"
 FIRST_DDS_PORT, PORTS_OF_A_DOMAIN = 7400, 250

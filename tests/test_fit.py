@@ -6,16 +6,18 @@ import math
 import pytest
 import torch
 
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_sim.config_files import config_path
 from cablesense_training.data import Dataset, MultiContact, SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings, fit
-from cablesense_training.networks.decoupled import DecoupledNetwork
 from cablesense_training.networks.multi_contact import TwoStageMultiContactNetwork
-from cablesense_training.networks.scale_aware import ScaleAwareNetwork
-from cablesense_training.networks.shared_backbone import SharedBackboneNetwork
-from cablesense_training.networks.two_stage import TwoStageNetwork
+from cablesense_training.networks.single_contact import (
+    DecoupledNetwork,
+    ScaleAwareNetwork,
+    SharedBackboneNetwork,
+    TwoStageNetwork,
+)
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
 QUICK = FitSettings(epochs=3, batch_size=128, threads=1)

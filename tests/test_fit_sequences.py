@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.errors import TrainingError
-from cablesense_training.motion.course_answers import course_figures
-from cablesense_training.motion.drawing import draw_sequences
-from cablesense_training.motion.fit_sequences import SequenceFitSettings, fit_sequences
+from cablesense_training.evaluation.sequence_figures import course_figures
+from cablesense_training.fit_sequences import SequenceFitSettings, SequenceSamples, fit_sequences
 from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequence_samples import SequenceSamples
+from cablesense_training.motion.sequences import draw_sequences
 from cablesense_training.networks.temporal import TemporalNetwork
 
 ARM = open_arm("cdsm_friction")

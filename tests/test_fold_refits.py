@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.amending import amended_arm
-from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
 from cablesense_gap.diagnose import course_of
-from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.fold_refits import found_values, without_fold
+from cablesense_gap.diagnosis.problem import Course
+from cablesense_gap.retraining import found_values, without_fold
 from cablesense_gap.simulator import Term
 from cablesense_sim.sensors import read_tensions_n
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.frames import Frames
+from cablesense_msgs_py.topics import ContractError, Frames
 
 
 @pytest.mark.parametrize("prefix", ["", "arm/", "a.b/"])

@@ -10,12 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from cablesense_base.errors import CableSenseError
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
-from cablesense_msgs_py.errors import CableSenseError  # noqa: E402
-from fuzz.target import FalseAnswerError, Outcome, Target, require_one_line  # noqa: E402
-from fuzz.watched import run_watched  # noqa: E402
+from fuzz.watched import (  # noqa: E402
+    FalseAnswerError,
+    Outcome,
+    Target,
+    require_one_line,
+    run_watched,
+)
 
 RESULT = BENCHMARKS / "results" / "fuzz.json"
 

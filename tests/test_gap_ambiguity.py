@@ -18,10 +18,9 @@ from cablesense_gap.diagnosis.ambiguity import (
     imitated_share,
 )
 from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
-from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.searching import search
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.problem import Course, Hypothesis
+from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate
 
 ONE, OTHER = SIGNALS[:2]

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from cablesense_gap.amending import amended_arm, write_arm
-from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, write_arm
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import load_arm
 from cablesense_sim.replay import replay_arm

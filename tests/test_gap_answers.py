@@ -8,11 +8,9 @@ import pytest
 from typer.testing import CliRunner
 from verdict_cases import verdict_of
 
-from cablesense_gap.scoring.answers import read_answers
-from cablesense_gap.scoring.score_error import ScoreError
-from cablesense_gap.scoring.verdict_folder import read_verdicts
+from cablesense_cli.app import app
+from cablesense_gap.scoring import ScoreError, read_answers, read_verdicts
 from cablesense_gap.verdict import VerdictError, write_verdict
-from cablesense_ros.cli.app import app
 
 HEADER = "recording,effects,where\n"
 

@@ -12,7 +12,7 @@ import pytest
 from pulley import FORCES, G_M_S2, NOISE, WEIGHT_KG, Pulley, Work, course_of, recorded, work
 
 from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
-from cablesense_gap.diagnosis.searching import search
+from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Term
 
 FRICTION = Term("pulley_friction", "pulley", "coefficient")
@@ -124,7 +124,7 @@ def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
 def test_the_engine_needs_nothing_of_the_arm() -> None:
     """Imported in a fresh interpreter: no arm, no solver, no MuJoCo comes along."""
     program = (
-        "import sys, pulley, cablesense_gap.diagnosis.belief, cablesense_gap.diagnosis.searching\n"
+        "import sys, pulley, cablesense_gap.diagnosis.belief, cablesense_gap.diagnosis.search\n"
         "print(*sorted(sys.modules))"
     )
     done = subprocess.run(
@@ -135,7 +135,7 @@ def test_the_engine_needs_nothing_of_the_arm() -> None:
         check=True,
     )
     loaded = done.stdout.split()
-    assert "cablesense_gap.diagnosis.searching" in loaded
+    assert "cablesense_gap.diagnosis.search" in loaded
     about_arms = ("arm", "equilibrium", "kinematics", "mechanism", "replay", "quasi_static")
     assert not {f"cablesense_sim.{name}" for name in about_arms} & set(loaded)
     assert not {"mujoco", "rclpy", "torch", "cablesense_gap.arm_simulator"} & set(loaded)

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.belief import UNKNOWN, Belief, beliefs, bundled_calibration
-from cablesense_gap.diagnosis.hypothesis import Hypothesis
+from cablesense_gap.diagnosis.problem import Hypothesis
 
 FLOOR = 0.1
 NAMES = ("a", "b", "c", "d")

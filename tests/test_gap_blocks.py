@@ -7,8 +7,8 @@ import pytest
 from gap_course import SIGNALS, TIME, Sums, course_of, fading, linear, size
 from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.scaled import prior_precision, to_scaled
+from cablesense_gap.diagnosis.places import blocks
+from cablesense_gap.diagnosis.problem import prior_precision, to_scaled
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cablesense_gap.scoring.calibration import calibrate
+from cablesense_gap.scoring import calibrate
 
 RNG = np.random.default_rng(8)
 STATED = RNG.uniform(0.0, 1.0, 40_000)

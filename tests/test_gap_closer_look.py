@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.closer_look import closer_look
+from cablesense_gap.unlisted import closer_look
 
 SMALL = small_recording()
 

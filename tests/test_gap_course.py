@@ -6,7 +6,7 @@ import numpy as np
 from gap_course import SIGNALS, TIME, TRIAL, Sums, linear, scatter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablesense_gap.diagnosis.course import prepare
+from cablesense_gap.diagnosis.problem import prepare
 from cablesense_gap.simulator import Term
 
 READINGS = SIGNALS[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.course_features import course_features
+from cablesense_gap.unlisted import course_features
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 

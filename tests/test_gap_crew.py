@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gap_course import Sums, course_of
 
-from cablesense_gap.diagnosis.course import Course
-from cablesense_gap.diagnosis.crew import Crew
+from cablesense_gap.diagnosis.problem import Course
+from cablesense_gap.diagnosis.search import Crew
 
 COURSE = course_of(Sums({}, {}), {})
 

@@ -10,10 +10,21 @@ from gap_recordings import CYCLE, LAB, small_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.residuals.cable_sets import MODES, set_modes_n
-from cablesense_gap.residuals.decomposition import LOOP, SET, decompose
-from cablesense_gap.residuals.load_branch import BRANCHES, load_branch, loop_n
-from cablesense_gap.residuals.row_groups import BRANCH, LOADED, REGIMES, TRIAL, row_groups
+from cablesense_gap.residuals import (
+    BRANCH,
+    BRANCHES,
+    LOADED,
+    LOOP,
+    MODES,
+    REGIMES,
+    SET,
+    TRIAL,
+    decompose,
+    load_branch,
+    loop_n,
+    row_groups,
+    set_modes_n,
+)
 
 SMALL = small_recording()
 FLOOR_N = 0.1

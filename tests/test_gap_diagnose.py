@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
+from cablesense_base.errors import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnose import Diagnosis, diagnose
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Term
-from cablesense_msgs_py.errors import CableSenseError
 from cablesense_sim.replay import replay_arm
 from cablesense_sim.sensors import read_tensions_n
 

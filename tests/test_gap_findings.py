@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gap_course import CHANNELS, TRIAL, explanation, rate, size
 
-from cablesense_gap.findings import NEGLIGIBLE, estimates, foremost, where
+from cablesense_gap.diagnose import NEGLIGIBLE, estimates, foremost, where
 from cablesense_gap.simulator import Candidate, Term
 
 LEAK = Candidate("leak", ("a", "b", "c"), (size("amount"), rate()))

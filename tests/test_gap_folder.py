@@ -6,9 +6,9 @@ import pytest
 from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
 
-from cablesense_gap.amending import amended_arm
+from cablesense_gap.arm_simulator import amended_arm
 from cablesense_gap.diagnose import Diagnosis
-from cablesense_gap.folder import write_diagnosis
+from cablesense_gap.report.page import write_diagnosis
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import VerdictError, read_verdict
 from cablesense_sim.arm import load_arm

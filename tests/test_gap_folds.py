@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.folds import FOLDS, folds_of
+from cablesense_gap.diagnose import FOLDS, folds_of
 from cablesense_gap.recordings.recording import Recording
 
 

@@ -10,7 +10,7 @@ from gap_course import explanation
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.hypothesis import excess
+from cablesense_gap.diagnosis.problem import excess
 from cablesense_gap.simulator import Term
 
 PLACES = "b", "a", "b"

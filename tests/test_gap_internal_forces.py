@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.internal_forces import internal_n, moments_n_m
 from cablesense_gap.simulator import Term
-from cablesense_gap.tension_changes import TensionChanges
-from cablesense_sim.arm_files import open_arm
+from cablesense_paper.tension_changes import TensionChanges, internal_n, moments_n_m
+from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm_table2")
 SEGMENT = np.array([1, 2, 3])

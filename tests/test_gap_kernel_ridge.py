@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablesense_gap.diagnosis.kernel_ridge import held_out, kernel
+from cablesense_gap.diagnosis.discrepancy import held_out, kernel
 
 rng = np.random.default_rng(3)
 ROWS = 150

@@ -22,17 +22,16 @@ from gap_course import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.hypothesis import excess
-from cablesense_gap.diagnosis.looking import (
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.places import Placed, blocks
+from cablesense_gap.diagnosis.problem import excess
+from cablesense_gap.diagnosis.screening import (
     Look,
     by_forecast,
     joint_looks,
     promising,
     single_looks,
 )
-from cablesense_gap.diagnosis.placing import Placed
-from cablesense_gap.diagnosis.refining import refine
 from cablesense_gap.simulator import Term
 
 LIBRARY = {**linear("zero", "ab", SIGNALS[3:]), **linear("gain", "abc")}

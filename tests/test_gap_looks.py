@@ -7,8 +7,8 @@ import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_gap.diagnosis.discrepancy import Discrepancy
-from cablesense_gap.residuals.load_branch import load_branch
-from cablesense_gap.residuals.looks import looks_like
+from cablesense_gap.residual_patterns import looks_like
+from cablesense_gap.residuals import load_branch
 
 SMALL = small_recording()
 FLOOR_N = 0.1

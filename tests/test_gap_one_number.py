@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.one_number import (
+from cablesense_gap.simulator import Candidate, Term
+from cablesense_paper.tension_changes import (
     OneNumber,
     explain,
     held_out_of_best,
@@ -13,7 +14,6 @@ from cablesense_gap.one_number import (
     numbers_of,
     scan,
 )
-from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 GAIN, PLAY = Term("gain", "arm", "gain"), Term("play", "arm", "play_m")

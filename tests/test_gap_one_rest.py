@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cablesense_gap.one_rest import MOST_SLACK, SLACK_N, with_one_rest
+from cablesense_gap.arm_simulator import MOST_SLACK, SLACK_N, with_one_rest
 
 
 @pytest.mark.parametrize("slack", range(5))

@@ -8,8 +8,8 @@ from gap_course import FLOOR, SIGNALS, TIME, Sums, amount, course_of, linear
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.pairing import pair_looks
+from cablesense_gap.diagnosis.places import blocks
+from cablesense_gap.diagnosis.screening import pair_looks
 
 GAIN, ZERO = linear("gain", "abcd"), linear("zero", "abcd", SIGNALS[4:])
 EVERYWHERE = linear("gain", ("arm", "a", "b", "c", "d"))

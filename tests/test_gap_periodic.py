@@ -7,7 +7,7 @@ import pytest
 from gap_recordings import LAB
 
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.residuals.periodic import periodic
+from cablesense_gap.residual_patterns import periodic
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 

@@ -8,8 +8,7 @@ from gap_course import SIGNALS, TRIAL, Sums, amount, course_of, linear
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.placing import place
+from cablesense_gap.diagnosis.places import blocks, place
 
 PLACES = tuple("abcdefgh")
 SPREAD = linear("gain", PLACES)

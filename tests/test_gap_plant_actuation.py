@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cablesense_gap.plant.actuation import ideal_actuation
+from cablesense_gap.plant.arm import ideal_actuation
 
 IDEAL = ideal_actuation(3)
 TIME_S = 0.2 * np.arange(40)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from gap_plant import NOMINAL, first_rows
 
-from cablesense_gap.plant.case import draw_case, record_case
+from cablesense_gap.plant.arm import ideal_arm, signals_n
+from cablesense_gap.plant.body import PlantError
+from cablesense_gap.plant.case import draw_case, every, gap_n, record_case, size_for
 from cablesense_gap.plant.listed import LISTED
-from cablesense_gap.plant.plant_error import PlantError
 from cablesense_gap.plant.protocol import draw_history, draw_schedule
-from cablesense_gap.plant.real_arm import ideal_arm, signals_n
-from cablesense_gap.plant.sizing import every, gap_n, size_for
 from cablesense_gap.plant.unlisted import UNLISTED
 
 ARM = ideal_arm(NOMINAL)

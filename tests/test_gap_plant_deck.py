@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from cablesense_gap.plant.deck import draw_kinds
+from cablesense_gap.plant.case import draw_kinds
 from cablesense_gap.plant.listed import LISTED
 from cablesense_gap.plant.unlisted import UNLISTED
 

@@ -8,15 +8,19 @@ from gap_plant import BODY, NOMINAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.plant.balance import Balances
-from cablesense_gap.plant.body import Body
+from cablesense_gap.plant.body import Body, PlantError
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
-from cablesense_gap.plant.march import March
-from cablesense_gap.plant.path import follow as follow_path
-from cablesense_gap.plant.plant_error import PlantError
-from cablesense_gap.plant.rubbing import Creep, Rubbing, firm, piece_compliance_m_n, smooth
-from cablesense_gap.plant.slip import Onset, follow
-from cablesense_gap.plant.state import State
+from cablesense_gap.plant.march import Balances, March, State
+from cablesense_gap.plant.rest import follow as follow_path
+from cablesense_gap.plant.rubbing import (
+    Creep,
+    Onset,
+    Rubbing,
+    firm,
+    follow,
+    piece_compliance_m_n,
+    smooth,
+)
 
 RUN_M = NOMINAL.run_m
 POSE = np.deg2rad([8.0, -4.0, 6.0, 5.0, -7.0, 3.0, 4.0, -6.0])

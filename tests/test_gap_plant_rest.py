@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from gap_plant import BODY, NOMINAL
 
-from cablesense_gap.plant.body import Body, TipSpring
-from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, turns
-from cablesense_gap.plant.path import follow
-from cablesense_gap.plant.plant_error import PlantError
+from cablesense_gap.plant.body import Body, PlantError, TipSpring
+from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, torques, turns
 from cablesense_gap.plant.protocol import draw_schedule
-from cablesense_gap.plant.rest import commanded_angles_rad, find_rest, tension_law
-from cablesense_gap.plant.torques import torques
+from cablesense_gap.plant.rest import commanded_angles_rad, find_rest, follow, tension_law
 
 RNG = np.random.default_rng(1)
 STRAIGHT = np.zeros((1, 8))

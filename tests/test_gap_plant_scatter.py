@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from gap_plant import NOMINAL
 
-from cablesense_gap.plant.real_arm import ideal_arm
-from cablesense_gap.plant.scatter import scattered
+from cablesense_gap.plant.arm import ideal_arm, scattered
 
 DRAWN = ideal_arm(NOMINAL)
 ARMS = [scattered(DRAWN, np.random.default_rng(seed)) for seed in range(300)]

@@ -5,9 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablesense_gap.plant.freezing import Freezing
-from cablesense_gap.plant.sensing import Filter, Sensing, ideal_sensing, read_n
-from cablesense_gap.plant.wander import Course, Wander
+from cablesense_gap.plant.sensing import (
+    Course,
+    Filter,
+    Freezing,
+    Sensing,
+    Wander,
+    ideal_sensing,
+    read_n,
+)
 
 TIME_S = 0.2 * np.arange(600)
 TENSION = 50.0 + 20.0 * np.sin(0.05 * np.arange(600))[:, None] * np.array([1.0, 0.5, -1.0])

@@ -87,4 +87,4 @@ def test_only_the_verb_that_withholds_may_import_the_plant() -> None:
     contracts = tomllib.loads(text)["tool"]["importlinter"]["contracts"]
     (protecting,) = [c for c in contracts if PLANT in c.get("protected_modules", [])]
     assert protecting["type"] == "protected"
-    assert protecting["allowed_importers"] == ["cablesense_ros.cli.gap.withhold"]
+    assert protecting["allowed_importers"] == ["cablesense_cli.gap"]

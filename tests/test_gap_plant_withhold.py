@@ -10,12 +10,11 @@ from gap_plant import ARM_FILE, NOMINAL
 from typer.testing import CliRunner
 
 import cablesense_gap.plant
-from cablesense_gap.plant.nominal import read_nominal
-from cablesense_gap.plant.plant_error import PlantError
+from cablesense_cli.app import app
+from cablesense_gap.plant.body import PlantError, read_nominal
 from cablesense_gap.plant.withhold import make_case, withhold
 from cablesense_gap.recordings.csv_file import read_csv
-from cablesense_ros.cli.app import app
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 PLANT = Path(cablesense_gap.plant.__file__).parent
 OURS = ("cablesense_sim", "cablesense_training", "cablesense_ros", "cablesense_gap")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gap_course import FLOOR, SIGNALS, Sums, amount, course_of, linear, scatter
 
-from cablesense_gap.diagnosis.polishing import polish
-from cablesense_gap.diagnosis.refining import refine
+from cablesense_gap.diagnosis.fitting import polish
+from cablesense_gap.diagnosis.gauss_newton import refine
 
 GAIN, OFF = amount("gain", "a"), amount("scatter", "b")
 

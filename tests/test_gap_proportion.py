@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from cablesense_gap.scoring.proportion import Proportion
+from cablesense_gap.scoring import Proportion
 
 
 @given(count=st.integers(1, 500), data=st.data())

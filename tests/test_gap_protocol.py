@@ -10,10 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.bearable_load import STRONGEST_N, bearable_load_n
-from cablesense_gap.recordings.block import Block, BlockKind, rows_of
-from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.recordings.protocol import (
+    STRONGEST_N,
+    Block,
+    BlockKind,
+    bearable_load_n,
+    protocol_rows,
+    rows_of,
+    standard_protocol,
+)
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

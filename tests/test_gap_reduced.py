@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve
-from cablesense_gap.diagnosis.reduced import Reduced
+from cablesense_gap.diagnosis.evidence import Reduced, held_out_squares, products, solve
 
 ROWS, TRIALS, COLUMNS = 80, 8, 9
 TRIAL = np.sort(np.append(np.arange(TRIALS), np.arange(ROWS - TRIALS) % TRIALS))

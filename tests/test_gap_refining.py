@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.scaled import to_scaled
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.problem import to_scaled
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 

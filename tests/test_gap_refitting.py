@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from gap_course import FLOOR, Sums, amount, course_of, linear
 
-from cablesense_gap.diagnosis.refitting import refit
+from cablesense_gap.diagnosis.gauss_newton import refit
 
 GAIN = amount("gain", "a")
 COURSE = course_of(Sums(linear("gain", ["a", "b"])), {GAIN: 2.0})

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.residuals.decomposition import decompose
-from cablesense_gap.residuals.load_branch import load_branch
-from cablesense_gap.residuals.regimes import EVERYWHERE, regimes
-from cablesense_gap.residuals.row_groups import row_groups
+from cablesense_gap.residuals import EVERYWHERE, decompose, load_branch, regimes, row_groups
 
 SMALL = small_recording()
 FLOOR_N = 0.1

@@ -13,7 +13,7 @@ from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.report.inputs import ReportInputs
 from cablesense_gap.report.page import report_page, write_report
-from cablesense_gap.report.report_error import ReportError
+from cablesense_gap.report.style import ReportError
 from cablesense_gap.verdict import Candidate, Estimate, Estimator
 
 pytestmark = pytest.mark.slow  # each page has five pictures to draw

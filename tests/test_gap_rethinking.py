@@ -7,9 +7,9 @@ from gap_course import FLOOR, SIGNALS, Sums, amount, course_of, linear, size
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.refining import refine
-from cablesense_gap.diagnosis.rethinking import rethink
+from cablesense_gap.diagnosis.fitting import rethink
+from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.places import blocks
 
 LIBRARY = {**linear("gain", "abcd"), **linear("zero", "abc", SIGNALS[4:])}
 A, B, C, D = (amount("gain", place) for place in "abcd")

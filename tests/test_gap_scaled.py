@@ -8,7 +8,7 @@ from gap_course import rate, size
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.scaled import (
+from cablesense_gap.diagnosis.problem import (
     from_scaled,
     is_logarithmic,
     prior_precision,

@@ -7,10 +7,7 @@ import json
 import pytest
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.scoring.answers import Answer
-from cablesense_gap.scoring.score import score
-from cablesense_gap.scoring.score_error import ScoreError
-from cablesense_gap.scoring.score_json import as_json
+from cablesense_gap.scoring import Answer, ScoreError, as_json, score
 
 
 def answer(name, effects, *places, **more):

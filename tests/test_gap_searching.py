@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from gap_course import FLOOR, SIGNALS, TIME, Sums, amount, course_of, fading, linear, size
 
-from cablesense_gap.diagnosis.searching import search
+from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
 
 LIBRARY = {

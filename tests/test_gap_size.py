@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cablesense_gap.gap_size import gap_size, rmse_interval_n
+from cablesense_gap.diagnose import gap_size, rmse_interval_n
 
 CABLES, ROWS, TRIALS = 3, 40, 20
 TRIAL = np.repeat(np.arange(TRIALS), ROWS)

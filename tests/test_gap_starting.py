@@ -6,24 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_course import (
-    FLOOR,
-    SIGNALS,
-    TIME,
-    Sums,
-    amount,
-    course_of,
-    fading,
-    linear,
-    rate,
-    size,
-)
+from gap_course import FLOOR, SIGNALS, TIME, Sums, amount, course_of, fading, linear, rate, size
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.blocks import blocks
-from cablesense_gap.diagnosis.looking import joint_looks, single_looks
-from cablesense_gap.diagnosis.starting import fit
+from cablesense_gap.diagnosis.fitting import fit
+from cablesense_gap.diagnosis.places import blocks
+from cablesense_gap.diagnosis.screening import joint_looks, single_looks
 from cablesense_gap.simulator import Candidate, Term
 
 GAIN, AMOUNT, RATE = amount("gain", "b"), amount("fading", "x"), Term("fading", "x", "rate")

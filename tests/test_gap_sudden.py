@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.residuals.sudden import jumps, steps
+from cablesense_gap.residual_patterns import jumps, steps
 
 SMALL = small_recording()
 FLOOR_N = 0.1

@@ -4,8 +4,8 @@ import matplotlib.pyplot as plt
 import pytest
 from table2_diagnosis import diagnosed
 
-from cablesense_gap.report.figure_style import style
-from cablesense_gap.table2.figures import gap_figure, paper_figure, proportion_figure
+from cablesense_gap.report.style import style
+from cablesense_paper.table_2_text import gap_figure, paper_figure, proportion_figure
 
 pytestmark = pytest.mark.slow  # the diagnosis behind them
 

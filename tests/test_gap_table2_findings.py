@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from table2_diagnosis import diagnosed
 
-from cablesense_gap.table2.findings import INDEPENDENT, table
-from cablesense_gap.table2.rehearsal import SHIPPED, read_rehearsal
 from cablesense_gap.verdict import UNKNOWN
+from cablesense_paper.table_2_gap import INDEPENDENT, SHIPPED, read_rehearsal, table
 
 pytestmark = pytest.mark.slow  # fits every listed effect
 

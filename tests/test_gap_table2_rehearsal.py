@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_gap.simulator import Term
-from cablesense_gap.table2 import rehearsal as rehearsing
-from cablesense_gap.table2.rehearsal import (
+from cablesense_paper import table_2_gap as rehearsing
+from cablesense_paper.table_2_gap import (
     KINDS,
     PRIOR_UNLISTED,
     Judged,
@@ -53,7 +53,7 @@ class Even:
 
 
 def test_tables_of_all_kinds_are_drawn_judged_and_told_of(monkeypatch):
-    from cablesense_gap.one_number import OneNumber, Scan, explain
+    from cablesense_paper.tension_changes import OneNumber, Scan, explain
 
     values = np.linspace(-1.0, 1.0, 21)
     scans = [

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from table2_diagnosis import diagnosed
 
-from cablesense_gap.table2.words import (
+from cablesense_paper.table_2_text import (
     best_listed_n,
     no_worse,
     paper_rows,

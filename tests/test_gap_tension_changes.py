@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.internal_forces import internal_n
 from cablesense_gap.simulator import Term
-from cablesense_gap.tension_changes import NEED_TIME, ChangeSimulator, TensionChanges
-from cablesense_sim.arm_files import open_arm
+from cablesense_paper.tension_changes import NEED_TIME, ChangeSimulator, TensionChanges, internal_n
+from cablesense_sim.arm import open_arm
 from cablesense_training.evaluation.table2 import read_table2
 
 ARM = open_arm("cdsm_table2")

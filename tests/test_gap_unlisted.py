@@ -10,7 +10,7 @@ from gap_recordings import LAB, small_recording
 
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnose import course_of
-from cablesense_gap.diagnosis.refining import refine
+from cablesense_gap.diagnosis.gauss_newton import refine
 from cablesense_gap.unlisted import ONE_AT_A_TIME, Unlisted, describe_unlisted
 from cablesense_sim.sensors import read_tensions_n
 

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.report.effect_words import effect_words
-from cablesense_gap.report.numbers import listed, newtons, percent, with_interval
-from cablesense_gap.report.wording import (
+from cablesense_gap.report.style import listed, newtons, percent, with_interval
+from cablesense_gap.report.text import (
     ambiguity,
     effect_places,
+    effect_words,
     headline,
     place_words,
     regime_words,

@@ -1,8 +1,7 @@
 """What the estimator says of its input."""
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.input_health import InputHealth
-from cablesense_ros.sample_error import ProblemKind, SampleError
+from cablesense_online.samples import InputHealth, ProblemKind, SampleError
 
 
 def status(health, now_s, missing=0, publishers=1):

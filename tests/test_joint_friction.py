@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.effects.registry import EffectEntry
 from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.quasi_static import QuasiStaticArm
 

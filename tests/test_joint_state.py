@@ -6,9 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.joint_state import joint_command_rad, put_joint_angles, put_tensions
-from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.joint_states import (
+    NamedOrder,
+    joint_command_rad,
+    put_joint_angles,
+    put_tensions,
+)
+from cablesense_msgs_py.topics import ContractError
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:module .sre_:DeprecationWarning"

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contract_error import ContractError
 from cablesense_msgs_py.journal import (
     Event,
     EventKind,
@@ -14,6 +13,7 @@ from cablesense_msgs_py.journal import (
     journal_entry,
     put_journal_entry,
 )
+from cablesense_msgs_py.topics import ContractError
 
 diagnostic_msgs = pytest.importorskip("diagnostic_msgs.msg")
 serialization = pytest.importorskip("rclpy.serialization")

@@ -3,7 +3,7 @@
 import pytest
 
 from cablesense_msgs_py.journal import Event, EventKind, JournalEntry
-from cablesense_ros.journal_follower import JournalFollower
+from cablesense_online.journal import JournalFollower
 
 HERE, THERE = (0.0,) * 8, (0.1,) * 8
 

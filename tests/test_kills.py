@@ -5,15 +5,15 @@ import time
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from ros_graph import Graph, NodeProcess, force
+
+from cablesense_msgs_py.qos import Qos
+from cablesense_ros.parameters import qos_profile
 
 rclpy = pytest.importorskip("rclpy")
 
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
-from ros_graph import Graph, NodeProcess, force  # noqa: E402
-
-from cablesense_msgs_py.qos import Qos  # noqa: E402
-from cablesense_ros.qos_profiles import qos_profile  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

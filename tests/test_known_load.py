@@ -2,9 +2,9 @@
 
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.commissioning.known_load import read_known_loads
-from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_base.errors import CableSenseError
+from cablesense_online.commissioning.known_loads import read_known_loads
+from cablesense_online.commissioning.readings import TimeWindow
 
 CABLES = ("cable_1", "cable_2")
 

@@ -143,11 +143,11 @@ def test_the_controller_comes_with_the_estimator_and_a_wall(describe):
 def test_node_settings_name_parameters_that_exist(file):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
-    from cablesense_ros.admittance_parameters import ADMITTANCE_PARAMETERS
-    from cablesense_ros.can_driver_parameters import CAN_DRIVER_PARAMETERS
-    from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS
-    from cablesense_ros.obstacle_parameters import OBSTACLE_PARAMETERS
-    from cablesense_ros.sim_parameters import SIM_PARAMETERS
+    from cablesense_ros.admittance_node import ADMITTANCE_PARAMETERS
+    from cablesense_ros.can_driver_node import CAN_DRIVER_PARAMETERS
+    from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS
+    from cablesense_ros.obstacle_node import OBSTACLE_PARAMETERS
+    from cablesense_ros.sim_node import SIM_PARAMETERS
 
     table = {
         "sim.yaml": SIM_PARAMETERS,

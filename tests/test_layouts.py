@@ -9,9 +9,9 @@ import xml.etree.ElementTree as ET
 import pytest
 import yaml
 
+from cablesense_base.installation import config_path
 from cablesense_msgs_py.topic_types import CONTRACT, resolved
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.config_files import config_path
+from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
 KINDS = {resolved(topic): of.kind for topic, of in CONTRACT.items()}

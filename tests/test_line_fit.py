@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cablesense_ros.commissioning.line_fit import fit_line
+from cablesense_online.commissioning.sensor_calibration import fit_line
 
 FORCES_N = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
 NONE = np.zeros(6)

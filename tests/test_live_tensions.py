@@ -11,11 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
-from ros_graph import Graph, NodeProcess
-from sensor_msgs.msg import JointState
 
 pytestmark = [
     pytest.mark.ros,
@@ -23,10 +23,10 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "sensors"]
+COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "sensors"]
 HEARING = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from cablesense_ros.cli.app import main; main()"
+    "from cablesense_cli.app import main; main()"
 )
 """A shell starts what runs in its background deaf to Ctrl-C, and tests may run there."""
 ROOT = Path(__file__).parents[1]

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.frames import Frames
-from cablesense_msgs_py.load import read_load
+from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_msgs_py.wrenches import read_load
 
 FRAMES = Frames(4)
 

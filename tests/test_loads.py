@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.loads import LoadError, contact_angle_deg, normal_force_n
 from cablesense_sim.mechanism import Mechanism
 

@@ -18,7 +18,7 @@ from cablesense_training.losses import (
     multi_contact_loss,
     single_contact_loss,
 )
-from cablesense_training.networks.output import MultiContactOutput, SingleContactOutput
+from cablesense_training.networks.layers import MultiContactOutput, SingleContactOutput
 
 ANGLES = st.floats(-720.0, 720.0)
 

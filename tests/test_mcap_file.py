@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.recordings import mcap_file
-from cablesense_gap.recordings.bag_writer import BagWriter
+from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_file import read_mcap, write_mcap
 from cablesense_gap.recordings.mcap_messages import RawMessage
-from cablesense_gap.recordings.reading import read_recording
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_gap.recordings.mcap_writer import BagWriter
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_msgs_py.topic_types import INPUTS
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 S = 1_000_000_000

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.mechanism import Mechanism
 
 

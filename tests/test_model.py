@@ -6,9 +6,8 @@ import pytest
 from arm_variants import variant
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import bundled_arms, open_arm
-from cablesense_sim.effects.chains import amended
-from cablesense_sim.effects.entry import checked_entry
+from cablesense_sim.arm import bundled_arms, open_arm
+from cablesense_sim.effects.registry import amended, checked_entry
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec, unstretched_length_m
 

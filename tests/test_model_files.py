@@ -2,13 +2,12 @@
 
 import pytest
 
-from cablesense_sim.arm_files import open_arm
-from cablesense_sim.config_files import config_path
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.model_files import bundled_models, find_model
-from cablesense_training.inference.multi_estimator import MultiEstimator
-from cablesense_training.inference.open_estimator import open_estimator
+from cablesense_base.installation import config_path
+from cablesense_sim.arm import open_arm
+from cablesense_training.inference.estimator import MultiEstimator
+from cablesense_training.inference.metadata import ModelFileError, bundled_models, find_model
 from cablesense_training.inference.session import read_model
+from cablesense_training.inference.temporal_estimator import open_estimator
 
 
 def test_every_bundled_model_is_found_by_its_name():
@@ -30,7 +29,7 @@ def test_models_in_a_folder_have_its_name(tmp_path, monkeypatch):
     for name in ("arm.onnx", "peers/arm.onnx", "peers/notes.txt"):
         (tmp_path / name).touch()
     monkeypatch.setattr(
-        "cablesense_training.inference.model_files.config_path",
+        "cablesense_training.inference.metadata.config_path",
         lambda name: tmp_path / name.removeprefix("models").lstrip("/"),
     )
     assert bundled_models() == ["arm", "peers/arm"]

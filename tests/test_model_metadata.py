@@ -5,7 +5,7 @@ import json
 import pytest
 from model_fixtures import metadata_for
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.inference.metadata import FORMAT, ModelFileError, ModelMetadata
 
 CDSM = open_arm("cdsm")

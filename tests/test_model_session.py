@@ -13,18 +13,12 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 from small_models import CDSM, DOUBLE, FLOAT, refused, small_model, value, weights, written
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import OUTPUTS, Estimator
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.model_files import find_model
-from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
-from cablesense_training.inference.session import (
-    MAX_FILE_BYTES,
-    TAUT,
-    ModelSession,
-    open_session,
-)
+from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
+from cablesense_training.inference.metadata import ModelFileError, find_model
+from cablesense_training.inference.session import MAX_FILE_BYTES, TAUT, ModelSession, open_session
 
 
 def test_a_small_model_opens(tmp_path):

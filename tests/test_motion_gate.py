@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.motion_gate import MotionGate
+from cablesense_online.motion_gate import MotionGate
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 
 SPEED, SETTLE = 0.5, 0.2

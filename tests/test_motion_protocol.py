@@ -2,7 +2,7 @@
 
 import pytest
 
-from cablesense_training.data.errors import DatasetError
+from cablesense_training.errors import DatasetError
 from cablesense_training.motion.motion_protocol import MotionProtocol
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
+from cablesense_training.baselines import BoostingSettings, MultiBoostingPeer
 from cablesense_training.data import Dataset, MultiContact
 from cablesense_training.errors import TrainingError
-from cablesense_training.peers.boosting import BoostingSettings
-from cablesense_training.peers.multi_boosting import MultiBoostingPeer
 
 ARM = open_arm("cdsm")
 QUICK = BoostingSettings(rounds=15, leaves=15)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data import Dataset, MultiContact
-from cablesense_training.physics.multi_contact import MultiContactClosedForm
+from cablesense_training.networks.multi_contact import MultiContactClosedForm
 
 ARMS = ("cdsm", "cdsm_lab", "cdsm_table2")
 BARELY_TAUT_N = 0.6

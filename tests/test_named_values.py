@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.named_values import NamedOrder
+from cablesense_msgs_py.joint_states import NamedOrder
+from cablesense_msgs_py.topics import ContractError
 
 NAMES = tuple(f"cable_{i + 1}" for i in range(12))
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from cablesense_paper.networks.answer_time import answer_us
-from cablesense_paper.networks.shapes import Shape
-from cablesense_sim.arm_files import open_arm
+from cablesense_paper.network_findings import Shape
+from cablesense_paper.network_trials import answer_us
+from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.slow  # exports a network
 

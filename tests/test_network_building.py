@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from cablesense_paper.networks.building import build, parameters
-from cablesense_paper.networks.shapes import ARCHITECTURES, Shape
-from cablesense_sim.arm_files import open_arm
+from cablesense_paper.network_findings import ARCHITECTURES, Shape
+from cablesense_paper.network_trials import build, parameters
+from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
 

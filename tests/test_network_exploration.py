@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from network_findings import PLAN
 
-from cablesense_paper.networks import exploration
+from cablesense_paper import network_trials
 
 pytestmark = pytest.mark.slow  # trains
 
@@ -15,9 +15,9 @@ def explored():
     told = []
     plan = replace(PLAN, seeds=(0, 3), samples=128, test_samples=64)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exploration, "answer_us", lambda shape, arm: 20.0 + shape.width)
-        patch.setattr(exploration, "PAPER_SAMPLES", 128)
-        return plan, exploration.explore(plan, told.append), told
+        patch.setattr(network_trials, "answer_us", lambda shape, arm: 20.0 + shape.width)
+        patch.setattr(network_trials, "PAPER_SAMPLES", 128)
+        return plan, network_trials.explore(plan, told.append), told
 
 
 def test_every_shape_is_tried_with_every_seed(explored):
@@ -30,7 +30,9 @@ def test_compared_shapes_are_timed_and_a_network_learns_from_little_data_at_ever
     plan, findings, _ = explored
     assert tuple(findings.cost_us) == plan.compared
     assert tuple(findings.with_little_data) == plan.paper_poses
-    assert {one.shape for one in findings.with_little_data.values()} == {exploration.PAPER_SHAPE}
+    assert {one.shape for one in findings.with_little_data.values()} == {
+        network_trials.PAPER_SHAPE
+    }
 
 
 def test_progress_only_grows(explored):

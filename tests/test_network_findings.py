@@ -3,8 +3,7 @@
 import pytest
 from network_findings import PLAN, made_up
 
-from cablesense_paper.networks.findings import DIRECTION, FORCE, METRICS, WRONG
-from cablesense_paper.networks.shapes import Shape
+from cablesense_paper.network_findings import DIRECTION, FORCE, METRICS, WRONG, Shape
 
 
 def test_an_error_is_the_mean_over_the_seeds():

@@ -4,10 +4,10 @@ import matplotlib.pyplot as plt
 import pytest
 from network_findings import made_up
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.networks import pictures
-from cablesense_paper.networks.pictures import compared_picture, cost_picture, depth_picture
-from cablesense_paper.networks.shapes import ARCHITECTURES
+from cablesense_gap.report.style import style
+from cablesense_paper import network_trials
+from cablesense_paper.network_findings import ARCHITECTURES
+from cablesense_paper.network_trials import compared_picture, cost_picture, depth_picture
 
 pytestmark = pytest.mark.slow  # draws
 
@@ -18,7 +18,9 @@ def drawn(monkeypatch):
 
     def figure_of(draw):
         kept = []
-        monkeypatch.setattr(pictures, "picture", lambda name, figure, *texts: kept.append(figure))
+        monkeypatch.setattr(
+            network_trials, "picture", lambda name, figure, *texts: kept.append(figure)
+        )
         with style():
             draw(made_up(1.0))
         (figure,) = kept

@@ -3,8 +3,7 @@
 import pytest
 from network_findings import PLAN
 
-from cablesense_paper.networks.plan import FULL, QUICK
-from cablesense_paper.networks.shapes import ARCHITECTURES
+from cablesense_paper.network_findings import ARCHITECTURES, FULL, QUICK
 
 
 @pytest.mark.parametrize("plan", [FULL, QUICK, PLAN], ids=["full", "quick", "tiny"])

@@ -2,9 +2,9 @@
 
 import pytest
 
-from cablesense_paper.networks.shapes import Shape
-from cablesense_paper.networks.trials import trials
-from cablesense_sim.arm_files import open_arm
+from cablesense_paper.network_findings import Shape
+from cablesense_paper.network_trials import trials
+from cablesense_sim.arm import open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.fit import FitSettings

@@ -3,11 +3,11 @@
 import pytest
 import torch
 
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_sim.config_files import config_path
 from cablesense_training.errors import TrainingError
 from cablesense_training.networks import MultiContactNetwork
-from cablesense_training.networks.registry import NETWORKS, build_network
+from cablesense_training.recipes import NETWORKS, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
 

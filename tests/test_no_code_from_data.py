@@ -18,7 +18,7 @@ SOURCES = sorted(path for room in ROOMS for path in (CHECKOUT / room).rglob("*.p
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "code"}
 BUILTINS = {"eval", "exec", "compile", "__import__"}
 CALLS = {
-    ("yaml", "load"): "cablesense_msgs_py/plain_yaml.py",
+    ("yaml", "load"): "cablesense_base/plain_yaml.py",
     ("yaml", "safe_load"): "",
     ("yaml", "full_load"): "",
     ("yaml", "unsafe_load"): "",

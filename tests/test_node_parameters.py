@@ -3,21 +3,21 @@
 import math
 
 import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.utilities import try_shutdown
 
-rclpy = pytest.importorskip("rclpy")
-
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.utilities import try_shutdown  # noqa: E402
-
-from cablesense_ros.estimator_parameters import ESTIMATOR_PARAMETERS, LIVE_PARAMETERS  # noqa: E402
-from cablesense_ros.node_parameters import (  # noqa: E402
+from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS, LIVE_PARAMETERS
+from cablesense_ros.parameters import (
     NodeParameter,
     ParameterError,
     declare_parameters,
     parameter_values,
 )
-from cablesense_ros.sim_parameters import SIM_PARAMETERS  # noqa: E402
+from cablesense_ros.sim_node import SIM_PARAMETERS
+
+rclpy = pytest.importorskip("rclpy")
+
 
 pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 

@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data import Dataset, MultiContact, SingleContact

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from cablesense_paper.cables.one_metre_cable import (
+from cablesense_paper.cables import (
     LENGTH_M,
     PRETENSION_N,
     around_a_cylinder,

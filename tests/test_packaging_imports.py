@@ -12,8 +12,8 @@ from packaging.utils import canonicalize_name
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 ROOMS = [
-    "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap", "cablesense_paper",
-    "cablesense_ros",
+    "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
+    "cablesense_paper", "cablesense_online", "cablesense_ros", "cablesense_cli",
 ]  # fmt: skip
 _BROUGHT_BY = packages_distributions()
 

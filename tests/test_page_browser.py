@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cablesense_ros.demo.nodes import demo_environment, node_command
-from cablesense_ros.demo.processes import Processes
+from cablesense_ros.demo.processes import Processes, demo_environment, node_command
 
 pytest.importorskip(
     "rclpy", reason="needs rclpy: install the extra `ros`, or source a ROS 2 Jazzy"

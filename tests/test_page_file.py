@@ -2,8 +2,7 @@
 
 import pytest
 
-from cablesense_gap.report.page_file import page_css, rendered, write_whole
-from cablesense_gap.report.report_error import ReportError
+from cablesense_gap.report.style import ReportError, page_css, rendered, write_whole
 
 
 def test_the_style_is_in_every_page():

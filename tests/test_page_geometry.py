@@ -6,18 +6,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cablesense_ros.page.colours import full_scale_n, linear_rgb, tension_rgb
-from cablesense_ros.page.geometry import (
+from cablesense_online.page.drawing import (
     ARROW_LONGEST_M,
     ARROW_METRES_PER_NEWTON,
     arrow_length_m,
     arrow_tail_m,
     cable_pieces,
+    full_scale_n,
+    linear_rgb,
     piece_lengths_m,
     quaternion_of,
     quaternion_z_to,
+    tension_rgb,
 )
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 

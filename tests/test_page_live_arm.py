@@ -6,11 +6,11 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.page.live_arm import STALE_S, LiveArm
-from cablesense_ros.page.page import PageError, free_port
-from cablesense_ros.page.snapshot import Level
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_online.page.live_arm import STALE_S, LiveArm
+from cablesense_online.page.page import PageError, free_port
+from cablesense_online.page.snapshot import Level
+from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
 

@@ -5,8 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cablesense_ros.page.score import Score, angle_error_deg
-from cablesense_ros.page.snapshot import Contact, Level, Snapshot, Status
+from cablesense_online.page.snapshot import (
+    Contact,
+    Level,
+    Score,
+    Snapshot,
+    Status,
+    angle_error_deg,
+)
 
 OK = Status(Level.OK, "fine")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cablesense_ros.page.traces import TraceBuffer
+from cablesense_online.page.panel import TraceBuffer
 
 
 def test_keeps_the_last_window_thinned_evenly():

@@ -6,9 +6,8 @@ import pytest
 from paper_studies import study
 from typer.testing import CliRunner
 
-from cablesense_paper.paper_error import FailedStudyError, PaperError
-from cablesense_paper.study_result import StudyResult
-from cablesense_ros.cli.app import app
+from cablesense_cli.app import app
+from cablesense_paper.study import FailedStudyError, PaperError, StudyResult
 
 
 def invoke(*arguments):
@@ -40,7 +39,7 @@ def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypa
         return StudyResult("It ran.")
 
     chosen = (study(fail, name="first"), study(work, name="second"))
-    monkeypatch.setattr("cablesense_paper.registry.chosen_studies", lambda only: chosen)
+    monkeypatch.setattr("cablesense_paper.study.chosen_studies", lambda only: chosen)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, FailedStudyError)
     assert result.exception.exit_code == 1

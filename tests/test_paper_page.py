@@ -4,8 +4,8 @@ import pytest
 from html_page import Page
 from paper_studies import RESULT, ignore, study
 
-from cablesense_paper.page import paper_page, shown
-from cablesense_paper.running import run_study
+from cablesense_paper.report import paper_page, shown
+from cablesense_paper.study import run_study
 
 
 def outcome(run=None, **about):

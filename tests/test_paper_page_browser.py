@@ -8,9 +8,8 @@ import subprocess
 import pytest
 from paper_studies import ignore, study
 
-from cablesense_paper.page import paper_page
-from cablesense_paper.registry import chosen_studies
-from cablesense_paper.running import run_study
+from cablesense_paper.report import paper_page
+from cablesense_paper.study import chosen_studies, run_study
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 

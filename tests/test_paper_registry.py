@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from cablesense_paper.paper_error import PaperError
-from cablesense_paper.registry import all_studies, chosen_studies, study_names
+from cablesense_paper.study import PaperError, all_studies, chosen_studies, study_names
 
 
 def test_every_study_is_named_as_its_file_and_says_where_the_paper_has_it():
@@ -36,7 +35,7 @@ def test_an_unknown_name_is_refused_with_those_there_are():
 
 def test_to_find_the_studies_loads_nothing_heavy():
     code = (
-        "import sys; from cablesense_paper.registry import all_studies; all_studies();"
+        "import sys; from cablesense_paper.study import all_studies; all_studies();"
         "print(*(m for m in ('rclpy', 'torch', 'mujoco', 'matplotlib', 'onnxruntime', 'jinja2')"
         " if m in sys.modules))"
     )

@@ -5,9 +5,8 @@ import json
 import pytest
 from paper_studies import DOT, ignore, study
 
-from cablesense_paper.paper_error import PaperError
-from cablesense_paper.report_folder import claim_folder, write_report
-from cablesense_paper.running import run_study
+from cablesense_paper.report import claim_folder, write_report
+from cablesense_paper.study import PaperError, run_study
 
 
 def failing(quick, tell):

@@ -4,7 +4,7 @@ import importlib
 
 import pytest
 
-from cablesense_paper.requirements import DRAWING, require_drawing
+from cablesense_paper.study import DRAWING, require_drawing
 
 
 def test_what_is_installed_is_enough():

@@ -3,8 +3,7 @@
 import pytest
 from paper_studies import RESULT, ignore, study
 
-from cablesense_paper.paper_error import PaperError
-from cablesense_paper.running import run_study
+from cablesense_paper.study import PaperError, run_study
 
 
 def raising(error):

@@ -8,9 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
-from cablesense_training.inference.model_files import find_model
-from cablesense_training.inference.partition import split_graph
+from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import COMMAND, TAUT, TENSION
+from cablesense_training.inference.single_run import split_graph
 
 CHANGING, STEADY = TENSION, COMMAND
 

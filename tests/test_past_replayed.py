@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.estimator_figures import answered_n, estimator_figures
-from cablesense_gap.past_replayed import answers_with_past, arm_alone
+from cablesense_base.arrays import Array
+from cablesense_base.installation import config_path
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.tared_loads import Array, TaredLoads, tared_loads
+from cablesense_gap.retraining import (
+    TaredLoads,
+    answered_n,
+    answers_with_past,
+    arm_alone,
+    estimator_figures,
+    tared_loads,
+)
 from cablesense_sim.arm import Arm, ListedEffect
-from cablesense_sim.config_files import config_path
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimator

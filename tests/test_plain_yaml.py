@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.plain_yaml import MAX_DEPTH, parse_plain_mapping
+from cablesense_base.errors import CableSenseError
+from cablesense_base.plain_yaml import MAX_DEPTH, parse_plain_mapping
 
 
 class RefusedError(CableSenseError):

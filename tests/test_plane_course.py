@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cablesense_paper.plane_course import PERIOD_S, course_rad
+from cablesense_paper.joint_course import PERIOD_S, course_rad
 
 QUARTER_S = 0.25 * PERIOD_S
 

@@ -6,13 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
-from cablesense_training.data import (
-    DatasetError,
-    MultiContact,
-    SingleContact,
-    protocol_from_options,
-)
-from cablesense_training.data.design import CHUNK_SAMPLES, chunk_sizes, unit_points
+from cablesense_training.data import MultiContact, SingleContact, protocol_from_options
+from cablesense_training.data.protocols import CHUNK_SAMPLES, chunk_sizes, unit_points
+from cablesense_training.errors import DatasetError
 
 SEGMENTS = 4
 

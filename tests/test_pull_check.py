@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.commissioning.pull_check import Pull, PullVerdict, judge_pull, read_pulls
-from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_base.errors import CableSenseError
+from cablesense_online.commissioning.pull_check import Pull, PullVerdict, judge_pull, read_pulls
+from cablesense_online.commissioning.readings import TimeWindow
 
 WINDOW = TimeWindow(4.0, 7.0)
 

@@ -8,10 +8,9 @@ from effect_arms import MECHANISM, bent, entry, push, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.effects.chains import amended, memories
-from cablesense_sim.effects.entry import EffectEntry
+from cablesense_sim.effects.registry import EffectEntry, amended, memories
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism_stack import stack
+from cablesense_sim.mechanism import stack
 from cablesense_sim.quasi_static import QuasiStaticArm
 
 KINDS = [

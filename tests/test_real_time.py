@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_ros.real_time import RealTimePacer
+from cablesense_online.simulated_arm import RealTimePacer
 
 
 def test_keeps_pace_over_uneven_ticks():

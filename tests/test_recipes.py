@@ -3,8 +3,7 @@
 import pytest
 
 from cablesense_training.errors import TrainingError
-from cablesense_training.networks.registry import NETWORKS
-from cablesense_training.recipes import RECIPES, adjusted, recipe_for
+from cablesense_training.recipes import NETWORKS, RECIPES, adjusted, recipe_for
 
 
 def test_every_network_has_a_recipe():

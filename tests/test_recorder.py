@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
-
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
-from cablesense_gap.recordings.reading import read_recording
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
 
 pytestmark = [
     pytest.mark.ros,
@@ -28,7 +28,7 @@ pytestmark = [
 ]
 
 ARM = open_arm("cdsm_lab")
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "gap"]
+COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
 ROOT = Path(__file__).parents[1]
 
 

@@ -9,15 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.checks import check_form, check_recording
+from cablesense_gap.recordings.channel_checks import Severity
+from cablesense_gap.recordings.checks import check_form, check_recording, read_recording
 from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.finding import Severity
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
-from cablesense_gap.recordings.reading import read_recording
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_gap.recordings.row_names import rows_named
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import read_tensions_n

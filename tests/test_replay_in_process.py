@@ -7,20 +7,19 @@ import json
 from dataclasses import replace
 
 import pytest
+from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
 from typer.testing import CliRunner
+
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.app import app
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.serialized import restamped
+from cablesense_online.recorded_run import RecordedRun
+from cablesense_online.replay import RebuiltEstimation, replay_in_process
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
-from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
-
-from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_msgs_py import topics
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.stamped_bytes import restamped
-from cablesense_ros.cli.app import app
-from cablesense_ros.replay.in_process import replay_in_process
-from cablesense_ros.replay.rebuilt_estimation import RebuiltEstimation
-from cablesense_ros.replay.recorded_run import RecordedRun
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -187,7 +186,7 @@ def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
 
 
 def test_a_diagnosis_reads_the_recording_of_a_run_too(made, whole):
-    from cablesense_gap.recordings.reading import read_recording
+    from cablesense_gap.recordings.checks import read_recording
 
     got = read_recording(whole, made.loaded.arm)
     assert len(got) == 150  # those after the command

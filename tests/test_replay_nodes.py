@@ -10,17 +10,17 @@ import sys
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
-
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.journal import EventKind
-from cablesense_ros.replay.recorded_run import RecordedRun
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.recorded_run import RecordedRun
+from cablesense_sim.arm import open_arm
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
 
 pytestmark = [
     pytest.mark.ros,
@@ -30,7 +30,7 @@ pytestmark = [
 
 ARM = open_arm("cdsm")
 ROOT = Path(__file__).parents[1]
-CLI = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+CLI = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
 
 

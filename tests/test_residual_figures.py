@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.commissioning.residual_figures import load_numbers, residual_figures
+from cablesense_online.commissioning.sensor_calibration import load_numbers, residual_figures
 
 LOOP_N = np.array([0.0, 50.0, 100.0, 50.0, 0.0])
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import rounding_n_m, search_rest

@@ -7,12 +7,10 @@ import pytest
 from arm_variants import variant
 from effect_arms import bent, up_and_down
 
-from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.dynamics import LEAST_PERIOD_S, ArmDynamics, RestToRestArm, moving_arm
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.loads import LoadError
-from cablesense_sim.moving_arm import moving_arm
 from cablesense_sim.replay import replay_arm
-from cablesense_sim.rest_to_rest import LEAST_PERIOD_S, RestToRestArm
 
 KINDS = {
     "capstan_friction": {"coefficient": 0.15, "pulley_wrap_rad": 1.5},

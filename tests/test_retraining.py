@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
+from cablesense_base.installation import config_path
 from cablesense_gap import retraining
-from cablesense_gap.amending import amended_arm
-from cablesense_gap.estimator_figures import answered_n, estimator_figures
-from cablesense_gap.past_replayed import Answering
+from cablesense_gap.arm_simulator import amended_arm
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.retraining import RetrainingError, estimator_errors
+from cablesense_gap.retraining import (
+    Answering,
+    RetrainingError,
+    answered_n,
+    estimator_errors,
+    estimator_figures,
+    tared_loads,
+)
 from cablesense_gap.simulator import Term
-from cablesense_gap.tared_loads import tared_loads
 from cablesense_sim.arm import Arm
-from cablesense_sim.config_files import config_path
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimator

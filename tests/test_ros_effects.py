@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from arm_variants import variant
+from ros_graph import Graph, NodeProcess
+
+from cablesense_sim.replay import replay_arm
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from arm_variants import variant  # noqa: E402
-from ros_graph import Graph, NodeProcess  # noqa: E402
-
-from cablesense_sim.replay import replay_arm  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

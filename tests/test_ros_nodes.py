@@ -6,19 +6,19 @@ import time
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import serialize_message
+from ros_graph import Graph, NodeProcess, force
+from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
 
 rclpy = pytest.importorskip("rclpy")
 
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-from ros_graph import Graph, NodeProcess, force  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from cablesense_sim.arm_files import open_arm  # noqa: E402
-from cablesense_sim.equilibrium import solve_equilibrium  # noqa: E402
-from cablesense_sim.mechanism import Mechanism  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_paper.cables.rubbing_cable import Friction, RubbingCable, capstan_limit_n
+from cablesense_paper.rubbing_cable import Friction, RubbingCable, capstan_limit_n
 
 
 def pulled(friction, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300):

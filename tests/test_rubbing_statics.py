@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_paper.cables.rubbing_cable import Friction, RubbingCable
-from cablesense_paper.cables.rubbing_statics import rubbing_tensions_n
+from cablesense_paper.rubbing_cable import Friction, RubbingCable, rubbing_tensions_n
 
 MU, WRAP_RAD = 0.2, np.pi
 

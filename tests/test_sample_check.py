@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cablesense_ros.sample_check import SampleCheck
-from cablesense_ros.sample_error import ProblemKind, SampleError
+from cablesense_online.samples import ProblemKind, SampleCheck, SampleError
 
 GOOD = [50.0] * 12
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.sample_clock import SampleClock
-from cablesense_ros.sample_error import SampleError
+from cablesense_online.samples import SampleClock, SampleError
 
 MS = 1_000_000
 NOW = 1_700_000_000_000 * MS

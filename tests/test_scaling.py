@@ -2,7 +2,7 @@
 
 import torch
 
-from cablesense_training.scaling import Standardiser
+from cablesense_training.networks.layers import Standardiser
 
 
 def test_adapted_rows_have_mean_zero_and_deviation_one():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_paper.cables.scenes import SCENES, camera, scene
+from cablesense_paper.cables import SCENES, camera, scene
 
 
 @pytest.mark.parametrize("name", SCENES)

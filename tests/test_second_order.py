@@ -5,12 +5,12 @@ import pytest
 import torch
 from scipy import stats
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.physics.closed_form import ClosedForm
-from cablesense_training.physics.second_order import SecondOrderClosedForm
+from cablesense_training.networks.closed_form import ClosedForm
+from cablesense_training.networks.second_order import SecondOrderClosedForm
 
 VARIANCE_N2 = 0.005
 BARELY_TAUT_N = 0.3

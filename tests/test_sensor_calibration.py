@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.commissioning.commissioning_error import CommissioningError
-from cablesense_ros.commissioning.sensor_calibration import CalibrationPoint, calibrate_sensor
+from cablesense_online.commissioning.readings import CommissioningError
+from cablesense_online.commissioning.sensor_calibration import CalibrationPoint, calibrate_sensor
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 SCALE, ZERO = 0.0125, -310.0

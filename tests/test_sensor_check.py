@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from sensor_series import EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
 
-from cablesense_ros.commissioning.pull_check import Pull
-from cablesense_ros.commissioning.sensor_check import check_sensors
-from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_online.commissioning.pull_check import Pull
+from cablesense_online.commissioning.readings import TimeWindow
+from cablesense_online.commissioning.sensor_check import check_sensors
 
 
 def wrong(report):

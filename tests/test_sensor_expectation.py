@@ -3,7 +3,7 @@
 import pytest
 from sensor_series import ARM
 
-from cablesense_ros.commissioning.sensor_expectation import LEAST_FLOOR_N, expectation
+from cablesense_online.commissioning.sensor_check import LEAST_FLOOR_N, expectation
 
 
 def test_bounds_are_the_arm_files():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_sim.arm import Sensors
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Sensors, open_arm
 from cablesense_sim.sensors import difference_variance_n2, read_tensions_n, reading_variance_n2
 
 SENSORS = open_arm("cdsm").sensors

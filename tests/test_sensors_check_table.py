@@ -4,10 +4,10 @@ import numpy as np
 from rich.console import Console
 from sensor_series import EXPECTED, good_tensions_n, series
 
-from cablesense_ros.cli.sensors.check_table import check_table
-from cablesense_ros.commissioning.pull_check import Pull
-from cablesense_ros.commissioning.sensor_check import check_sensors
-from cablesense_ros.commissioning.time_window import TimeWindow
+from cablesense_cli.sensors import check_table
+from cablesense_online.commissioning.pull_check import Pull
+from cablesense_online.commissioning.readings import TimeWindow
+from cablesense_online.commissioning.sensor_check import check_sensors
 
 
 def shown(tensions_n, pulls=()):

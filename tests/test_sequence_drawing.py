@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data.loads import contact_forces_n
-from cablesense_training.motion.course_answers import unsettled
-from cablesense_training.motion.drawing import draw_sequences
+from cablesense_training.data.dataset import contact_forces_n
+from cablesense_training.evaluation.sequence_figures import unsettled
 from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.sequences import draw_sequences
 
 CDSM, FRICTION = open_arm("cdsm"), open_arm("cdsm_friction")
 SHORT = MotionProtocol(sequences=2, duration_s=4.0, noise=False)

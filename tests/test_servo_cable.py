@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from cablesense_paper.cables.servo_cable import (
+from cablesense_paper.servo_cable import (
     longest_step_s,
     series_stiffness_n_m,
     starting_force_n,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_msgs_py.load import Load
-from cablesense_ros.simulated_arm import SimulatedArm
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.wrenches import Load
+from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism

@@ -2,8 +2,10 @@
 
 import pytest
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.contacts.single_pictures import (
+from cablesense_gap.report.style import style
+from cablesense_paper.contact_tests import (
+    all_settings,
+    answered_setting,
     confusion_grid_picture,
     confusion_picture,
     direction_picture,
@@ -11,8 +13,7 @@ from cablesense_paper.contacts.single_pictures import (
     magnitude_picture,
     shown_accuracy,
 )
-from cablesense_paper.contacts.single_tests import all_settings, answered_setting
-from cablesense_training.peers.boosting import BoostingSettings
+from cablesense_training.baselines import BoostingSettings
 
 pytestmark = pytest.mark.slow  # draws
 

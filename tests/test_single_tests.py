@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_paper.contacts.single_tests import (
+from cablesense_paper.contact_tests import (
     FORCE_EDGES_N,
     LABELS,
     SHIPPED,
@@ -13,9 +13,9 @@ from cablesense_paper.contacts.single_tests import (
     answered_setting,
     as_the_paper_tests,
 )
-from cablesense_training.inference.model_files import bundled_models, find_model
+from cablesense_training.baselines import BoostingSettings
+from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.session import read_model
-from cablesense_training.peers.boosting import BoostingSettings
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.commissioning.commissioning_error import CommissioningError
-from cablesense_ros.commissioning.small_table import MAX_TABLE_BYTES, read_table
-from cablesense_ros.commissioning.time_window import window_of
+from cablesense_base.errors import CableSenseError
+from cablesense_online.commissioning.readings import (
+    MAX_TABLE_BYTES,
+    CommissioningError,
+    read_table,
+    window_of,
+)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
-from cablesense_sim.config_files import config_path
 
 POLICY = ET.parse(config_path("sros2/policy.xml")).getroot()
 PROFILES = {

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.contract_error import ContractError
-from cablesense_msgs_py.stamped_bytes import restamped, stamp_ns
+from cablesense_msgs_py.serialized import restamped, stamp_ns
+from cablesense_msgs_py.topics import ContractError
 
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 

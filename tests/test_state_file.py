@@ -6,7 +6,7 @@ import os
 import pytest
 
 from cablesense_msgs_py.journal import JournalEntry
-from cablesense_ros.state_file import StateFile, StateFileError
+from cablesense_online.journal import StateFile, StateFileError
 
 ENTRY = JournalEntry(
     before_ns=7,

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from cablesense_paper.cables.one_metre_cable import PRETENSION_N, STIFFNESS_N_M
-from cablesense_paper.cables.servo_cable import steady_error_m
-from cablesense_paper.cables.stepped_servos import (
+from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
+from cablesense_paper.servo_cable import (
     INTEGRATORS,
     longest_bounded_step_s,
     positions_at_rest_m,
     stays_bounded,
+    steady_error_m,
 )
 
 GAINS = (1e6, 1e7, 1e8, 1e9)

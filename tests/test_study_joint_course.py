@@ -3,7 +3,7 @@
 import pytest
 from paper_studies import disagreeing, figures, quick_result
 
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # steps the arm through a course, twice
 

@@ -3,9 +3,9 @@
 import pytest
 from network_findings import PLAN, WORSE, made_up
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.networks import exploration
-from cablesense_paper.networks.plan import FULL, QUICK
+from cablesense_gap.report.style import style
+from cablesense_paper import network_trials
+from cablesense_paper.network_findings import FULL, QUICK
 from cablesense_paper.studies import networks
 from cablesense_paper.studies.networks import said_of
 
@@ -56,6 +56,6 @@ def test_the_papers_figures_close_the_table_of_its_amount_of_data(good):
 
 @pytest.mark.parametrize(("quick", "plan"), [(True, QUICK), (False, FULL)], ids=["quick", "full"])
 def test_a_quick_run_carries_out_the_quick_plan(quick, plan, monkeypatch):
-    monkeypatch.setattr(exploration, "explore", lambda plan, tell: plan)
+    monkeypatch.setattr(network_trials, "explore", lambda plan, tell: plan)
     monkeypatch.setattr(networks, "said_of", lambda found: found)
     assert networks.run(quick, lambda share: None) is plan

@@ -2,8 +2,8 @@
 
 import pytest
 
-from cablesense_gap.report.figure_style import style
-from cablesense_paper.study_result import PRINT_DPI, Agreement, picture
+from cablesense_gap.report.style import style
+from cablesense_paper.study import PRINT_DPI, Agreement, picture
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 from paper_studies import disagreeing, figures, quick_result
 
-from cablesense_paper.study_result import CLOSED_FORM, PAPER, Agreement
+from cablesense_paper.study import CLOSED_FORM, PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # a map of simulations
 

@@ -4,7 +4,7 @@ import pytest
 from paper_studies import figures, quick_result
 
 from cablesense_paper.studies import several_contacts
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # answers samples, grows trees and draws
 

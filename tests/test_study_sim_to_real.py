@@ -4,7 +4,7 @@ import pytest
 from paper_studies import figures, quick_result
 from table2_diagnosis import diagnosed
 
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # the diagnosis behind it
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow  # the diagnosis behind it
 def result():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "cablesense_gap.table2.findings.diagnose_table",
+            "cablesense_paper.table_2_gap.diagnose_table",
             lambda tables, command, tell, workers: {None: diagnosed()}[tables],
         )
         return quick_result("sim_to_real")

@@ -3,9 +3,9 @@
 import pytest
 from paper_studies import figures, quick_result
 
-from cablesense_paper.contacts import single_tests
+from cablesense_paper import contact_tests
 from cablesense_paper.studies import single_contact
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # answers samples with every model, grows trees and draws
 
@@ -16,8 +16,8 @@ def result():
         patch.setattr(single_contact, "QUICK_SAMPLES", 512)
         patch.setattr(single_contact, "QUICK_TRAINING_SAMPLES", 512)
         patch.setattr(single_contact, "QUICK_ROUNDS", 10)
-        chosen = single_tests.all_settings()[:2]
-        patch.setattr(single_tests, "all_settings", lambda: chosen)
+        chosen = contact_tests.all_settings()[:2]
+        patch.setattr(contact_tests, "all_settings", lambda: chosen)
         return quick_result("single_contact")
 
 

@@ -15,7 +15,7 @@ def test_the_three_tendons_are_a_metre_long_and_shown():
 
 
 def test_without_opengl_they_are_drawn_and_the_caption_says_so(monkeypatch):
-    monkeypatch.setattr("cablesense_paper.cables.rendering.BACKENDS", ())
+    monkeypatch.setattr("cablesense_paper.cables.BACKENDS", ())
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     (shown,) = quick_result("tendons").pictures
     assert "no OpenGL" in shown.caption

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.evaluation.settings import TABLE2_MODEL
+from cablesense_training.evaluation.comparison import TABLE2_MODEL
 from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2, read_table2
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.model_files import find_model
+from cablesense_training.inference.metadata import find_model
 
 HEADER = "source,load_kg,load_segment," + ",".join(f"cable_{i}_n" for i in range(1, 10))
 ROW = "physical,1,2,1,2,3,4,5,6,7,8,9"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_ros.tare import TareError, TareModel
+from cablesense_online.tare import TareError, TareModel
 
 NOW_NS = 1_700_000_000_000_000_000
 OFFSET = np.array([0.5, -1.0, 2.0])

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_ros.tare import TareModel
-from cablesense_ros.tare_words import tare_status, tare_taken_line, tare_undone_line, time_text
+from cablesense_online.tare import (
+    TareModel,
+    tare_status,
+    tare_taken_line,
+    tare_undone_line,
+    time_text,
+)
 
 CABLES = ("cable_1", "cable_2")
 EARLY_NS = 1_700_000_000_000_000_000

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gap_recordings import CYCLE, small_recording
 
-from cablesense_gap.tared_loads import AT_PEAK, tared_loads
+from cablesense_gap.retraining import AT_PEAK, tared_loads
 
 COURSE = small_recording()
 

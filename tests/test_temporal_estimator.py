@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import EstimateError, Estimator
 from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.open_estimator import open_estimator
-from cablesense_training.inference.temporal_estimator import LONGEST_GAP_S, TemporalEstimator
+from cablesense_training.inference.temporal_estimator import (
+    LONGEST_GAP_S,
+    TemporalEstimator,
+    open_estimator,
+)
 
 CDSM = open_arm("cdsm")
 STILL = np.zeros(8)

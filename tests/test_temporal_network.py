@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_training.data import Dataset, SingleContact
 from cablesense_training.networks.temporal import (
     LARGEST_CORRECTION,

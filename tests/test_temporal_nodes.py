@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from ros_graph import Graph, NodeProcess, force
+from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
 
-from ros_graph import Graph, NodeProcess, force  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from cablesense_sim.arm_files import open_arm  # noqa: E402
 
 pytestmark = [
     pytest.mark.ros,

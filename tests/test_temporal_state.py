@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_training.inference.temporal_state import TemporalState
+from cablesense_training.inference.temporal_estimator import TemporalState
 
 
 @given(st.integers(0, 200), st.integers(1, 4), st.integers(1, 8))

@@ -1,6 +1,6 @@
 """A flood of warnings becomes one a second of each kind."""
 
-from cablesense_ros.throttled_log import ThrottledLog
+from cablesense_ros.node_process import ThrottledLog
 
 
 def test_one_a_second_of_each_kind_with_the_count_of_the_others():

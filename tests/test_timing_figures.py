@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_series import series
 
-from cablesense_ros.commissioning.commissioning_error import CommissioningError
-from cablesense_ros.commissioning.timing_figures import timing_figures
+from cablesense_online.commissioning.readings import CommissioningError
+from cablesense_online.commissioning.sensor_check import timing_figures
 
 
 def at(time_s):

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
-from cablesense_gap.recordings.recording_error import RecordingError
-from cablesense_gap.recordings.topic_file import CHUNK_S, TopicFile
+from cablesense_gap.recordings.mcap_writer import CHUNK_S, TopicFile
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import LATCHED, PUBLISHER
 
 ROOT = Path(__file__).parents[1]
@@ -206,7 +206,7 @@ def test_a_length_beyond_the_file_is_a_cut_and_other_places_are_refused(tmp_path
 
 ENDLESS = """
 import sys, time
-from cablesense_gap.recordings.topic_file import TopicFile
+from cablesense_gap.recordings.mcap_writer import TopicFile
 from cablesense_msgs_py.qos import PUBLISHER
 file = TopicFile(sys.argv[1], growing=True)
 channel = file.add("/cable_tensions", "sensor_msgs/msg/JointState", PUBLISHER)

@@ -5,16 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from cablesense_sim.arm_files import open_arm
-from cablesense_training.data import DatasetError, write_dataset
-from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.answers import single_contact_truth
+from cablesense_sim.arm import open_arm
+from cablesense_training.data import write_dataset
+from cablesense_training.errors import DatasetError, TrainingError
+from cablesense_training.evaluation.comparison import single_contact_truth
 from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
 from cablesense_training.fit import FitSettings
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.multi_estimator import MultiEstimator
-from cablesense_training.train_model import TEST_SEED_OFFSET, train_command, train_model
-from cablesense_training.training_data import draw_samples, read_samples
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
+from cablesense_training.train_model import (
+    TEST_SEED_OFFSET,
+    draw_samples,
+    read_samples,
+    train_command,
+    train_model,
+)
 
 ARM = open_arm("cdsm")
 QUICK = FitSettings(epochs=2, batch_size=256, threads=1)

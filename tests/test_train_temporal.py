@@ -5,11 +5,11 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_ros.cli.app import app
-from cablesense_sim.arm_files import open_arm
+from cablesense_cli.app import app
+from cablesense_sim.arm import open_arm
 from cablesense_training.errors import TrainingError
+from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.motion.fit_sequences import SequenceFitSettings
 from cablesense_training.motion.motion_protocol import MotionProtocol
 from cablesense_training.train_temporal import train_temporal, training_and_test
 

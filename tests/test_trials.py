@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
-from cablesense_gap.recordings.trials import derive_trials
-from cablesense_sim.arm_files import open_arm
+from cablesense_gap.recordings.recording import derive_trials
+from cablesense_sim.arm import open_arm
 
 
 def trials(loads=(), commands=None, time_s=None, rows=60):

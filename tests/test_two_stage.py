@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from cablesense_training.networks.layers import one_hot_of_argmax
-from cablesense_training.networks.two_stage import TwoStageNetwork
+from cablesense_training.networks.single_contact import TwoStageNetwork
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.unloaded_tensions import UnloadedTensions
-from cablesense_sim.arm_files import open_arm
+from cablesense_base.errors import CableSenseError
+from cablesense_online.tare import UnloadedTensions
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 

@@ -8,8 +8,7 @@ import pytest
 from arm_variants import variant
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.urdf import urdf_xml
 

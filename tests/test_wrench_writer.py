@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.wrench_writer import WrenchWriter
+from cablesense_msgs_py.serialized import WrenchWriter
 
 serialization = pytest.importorskip("rclpy.serialization")
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")

@@ -17,14 +17,14 @@ from torch import Tensor, nn
 
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
+from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.multi_estimator import OUTPUTS as MULTI_OUTPUTS
 from cablesense_training.inference.session import TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
-from cablesense_training.networks.output import SingleContactOutput
+from cablesense_training.networks.corrected import CorrectedClosedForm
+from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
-from cablesense_training.physics.corrected import CorrectedClosedForm
 
 OPSET = 20
 

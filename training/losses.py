@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from cablesense_training.networks.output import MultiContactOutput, SingleContactOutput
+from cablesense_training.networks.layers import MultiContactOutput, SingleContactOutput
 
 
 @dataclass(frozen=True)

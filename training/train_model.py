@@ -1,4 +1,7 @@
-"""From a dataset to a model file with its figures: train, test on fresh samples, export."""
+"""From a dataset to a model file with its figures: train, test on fresh samples, export.
+
+What a network is trained on: a dataset file, or fresh samples of the protocol that suits it.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_base.progress import sample_progress
+from cablesense_sim.arm import Arm
+from cablesense_training.data import (
+    Dataset,
+    MultiContact,
+    SingleContact,
+    generate,
+    protocol_from_options,
+    read_dataset,
+)
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.answers import (
+from cablesense_training.evaluation.comparison import (
     multi_contact_answer,
     single_contact_answer,
     single_contact_truth,
@@ -27,7 +39,7 @@ from cablesense_training.export import export_model
 from cablesense_training.fit import EpochRecord, FitHistory, FitSettings, fit
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.networks import MultiContactNetwork, Network
-from cablesense_training.networks.registry import build_network
+from cablesense_training.recipes import build_network
 
 TEST_SAMPLES = 20_000
 TEST_SEED_OFFSET = 1_000_000
@@ -208,3 +220,41 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_without_nan(part) for part in value]
     return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def protocol_kind(network_name: str) -> str:
+    """Kind of the protocol that a network learns from."""
+    return "multi" if network_name.startswith("multi-contact") else "single"
+
+
+def read_samples(path: Path, arm: Arm) -> Dataset:
+    """A dataset file of that arm.
+
+    Raises:
+        DatasetError: not a dataset, or one of another arm.
+    """
+    return read_dataset(path, arm)
+
+
+def draw_samples(
+    arm: Arm,
+    network_name: str,
+    options: dict[str, Any],
+    seed: int,
+    *,
+    workers: int = 1,
+    show_progress: bool = False,
+) -> Dataset:
+    """Fresh samples for a network; `options` are the protocol's, None standing for its default.
+
+    Raises:
+        DatasetError: an option out of range.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    protocol = protocol_from_options({"kind": protocol_kind(network_name), **given})
+    parts = []
+    with sample_progress(protocol.samples, shown=show_progress) as advance:
+        for part in generate(arm, protocol, seed, workers=workers):
+            parts.append(part)
+            advance(len(part))
+    return Dataset.concatenate(parts)

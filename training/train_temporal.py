@@ -8,18 +8,21 @@ from pathlib import Path
 
 import torch
 
+from cablesense_base.installation import package_version
 from cablesense_sim.arm import Arm
-from cablesense_training.data.version import package_version
 from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.sequence_figures import (
+    CourseFigures,
+    course_answer,
+    course_figures,
+)
 from cablesense_training.export import export_model
 from cablesense_training.fit import EpochRecord, FitHistory
+from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
 from cablesense_training.inference.metadata import COURSE_UNITS, ModelMetadata
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.motion.course_answers import CourseFigures, course_answer, course_figures
-from cablesense_training.motion.drawing import draw_sequences
-from cablesense_training.motion.fit_sequences import SequenceFitSettings, fit_sequences
 from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import Sequences
+from cablesense_training.motion.sequences import Sequences, draw_sequences
 from cablesense_training.networks.temporal import TemporalNetwork
 
 TEMPORAL_NETWORKS = {"temporal": True, "momentary": False}

@@ -16,14 +16,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import can
 
-from cablesense_ros.can.fault_ledger import FaultLedger
-from cablesense_ros.can.interface import CanInterface
-from cablesense_ros.can.sample_assembler import Sample
-from cablesense_ros.can.signal_database import open_channel_map
-from cablesense_ros.can.slcan_lines import frame_line, line_frame
-from cablesense_ros.can.tension_reader import SCATTER_OF_READING_S, TensionReader
-from fuzz.byte_mutation import mutated_bytes
-from fuzz.target import FalseAnswerError, Outcome, Run, item_random
+from cablesense_online.can.bus import CanInterface, frame_line, line_frame
+from cablesense_online.can.channel_map import open_channel_map
+from cablesense_online.can.decoder import Sample
+from cablesense_online.can.driver import SCATTER_OF_READING_S, TensionReader
+from cablesense_online.can.faults import FaultLedger
+from fuzz.mutation import mutated_bytes
+from fuzz.watched import FalseAnswerError, Outcome, Run, item_random
 
 CYCLES = 60
 START_S = 1.7e9

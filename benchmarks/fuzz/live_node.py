@@ -21,14 +21,13 @@ from typing import Any
 import numpy as np
 
 from cablesense_msgs_py import topics
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.sample_check import PLAUSIBLE_N
-from cablesense_sim.arm_files import open_arm
+from cablesense_online.samples import PLAUSIBLE_N
+from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from fuzz.joint_state_bytes import joint_state_bytes, mutated_joint_state, read_joint_state
-from fuzz.target import item_random
-from fuzz.watched import Result
+from fuzz.messages import joint_state_bytes, mutated_joint_state, read_joint_state
+from fuzz.watched import Result, item_random
 
 PATIENCE_S = 30.0
 PERIOD_S = 0.002

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from fuzz.arm_files import make_arms
-from fuzz.can_files import make_calibrations, make_dbc, make_maps
-from fuzz.estimator_messages import make_commands, make_messages
+from fuzz.files import (
+    make_arms,
+    make_calibrations,
+    make_csv,
+    make_dbc,
+    make_maps,
+    make_mcap,
+    make_models,
+    make_parquet,
+    make_states,
+)
 from fuzz.frame_sequences import make_frames
-from fuzz.model_files import make_models
-from fuzz.recording_files import make_csv, make_mcap, make_parquet
-from fuzz.state_files import make_states
-from fuzz.target import Target
+from fuzz.messages import make_commands, make_messages
+from fuzz.watched import Target
 
 TARGETS = (
     Target("frames", "CAN frames", make_frames, items=4_000, quick_items=12),

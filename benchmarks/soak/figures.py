@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soak.marked_course import MarkedCourse
+from soak.course import MarkedCourse
 from soak.sink import Log
 
 FALSE_FORCE_N = 1.0

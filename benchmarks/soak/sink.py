@@ -9,14 +9,14 @@ from collections.abc import Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from nodes.process_figures import cpu_s, rss_mb
+from nodes.harness import cpu_s, rss_mb
 from numpy.typing import NDArray
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import Qos
-from cablesense_ros.qos_profiles import qos_profile
+from cablesense_ros.parameters import qos_profile
 
 SINK_QOS = Qos(depth=5000, reliable=True)
 _STAMP = struct.Struct("<iI")

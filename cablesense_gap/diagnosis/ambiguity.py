@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.belief import Belief
-from cablesense_gap.diagnosis.course import Course
 from cablesense_gap.diagnosis.evidence import weight
-from cablesense_gap.diagnosis.hypothesis import Hypothesis
-from cablesense_gap.simulator import Array
+from cablesense_gap.diagnosis.problem import Course, Hypothesis
 
 LEAST, NEAR_BEST = 0.1, 0.2
 """A rival has at least this probability, and this share of that of the best."""

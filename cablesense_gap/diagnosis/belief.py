@@ -30,7 +30,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from cablesense_gap.diagnosis.hypothesis import Hypothesis, excess
+from cablesense_gap.diagnosis.problem import Hypothesis, excess
 
 UNKNOWN = ("unknown",)
 

@@ -4,10 +4,15 @@ It shares no code and no solver with the simulator or with the diagnosis, and ha
 the effects. Nothing of the diagnosis may import it.
 """
 
-from cablesense_gap.plant.case import Answer, Case, CaseRecording, draw_case, record_case
-from cablesense_gap.plant.deck import draw_kinds
-from cablesense_gap.plant.nominal import Nominal, read_nominal
-from cablesense_gap.plant.plant_error import PlantError
+from cablesense_gap.plant.body import Nominal, PlantError, read_nominal
+from cablesense_gap.plant.case import (
+    Answer,
+    Case,
+    CaseRecording,
+    draw_case,
+    draw_kinds,
+    record_case,
+)
 
 __all__ = [
     "Answer",

@@ -1,25 +1,91 @@
-"""A case: an arm of a workshop with something hidden, what is done to it, and its recording."""
+"""A case: an arm of a workshop with something hidden, what is done to it, and its recording.
+
+How large a change must be for the gap that is wanted of it.
+
+Which kinds of cases a set has: nothing hidden, one thing, two, or something unheard of.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.plant.change import Change
+from cablesense_base.arrays import Array
+from cablesense_gap.plant.arm import RealArm, ideal_arm, scattered, signals_n
+from cablesense_gap.plant.body import Nominal, PlantError
+from cablesense_gap.plant.changes import Change
 from cablesense_gap.plant.listed import LISTED
-from cablesense_gap.plant.nominal import Nominal
-from cablesense_gap.plant.plant_error import PlantError
 from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
-from cablesense_gap.plant.real_arm import RealArm, ideal_arm, signals_n
-from cablesense_gap.plant.scatter import scattered
 from cablesense_gap.plant.sensing import read_n
-from cablesense_gap.plant.sizing import gap_n, rows_to_try, size_for
 from cablesense_gap.plant.unlisted import UNLISTED
 
-Array = NDArray[np.float64]
+_TRIES = 6
+_NEAR = 1.25
+_STRIDE = 6
+_RETREAT = 0.4
+
+
+def gap_n(first_n: Array, second_n: Array) -> float:
+    """Root mean square difference of two recordings over rows and cables."""
+    return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
+
+
+def size_for(
+    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
+) -> float:
+    """Size within the change's bounds whose gap against the arm without it is nearest.
+
+    By secants in the logarithms, to within some percent; an arm that remembers is tried on every
+    sixth row. A size that leaves no rest lowers the upper bound.
+    """
+    low, high = np.log(change.least), np.log(change.most)
+    rows = rows_to_try(change, arm, schedule)
+    without = signals_n(arm, rows, history)
+    at, best, nearest = 0.5 * (low + high), low, np.inf
+    steepness, last = 1.0, None
+    for _ in range(_TRIES):
+        try:
+            gap = gap_n(signals_n(change.apply(arm, float(np.exp(at))), rows, history), without)
+        except PlantError:
+            high = at + np.log(_RETREAT)
+            at = min(0.5 * (low + at), high)
+            continue
+        off = np.log(max(gap, 1e-6) / wanted_n)
+        if abs(off) < nearest:
+            best, nearest = float(np.clip(at - off, low, high)), abs(off)
+        if nearest < np.log(_NEAR):
+            break
+        if last is not None and abs(at - last[0]) > 1e-6:
+            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
+        last = at, off
+        at = float(np.clip(at - off / steepness, low, high))
+        if abs(at - last[0]) < 1e-6:
+            break
+    return float(np.exp(best))
+
+
+def rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+    """The rows of a schedule that a gap is told from: fewer where each waits for the last."""
+    remembers = change.apply(arm, change.least).remembers
+    return every(schedule, _STRIDE) if remembers else schedule
+
+
+def every(schedule: Schedule, stride: int) -> Schedule:
+    """Every so many rows of a schedule."""
+    chosen = slice(None, None, stride)
+    return replace(
+        schedule,
+        time_s=schedule.time_s[chosen],
+        trial=schedule.trial[chosen],
+        command_rad=schedule.command_rad[chosen],
+        load_segment=schedule.load_segment[chosen],
+        load_n=schedule.load_n[chosen],
+    )
+
 
 NONE = "none"
 _FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
@@ -205,3 +271,39 @@ def _places(changes: list[Change]) -> str:
 
 def _short(value: float | str) -> float | str:
     return value if isinstance(value, str) else float(f"{value:.6g}")
+
+
+NONE_SHARE = 0.2
+UNKNOWN_SHARE = 0.2
+DOUBLE_SHARE = 0.12
+
+
+def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
+    """Kinds of `count` cases for `draw_case`, in random order.
+
+    At least a fifth hide nothing and a fifth something that no verdict has a name for; an eighth
+    hides two effects, the rest one. Effects come in turn, so that none comes twice before all
+    have come once. With `only`, those kinds in turn.
+    """
+    if only:
+        return [only[i % len(only)] for i in range(count)]
+    listed, unlisted = _in_turn(rng, list(LISTED)), _in_turn(rng, list(UNLISTED))
+    none, unknown = ceil(NONE_SHARE * count), ceil(UNKNOWN_SHARE * count)
+    doubles = round(DOUBLE_SHARE * count)
+    singles = max(0, count - none - unknown - doubles)
+    kinds = [NONE] * none
+    kinds += [next(unlisted) for _ in range(unknown)]
+    kinds += [next(listed) for _ in range(singles)]
+    kinds += [_pair(listed) for _ in range(doubles)]
+    return [kinds[i] for i in rng.permutation(len(kinds))][:count]
+
+
+def _in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:
+    while True:
+        yield from (names[i] for i in rng.permutation(len(names)))
+
+
+def _pair(names: Iterator[str]) -> str:
+    first = next(names)
+    second = next(name for name in names if name != first)
+    return "+".join(sorted((first, second)))

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.plant.nominal import Nominal
+from cablesense_base.arrays import Array
+from cablesense_gap.plant.body import Nominal
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _UP = np.linspace(0.0, 1.0, 12)[1:-1]

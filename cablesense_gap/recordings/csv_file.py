@@ -1,4 +1,7 @@
-"""Recordings as CSV: one row a sample, columns named with their units (docs/recordings.md)."""
+"""Recordings as CSV: one row a sample, columns named with their units (docs/recordings.md).
+
+The columns of a recording as a table: their names, and how many decimals each is written to.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,51 @@ import os
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.recordings import columns
-from cablesense_gap.recordings.recording import Array, Recording
-from cablesense_gap.recordings.recording_error import RecordingError
+from cablesense_base.arrays import Array
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import Arm
 
 if TYPE_CHECKING:
     import pandas as pd
+
+TIME: Final = "time_s"
+TRIAL: Final = "trial"
+LOAD_SEGMENT: Final = "load_segment"
+LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
+
+TIME_DECIMALS: Final = 6
+COMMAND_DECIMALS: Final = 6
+"""A microradian moves the tension of a stiff cable by less than a sensor's step."""
+LOAD_DECIMALS: Final = 4
+TENSION_DECIMALS: Final = 4
+
+
+def command_columns(joint_count: int) -> list[str]:
+    """`q1_cmd_rad` … for 2N joint angles, pitch then yaw of each joint, base first."""
+    return [f"q{i + 1}_cmd_rad" for i in range(joint_count)]
+
+
+def tension_columns(cable_count: int) -> list[str]:
+    """`tension_1_n` … for M cables."""
+    return [f"tension_{i + 1}_n" for i in range(cable_count)]
+
+
+def all_columns(joint_count: int, cable_count: int) -> list[str]:
+    """Every column, in the order of the file."""
+    return [
+        TIME,
+        TRIAL,
+        *command_columns(joint_count),
+        LOAD_SEGMENT,
+        *LOAD,
+        *tension_columns(cable_count),
+    ]
+
 
 MAX_FILE_BYTES = 200_000_000
 """Days at 5 Hz; what is larger is no recording of one protocol."""
@@ -40,19 +76,19 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
             a cell that is no number.
     """
     path = Path(path)
-    wanted = columns.all_columns(arm.joint_count, arm.cable_count)
+    wanted = all_columns(arm.joint_count, arm.cable_count)
     _check_header(path, wanted, arm)
     table = _read_table(path, wanted)
     values = {name: _numbers(path, table, name) for name in wanted}
-    joints = columns.command_columns(arm.joint_count)
-    cables = columns.tension_columns(arm.cable_count)
+    joints = command_columns(arm.joint_count)
+    cables = tension_columns(arm.cable_count)
     return Recording(
         name=path.stem,
-        time_s=values[columns.TIME],
-        trial=_whole(path, columns.TRIAL, values[columns.TRIAL]),
+        time_s=values[TIME],
+        trial=_whole(path, TRIAL, values[TRIAL]),
         command_rad=np.stack([values[name] for name in joints], axis=1),
-        load_segment=_whole(path, columns.LOAD_SEGMENT, values[columns.LOAD_SEGMENT]),
-        load_n=np.stack([values[name] for name in columns.LOAD], axis=1),
+        load_segment=_whole(path, LOAD_SEGMENT, values[LOAD_SEGMENT]),
+        load_n=np.stack([values[name] for name in LOAD], axis=1),
         tensions_n=np.stack([values[name] for name in cables], axis=1),
     )
 
@@ -65,15 +101,15 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     """
     import pandas as pd
 
-    joints = columns.command_columns(recording.command_rad.shape[1])
-    cables = columns.tension_columns(recording.tensions_n.shape[1])
+    joints = command_columns(recording.command_rad.shape[1])
+    cables = tension_columns(recording.tensions_n.shape[1])
     table = {
-        columns.TIME: _text(recording.time_s, columns.TIME_DECIMALS),
-        columns.TRIAL: recording.trial,
-        **_texts(joints, recording.command_rad, columns.COMMAND_DECIMALS),
-        columns.LOAD_SEGMENT: recording.load_segment,
-        **_texts(columns.LOAD, recording.load_n, columns.LOAD_DECIMALS),
-        **_texts(cables, recording.tensions_n, columns.TENSION_DECIMALS),
+        TIME: _text(recording.time_s, TIME_DECIMALS),
+        TRIAL: recording.trial,
+        **_texts(joints, recording.command_rad, COMMAND_DECIMALS),
+        LOAD_SEGMENT: recording.load_segment,
+        **_texts(LOAD, recording.load_n, LOAD_DECIMALS),
+        **_texts(cables, recording.tensions_n, TENSION_DECIMALS),
     }
     path = Path(path)
     beside = path.parent / f".{path.name}.{os.getpid()}.part"

@@ -4,6 +4,8 @@ Records stand one behind the other, each a byte of its kind, eight of its length
 (https://mcap.dev/spec). They are read in this order, without the index at the end, which a
 recorder that was killed has not written. Lengths are looked at before anything is read or
 unpacked: a file cannot ask for more memory than `MOST_RECORD_BYTES` at a time.
+
+Recorded messages from their bytes, without a ROS installation.
 """
 
 from __future__ import annotations
@@ -14,9 +16,11 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
-from cablesense_gap.recordings.recording_error import RecordingError
+import numpy as np
+
+from cablesense_gap.recordings.recording import RecordingError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 MOST_RECORD_BYTES: Final = 64 << 20
@@ -189,3 +193,25 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
     if end > len(content):
         raise IndexError(f"a string of {length} bytes in a record of {len(content)}")
     return content[at + _LENGTH.size : end].decode(), end
+
+
+class BagTypes:
+    """The standard messages of ROS 2 Jazzy."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+
+    def message(self, kind: str, data: bytes) -> Any:
+        """A message of its type's full name and its bytes (CDR).
+
+        What publishers leave behind its end is not looked at. Bytes that are none raise anything
+        that a parser can.
+        """
+        definition = self._store.get_msgdef(kind)
+        little = bytes(data[:2]) == b"\x00\x01"
+        read = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
+        return read(
+            np.frombuffer(data, dtype=np.uint8)[4:].tobytes(), 0, definition.cls, self._store
+        )[0]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import UNKNOWN, Verdict
 from cablesense_sim.arm import Arm
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,36 @@
-"""Writes the report."""
+"""Writes the report.
+
+All that a report is made of.
+
+The folder that a diagnosis leaves: `verdict.json`, `arm.yaml` and `report.html`.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from cablesense_gap.report.advice import steps
-from cablesense_gap.report.candidate_figure import MOST, candidate_figure
-from cablesense_gap.report.figure_style import style
-from cablesense_gap.report.gap_figures import cable_figure, regime_figure, set_figure
+from cablesense_gap.arm_simulator import write_arm
+from cablesense_gap.diagnose import Diagnosis
+from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.report.inputs import ReportInputs
-from cablesense_gap.report.numbers import newtons, percent, with_interval
-from cablesense_gap.report.page_file import rendered, write_whole
-from cablesense_gap.report.time_figure import time_figure
-from cablesense_gap.report.wording import (
+from cablesense_gap.report.pictures import (
+    MOST,
+    cable_figure,
+    candidate_figure,
+    regime_figure,
+    set_figure,
+    time_figure,
+)
+from cablesense_gap.report.style import (
+    newtons,
+    percent,
+    rendered,
+    style,
+    with_interval,
+    write_whole,
+)
+from cablesense_gap.report.text import (
     all_places,
     ambiguity,
     effect_places,
@@ -21,10 +38,11 @@ from cablesense_gap.report.wording import (
     place_words,
     regime_words,
     shrinkage,
+    steps,
 )
-from cablesense_gap.residuals.decomposition import ALL, Decomposition, decompose
-from cablesense_gap.residuals.row_groups import TRIAL
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict
+from cablesense_gap.residuals import ALL, TRIAL, Decomposition, decompose
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, VerdictError, write_verdict
+from cablesense_sim.arm import Arm
 
 WORST = 8
 """Parts of what remains that are shown before one asks for all."""
@@ -119,3 +137,29 @@ def _figure(value: float | None) -> str:
 def _worst(after: Decomposition) -> list[Any]:
     parts = [part for part in after.parts if part.group not in (ALL, TRIAL)]
     return sorted(parts, key=lambda part: -part.over_floor)[:WORST]
+
+
+def write_diagnosis(folder: Path, recording: Recording, arm: Arm, found: Diagnosis) -> None:
+    """Write all three files.
+
+    Raises:
+        VerdictError: the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_verdict(folder / "verdict.json", found.verdict)
+    write_arm(folder / "arm.yaml", found.amended, headline(found.verdict))
+    write_report(
+        folder / "report.html",
+        ReportInputs(
+            recording=recording,
+            arm=arm,
+            verdict=found.verdict,
+            predicted_before_n=found.predicted_before_n,
+            predicted_after_n=found.predicted_after_n,
+            held_out_n=found.held_out_n,
+            findings=found.findings,
+        ),
+    )

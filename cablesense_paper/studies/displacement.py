@@ -5,22 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import WIDTH_IN
-from cablesense_paper.palette import BLACK, DASHES, SERIES
-from cablesense_paper.plane_course import PERIOD_S, course_rad
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import WIDTH_IN
+from cablesense_paper.joint_course import PERIOD_S, course_rad
+from cablesense_paper.study import (
+    BLACK,
     CLOSED_FORM,
+    DASHES,
+    SERIES,
     Agreement,
     Comparison,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 ARM = "cdsm"
 _TABLE_1 = (
@@ -42,7 +43,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
     import mujoco
 
     from cablesense_sim import kinematics
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_sim.arm import open_arm
     from cablesense_sim.equilibrium import held_lengths_m
     from cablesense_sim.mechanism import Mechanism
     from cablesense_sim.model import build_spec

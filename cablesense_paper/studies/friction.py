@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import FLOOR, WIDTH_IN
-from cablesense_paper.palette import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import FLOOR, WIDTH_IN
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
     CLOSED_FORM,
+    DASHES,
+    GREY,
+    ORANGE,
+    SERIES,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 COEFFICIENT, WRAP_RAD = 0.2, float(np.pi)
 HIGH_M, LOW_M = 8e-6, -2e-6
@@ -32,7 +36,7 @@ _LAWS = ("frictionloss", "frictionloss, hardened", "yielding spring", "capstan")
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """Loops, the sweep of equation (2), and what is left after a rest, on Fig. 3 (c)."""
-    from cablesense_paper.cables.rubbing_statics import rubbing_tensions_n
+    from cablesense_paper.rubbing_cable import rubbing_tensions_n
 
     course = _course_m(QUICK_CYCLE_S if quick else CYCLE_S)
     loops = {}
@@ -139,14 +143,14 @@ def _course_m(cycle_s: float) -> Array:
 def _pulled_n(
     law: str, coefficient: float, wrap_rad: float, course_m: Array, step_s: float = _STEP_S
 ) -> Array:
-    from cablesense_paper.cables.rubbing_cable import Friction, RubbingCable
+    from cablesense_paper.rubbing_cable import Friction, RubbingCable
 
     return RubbingCable(Friction(law), coefficient, wrap_rad, step_s).drawn(course_m)
 
 
 def _ratio(coefficient: float, wrap_rad: float) -> float:
     """T_out / T_in after a pull that has made the cable slip, at rest."""
-    from cablesense_paper.cables.one_metre_cable import PRETENSION_N, STIFFNESS_N_M
+    from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
 
     slips_at_m = PRETENSION_N * np.expm1(coefficient * wrap_rad) / (2.0 * STIFFNESS_N_M)
     time_s = np.arange(0.0, _PULL_S + _SETTLE_S, _STEP_S)

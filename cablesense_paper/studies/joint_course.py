@@ -5,23 +5,24 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import FLOOR, WIDTH_IN
-from cablesense_paper.palette import BLACK, DASHES, SERIES
-from cablesense_paper.plane_course import PERIOD_S, course_rad
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import FLOOR, WIDTH_IN
+from cablesense_paper.joint_course import PERIOD_S, course_rad
+from cablesense_paper.study import (
+    BLACK,
     CLOSED_FORM,
+    DASHES,
+    SERIES,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 ARM = "cdsm"
 PRETENSION_N = 50.0
@@ -163,7 +164,7 @@ def _ride(weight: float, periods: int) -> _Ride:
     """The course with gravity times `weight`."""
     import mujoco
 
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_sim.arm import open_arm
     from cablesense_sim.dynamics import ArmDynamics
     from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 

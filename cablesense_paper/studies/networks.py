@@ -4,25 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cablesense_paper.networks.findings import DIRECTION, FORCE, METRICS, PAPER_FIGURES, Findings
-from cablesense_paper.networks.plan import FULL, PAPER_SAMPLES, QUICK, Plan
-from cablesense_paper.networks.shapes import DECOUPLED, SHARED_TRUNK, TWO_STAGE
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import Agreement, Comparison, SmallTable, StudyResult
+from cablesense_paper.network_findings import (
+    DECOUPLED,
+    DIRECTION,
+    FORCE,
+    FULL,
+    METRICS,
+    PAPER_FIGURES,
+    PAPER_SAMPLES,
+    QUICK,
+    SHARED_TRUNK,
+    TWO_STAGE,
+    Findings,
+    Plan,
+)
+from cablesense_paper.study import Agreement, Comparison, SmallTable, Study, StudyResult, Tell
 
 _POSES = {"straight": "straight arm", "random": "poses within ±10°, unknown"}
 
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """Train every shape on the same samples of the straight arm, test, and time its answers."""
-    from cablesense_paper.networks.exploration import explore
+    from cablesense_paper.network_trials import explore
 
     return said_of(explore(QUICK if quick else FULL, tell))
 
 
 def said_of(findings: Findings) -> StudyResult:
     """The study, from what was found at any plan's size; to be called in the report's style."""
-    from cablesense_paper.networks.pictures import compared_picture, cost_picture, depth_picture
+    from cablesense_paper.network_trials import compared_picture, cost_picture, depth_picture
 
     return StudyResult(
         lead=_lead(findings),

@@ -5,22 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import FLOOR, WIDTH_IN
-from cablesense_paper.palette import BLACK, BLUE, ORANGE
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import FLOOR, WIDTH_IN
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
     CLOSED_FORM,
+    ORANGE,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 DRAWN_M = 10e-6
 """As the paper is silent on its drive signal: half the pretension's stretch and more."""
@@ -41,8 +42,8 @@ def run(quick: bool, tell: Tell) -> StudyResult:
     """The start in fine steps, then a drive signal to and fro, on the model of Fig. 3 (a)."""
     from scipy.stats import linregress
 
-    from cablesense_paper.cables import servo_cable as closed
-    from cablesense_paper.cables.one_metre_cable import PRETENSION_N, STIFFNESS_N_M
+    from cablesense_paper import servo_cable as closed
+    from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
     from cablesense_sim.model import ACTUATOR_MASS_KG
 
     kp = KP_OVER_STIFFNESS * STIFFNESS_N_M
@@ -169,8 +170,8 @@ def _driven(kp: float, kv: float, periods: int) -> dict[str, Any]:
 def _pretension_table() -> SmallTable:
     import mujoco
 
-    from cablesense_paper.cables.one_metre_cable import PRETENSION_N, STIFFNESS_N_M
-    from cablesense_paper.cables.servo_cable import tension_at_rest_n
+    from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
+    from cablesense_paper.servo_cable import tension_at_rest_n
 
     rows: list[tuple[str | float, ...]] = []
     for times in (1.0, 10.0, 100.0):
@@ -198,7 +199,7 @@ def _model(
 ) -> Any:
     import mujoco
 
-    from cablesense_paper.cables.one_metre_cable import fixed_and_driven
+    from cablesense_paper.cables import fixed_and_driven
 
     spec = fixed_and_driven(kp, kv, bias_m)
     spec.option.timestep = step_s
@@ -208,7 +209,7 @@ def _model(
 
 
 def _tension_n(model: Any, data: Any) -> float:
-    from cablesense_paper.cables.one_metre_cable import STIFFNESS_N_M
+    from cablesense_paper.cables import STIFFNESS_N_M
 
     return float(STIFFNESS_N_M * (data.ten_length[0] - model.tendon_lengthspring[0, 1]))
 

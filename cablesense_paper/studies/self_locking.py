@@ -7,20 +7,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import FLOOR, WIDTH_IN, plain_log_ticks
-from cablesense_paper.palette import BLACK, BLUE, DASHES, ORANGE, SERIES
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import FLOOR, WIDTH_IN, plain_log_ticks
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
     CLOSED_FORM,
+    DASHES,
+    ORANGE,
+    SERIES,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 DRAWN_M = 20e-6
 """By servo 2, while servo 1 is told to stay: 200 N on the cable if both obeyed."""
@@ -40,9 +44,8 @@ class _Map(NamedTuple):
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """Rest over a sweep of kp, and a map of integrators and steps, on Fig. 3 (b)."""
-    from cablesense_paper.cables.one_metre_cable import PRETENSION_N, STIFFNESS_N_M
-    from cablesense_paper.cables.servo_cable import steady_error_m
-    from cablesense_paper.cables.stepped_servos import positions_at_rest_m
+    from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
+    from cablesense_paper.servo_cable import positions_at_rest_m, steady_error_m
 
     command_m = np.linspace(0.0, DRAWN_M, 5 if quick else 21)
     commands = np.stack([np.zeros_like(command_m), command_m], axis=-1)
@@ -156,12 +159,8 @@ def _in_us(limit_s: float) -> str:
 
 
 def _map(quick: bool, tell: Tell) -> _Map:
-    from cablesense_paper.cables.one_metre_cable import STIFFNESS_N_M
-    from cablesense_paper.cables.stepped_servos import (
-        INTEGRATORS,
-        longest_bounded_step_s,
-        stays_bounded,
-    )
+    from cablesense_paper.cables import STIFFNESS_N_M
+    from cablesense_paper.servo_cable import INTEGRATORS, longest_bounded_step_s, stays_bounded
 
     side = 13 if quick else 37
     times, step_s = np.geomspace(0.1, 100.0, side), np.geomspace(1e-6, 1e-2, side)

@@ -8,15 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import WIDTH_IN, plain_log_ticks
-from cablesense_paper.palette import BLACK, BLUE, DASHES, GREEN, GREY, VERMILION
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import WIDTH_IN, plain_log_ticks
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
+    DASHES,
+    GREEN,
+    GREY,
+    VERMILION,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
 
@@ -24,7 +31,6 @@ if TYPE_CHECKING:
     from cablesense_training.data.dataset import Dataset
     from cablesense_training.evaluation.metrics import MultiContactMetrics
 
-Array = NDArray[np.float64]
 
 SAMPLES, QUICK_SAMPLES = 20_480, 2_048
 TRAINING_SAMPLES, QUICK_TRAINING_SAMPLES, QUICK_ROUNDS = 50_000, 4_096, 60
@@ -46,14 +52,14 @@ class _Tested:
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """None to four contacts on the straight arm, answered by the bundled models and by trees."""
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_sim.arm import open_arm
     from cablesense_training.data.dataset import Dataset
-    from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-    from cablesense_training.evaluation.settings import (
+    from cablesense_training.evaluation.comparison import (
         MULTI_ARM,
         WEAKEST_MULTI_N,
         multi_protocol,
     )
+    from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
 
     arm = open_arm(MULTI_ARM)
     protocol = multi_protocol(QUICK_SAMPLES if quick else SAMPLES)
@@ -93,9 +99,9 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 
 
 def _models(test: Dataset) -> dict[str, _Tested]:
-    from cablesense_training.evaluation.settings import MULTI_MODEL, MULTI_PEERS
-    from cablesense_training.inference.model_files import find_model
-    from cablesense_training.inference.multi_estimator import MultiEstimator
+    from cablesense_training.evaluation.comparison import MULTI_MODEL, MULTI_PEERS
+    from cablesense_training.inference.estimator import MultiEstimator
+    from cablesense_training.inference.metadata import find_model
 
     tested = {}
     for name, model in ((_SHIPPED, MULTI_MODEL), (_TWO_STAGE, MULTI_PEERS["two_stage"])):
@@ -106,16 +112,15 @@ def _models(test: Dataset) -> dict[str, _Tested]:
 
 
 def _trees(training: Dataset, test: Dataset, quick: bool) -> _Tested:
-    from cablesense_training.peers.boosting import BoostingSettings
-    from cablesense_training.peers.multi_boosting import MultiBoostingPeer
+    from cablesense_training.baselines import BoostingSettings, MultiBoostingPeer
 
     settings = BoostingSettings(rounds=QUICK_ROUNDS) if quick else BoostingSettings()
     return _tested(test, *MultiBoostingPeer(training, settings).answer(test))
 
 
 def _tested(test: Dataset, touched: NDArray[np.bool_], magnitude_n: Array) -> _Tested:
+    from cablesense_training.evaluation.comparison import WEAKEST_MULTI_N
     from cablesense_training.evaluation.metrics import multi_contact_metrics
-    from cablesense_training.evaluation.settings import WEAKEST_MULTI_N
 
     metrics = multi_contact_metrics(
         test.contacts, test.magnitudes_n, touched, magnitude_n, WEAKEST_MULTI_N
@@ -126,10 +131,9 @@ def _tested(test: Dataset, touched: NDArray[np.bool_], magnitude_n: Array) -> _T
 def _alone_mae_n(samples: int) -> float:
     """Force error of the paper's network for one contact, 0 to 200 N on the straight arm."""
     from cablesense_training.data.dataset import Dataset
-    from cablesense_training.evaluation.comparison import single_figures
-    from cablesense_training.evaluation.settings import SETTINGS
+    from cablesense_training.evaluation.comparison import SETTINGS, single_figures
     from cablesense_training.inference.estimator import Estimator
-    from cablesense_training.inference.model_files import find_model
+    from cablesense_training.inference.metadata import find_model
 
     straight = SETTINGS[0]
     test = Dataset.from_protocol(straight.arm, straight.protocol(samples), 20_260_002)
@@ -140,7 +144,7 @@ def _alone_mae_n(samples: int) -> float:
 def _comparisons(
     two_stage: MultiContactMetrics, alone_n: float, test: Dataset, tested: _Tested
 ) -> tuple[Comparison, ...]:
-    from cablesense_training.evaluation.settings import WEAKEST_MULTI_N
+    from cablesense_training.evaluation.comparison import WEAKEST_MULTI_N
 
     errors_n = np.array(two_stage.magnitude_mae_n)
     mean_n = float(errors_n.mean())
@@ -209,7 +213,7 @@ def _table(tested: dict[str, _Tested], bound_n: Array) -> SmallTable:
 def _confusion_picture(test: Dataset, tested: dict[str, _Tested], weakest_n: float) -> Picture:
     import matplotlib.pyplot as plt
 
-    from cablesense_paper.contacts.confusion import draw_confusion
+    from cablesense_paper.contact_tests import draw_confusion
     from cablesense_training.evaluation.metrics import confusion_matrix
 
     segments = test.contacts.shape[1]

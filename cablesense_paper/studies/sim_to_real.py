@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.report.numbers import newtons, percent
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_gap.report.style import newtons, percent
+from cablesense_paper.study import (
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
 
 if TYPE_CHECKING:
-    from cablesense_gap.table2.findings import Findings
+    from cablesense_paper.table_2_gap import Findings
 
 TABLES = 40
 """Simulated tables of each kind that are diagnosed for the probability."""
@@ -30,8 +31,8 @@ COMMAND = "cablesense paper --only sim_to_real"
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """Diagnose the 54 measured changes as `cablesense gap` diagnoses a recording."""
-    from cablesense_gap.table2.findings import diagnose_table
-    from cablesense_gap.table2.words import (
+    from cablesense_paper.table_2_gap import diagnose_table
+    from cablesense_paper.table_2_text import (
         best_listed_n,
         next_experiment,
         paper_rows,
@@ -96,8 +97,8 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def _pictures(found: Findings) -> tuple[Picture, ...]:
-    from cablesense_gap.report.candidate_figure import drawn_candidates
-    from cablesense_gap.table2.figures import gap_figure, proportion_figure
+    from cablesense_gap.report.pictures import drawn_candidates
+    from cablesense_paper.table_2_text import gap_figure, proportion_figure
 
     return (
         picture(
@@ -125,7 +126,7 @@ def _pictures(found: Findings) -> tuple[Picture, ...]:
 
 
 def _left_table(found: Findings) -> SmallTable:
-    from cablesense_gap.table2.words import number_name, value_of
+    from cablesense_paper.table_2_text import number_name, value_of
 
     by_row, _, by_level = found.singles.values()
     level = {(s.number.effect, len(s.number.terms)): s.held_out_rmse for s in by_level}
@@ -145,7 +146,7 @@ def _left_table(found: Findings) -> SmallTable:
 
 
 def _shares_table(found: Findings) -> SmallTable:
-    from cablesense_gap.table2.words import shares
+    from cablesense_paper.table_2_text import shares
 
     return SmallTable(
         "Where the gap lies, in shares of its squares.",

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import Agreement, Comparison, SmallTable, StudyResult
+from cablesense_paper.study import Agreement, Comparison, SmallTable, Study, StudyResult, Tell
 
 if TYPE_CHECKING:
-    from cablesense_paper.contacts.single_tests import SettingTest, Tested
+    from cablesense_paper.contact_tests import SettingTest, Tested
 
 SAMPLES, QUICK_SAMPLES = 20_480, 2_048
 TRAINING_SAMPLES, QUICK_TRAINING_SAMPLES, QUICK_ROUNDS = 50_000, 4_096, 60
@@ -20,15 +19,15 @@ _TWO_STAGE = "two_stage"
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """Fresh samples in every setting, answered by every bundled model and by trees grown here."""
-    from cablesense_paper.contacts import single_pictures as pictures
-    from cablesense_paper.contacts.single_tests import (
+    from cablesense_paper import contact_tests as pictures
+    from cablesense_paper.contact_tests import (
         LABELS,
         SHIPPED,
         all_settings,
         answered_setting,
         as_the_paper_tests,
     )
-    from cablesense_training.peers.boosting import BoostingSettings
+    from cablesense_training.baselines import BoostingSettings
 
     samples = QUICK_SAMPLES if quick else SAMPLES
     settings, tests = all_settings(), []
@@ -184,7 +183,7 @@ def _as_the_paper_table(tested: dict[str, Tested], labels: dict[str, str]) -> Sm
 
 
 def _table(test: SettingTest) -> SmallTable:
-    from cablesense_paper.contacts.single_tests import LABELS, TITLES
+    from cablesense_paper.contact_tests import LABELS, TITLES
 
     rows: list[tuple[str | float, ...]] = []
     for name, tested in test.tested.items():

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import GRID, WIDTH_IN
-from cablesense_paper.palette import BLACK, BLUE, ORANGE
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import GRID, WIDTH_IN
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
     CLOSED_FORM,
+    ORANGE,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 ARM = "cdsm_table2"
 SLOPE_LARGEST_N, SLOPE_RMS_N = 0.45, 0.2
@@ -129,7 +130,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 
 def _by_statics_n(loads: list[tuple[int, float]]) -> Array:
     """(K, 9) changes of tension under weights hung on segments of the straight arm."""
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_sim.arm import open_arm
     from cablesense_sim.equilibrium import solve_equilibrium
     from cablesense_sim.mechanism import Mechanism
 
@@ -143,7 +144,7 @@ def _by_statics_n(loads: list[tuple[int, float]]) -> Array:
 
 def _by_stepping_n(loads: list[tuple[int, float]]) -> Array:
     """The same by MuJoCo, stepped until the arm is at rest."""
-    from cablesense_sim.arm_files import open_arm
+    from cablesense_sim.arm import open_arm
     from cablesense_sim.dynamics import ArmDynamics
 
     dynamics = ArmDynamics(open_arm(ARM))

@@ -8,20 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_gap.report.figure_style import WIDTH_IN
-from cablesense_paper.palette import BLACK, BLUE, VERMILION
-from cablesense_paper.study import Study, Tell
-from cablesense_paper.study_result import (
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import WIDTH_IN
+from cablesense_paper.study import (
+    BLACK,
+    BLUE,
     CLOSED_FORM,
+    VERMILION,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    Tell,
     picture,
 )
-
-Array = NDArray[np.float64]
 
 WIDTH_PX, HEIGHT_PX = 960, 500
 _TOLERANCE_M, _TOLERANCE_N = 1e-9, 1e-3
@@ -29,8 +31,7 @@ _TOLERANCE_M, _TOLERANCE_N = 1e-9, 1e-3
 
 def run(quick: bool, tell: Tell) -> StudyResult:
     """The three models: rendered, or drawn from MuJoCo's numbers; and measured."""
-    from cablesense_paper.cables.rendering import rendered_scenes
-    from cablesense_paper.cables.scenes import SCENES, scene
+    from cablesense_paper.cables import SCENES, rendered_scenes, scene
 
     pictures, backend = rendered_scenes(SCENES, WIDTH_PX, HEIGHT_PX)
     tell(0.8)
@@ -89,7 +90,7 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 def _fig_3(pictures: list[NDArray[np.uint8]], how: str) -> Picture:
     import matplotlib.pyplot as plt
 
-    from cablesense_paper.cables.scenes import SCENES
+    from cablesense_paper.cables import SCENES
 
     figure = plt.figure(figsize=(WIDTH_IN, 2.1), layout="constrained")
     for n, name in enumerate(SCENES):
@@ -113,7 +114,7 @@ def _draw(axes: Any, name: str) -> None:
     """A scene as MuJoCo has it in `mjData`: paths of the tendons, driven and fixed ends."""
     import mujoco
 
-    from cablesense_paper.cables.scenes import scene
+    from cablesense_paper.cables import scene
 
     model, data = scene(name)
     for tendon in range(model.ntendon):

@@ -16,16 +16,16 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
+from cablesense_base.arrays import Array
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.joint_state import put_joint_angles
-from cablesense_msgs_py.load import Load
-from cablesense_ros.contract_inputs import listen_to_arm
-from cablesense_ros.demo.result import Record
-from cablesense_ros.demo.script import ScriptedPush
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.page.live_arm import LiveArm
-from cablesense_ros.page.snapshot import Array, Level, Snapshot
-from cablesense_ros.qos_profiles import qos_profile
+from cablesense_msgs_py.joint_states import put_joint_angles
+from cablesense_msgs_py.wrenches import Load
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.snapshot import Level, Snapshot
+from cablesense_ros.demo.script import Record, ScriptedPush
+from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.parameters import qos_profile
+from cablesense_ros.subscriptions import listen_to_arm
 from cablesense_sim.arm import Arm
 
 JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))

@@ -3,12 +3,15 @@
 Each child leads its own process group, so that Ctrl-C in the terminal reaches the parent alone
 and the parent ends the children in order. When the parent itself is killed, the kernel tells
 each child (Linux, `PR_SET_PDEATHSIG`).
+
+The demo's nodes as command lines, and the environment that keeps them on this machine.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -20,7 +23,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
 
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.errors import CableSenseError
+from cablesense_ros.node_process import RANGE, prefer_quick_discovery
 
 Found = TypeVar("Found")
 
@@ -211,3 +215,39 @@ def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:
             os._exit(1)
 
     return arrange
+
+
+DOMAINS = 100
+"""Domain ids that are safe on Linux go from 0 to 101; 0 is everyone's: the demo takes 1 … 100."""
+
+
+def node_command(
+    name: str,
+    parameters: Mapping[str, str | int | float | bool],
+    remaps: Mapping[str, str] | None = None,
+) -> ChildCommand:
+    """The command that runs `cablesense_ros.<name>_node` in this Python.
+
+    `remaps` gives topics other names.
+    """
+    command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
+    for topic, other in (remaps or {}).items():
+        command += ["-r", f"{topic}:={other}"]
+    for key, value in parameters.items():
+        command += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
+    return ChildCommand(name, command)
+
+
+def demo_environment() -> dict[str, str]:
+    """This process's environment, with DDS kept on this machine.
+
+    Unless ROS_DOMAIN_ID is set, the nodes get a ROS domain of their own. Who sets a discovery
+    range or a profile of Fast DDS gets that.
+    """
+    environment = dict(os.environ)
+    environment.setdefault(RANGE, "LOCALHOST")
+    prefer_quick_discovery(environment)
+    environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
+    environment.setdefault("OMP_NUM_THREADS", "1")
+    environment["PYTHONUNBUFFERED"] = "1"
+    return environment

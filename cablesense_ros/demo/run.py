@@ -1,4 +1,9 @@
-"""A demo from start to end: live with the page, or headless with a script and a report."""
+"""A demo from start to end: live with the page, or headless with a script and a report.
+
+Where the demo's tensions come from: the sim node at once, or through CAN frames.
+
+What moves the arm in a demo.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +17,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_ros.demo.nodes import demo_environment, node_command
-from cablesense_ros.demo.processes import ChildCommand, Processes
+from cablesense_base.errors import CableSenseError
+from cablesense_online.page.exposure import exposure_warning
+from cablesense_ros.demo.processes import ChildCommand, Processes, demo_environment, node_command
 from cablesense_ros.demo.source import DEMO_MAP, Source, source_commands
-from cablesense_ros.page.exposure import exposure_warning
-from cablesense_sim.arm import Arm
-from cablesense_sim.arm_files import open_arm
+from cablesense_sim.arm import Arm, open_arm
 
 PAGE_START_S = 60.0
 ESTIMATES_START_S = 60.0
@@ -90,12 +93,11 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     script = make_script(arm.segment_count, duration_s, options.seed)
     environment = demo_environment()
     os.environ.update(environment)  # before rclpy is imported: this process joins the same domain
+    from cablesense_online.page.snapshot import Level
     from cablesense_ros.demo.observer import Observer, play
-    from cablesense_ros.demo.picture import draw_picture
-    from cablesense_ros.demo.result import as_json as figures
-    from cablesense_ros.demo.result import push_results
-    from cablesense_ros.demo.table import results_table
-    from cablesense_ros.page.snapshot import Level
+    from cablesense_ros.demo.pictures import draw_picture
+    from cablesense_ros.demo.script import as_json as figures
+    from cablesense_ros.demo.script import push_results, results_table
 
     console = Console(stderr=as_json)
     with _ended_by_signals(), _processes(options, []) as processes:
@@ -144,13 +146,13 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 def _check_files(options: DemoOptions) -> Arm:
     """Reads arm and model before anything starts: a wrong file is one line, not a silent node."""
-    from cablesense_training.inference.model_files import find_model
-    from cablesense_training.inference.open_estimator import open_estimator
+    from cablesense_training.inference.metadata import find_model
+    from cablesense_training.inference.temporal_estimator import open_estimator
 
     arm = open_arm(options.arm)
     open_estimator(find_model(options.model or arm.name), arm)
     if options.source is Source.CAN:
-        from cablesense_ros.can.signal_database import open_channel_map
+        from cablesense_online.can.channel_map import open_channel_map
 
         open_channel_map(DEMO_MAP)[0].arranged(arm.cable_names)
     try:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum, StrEnum
 from pathlib import Path
 
 from cablesense_msgs_py import topics
-from cablesense_ros.demo.nodes import node_command
-from cablesense_ros.demo.processes import ChildCommand
+from cablesense_ros.demo.processes import ChildCommand, node_command
 
 DEMO_MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
@@ -45,3 +44,10 @@ def source_commands(source: Source, arm: str, seed: int, folder: Path) -> list[C
         node_command("can_driver", {**amplifier, **adapter}),
         node_command("sim", simulation, {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}),
     ]
+
+
+class Controller(Enum):
+    """Nothing but the person at the page, or a controller."""
+
+    NONE = "none"
+    ADMITTANCE = "admittance"

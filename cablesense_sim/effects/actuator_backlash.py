@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_sim.effects.actuation import Actuation
-from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables, chosen
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import Actuation, Effect, Parameter, Values, cables, chosen
 
 
 class ActuatorBacklash(Effect):

@@ -6,14 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablesense_sim.effects.effect import (
-    WHOLE_ARM,
-    Array,
-    Effect,
-    Parameter,
-    Values,
-    segments,
-)
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, Values, segments
 from cablesense_sim.effects.transmission import Rest, Transmission
 
 if TYPE_CHECKING:

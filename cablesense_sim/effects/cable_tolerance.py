@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import Effect, Parameter, Values, cables, chosen
-from cablesense_sim.effects.holes import with_cables_moved
 from cablesense_sim.effects.sensor_offset import Shifted
+from cablesense_sim.mechanism import with_cables_moved
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism

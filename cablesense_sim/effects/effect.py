@@ -1,4 +1,9 @@
-"""What every effect says of itself, and the ways in which it can act on an arm."""
+"""What every effect says of itself, and the ways in which it can act on an arm.
+
+What lies between the commanded cable length and the one that an actuator holds.
+
+What lies between the tension at an actuator and what its sensor reads.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
+
 if TYPE_CHECKING:
-    from cablesense_sim.effects.actuation import Actuation
-    from cablesense_sim.effects.sensing import Sensing
     from cablesense_sim.effects.transmission import Transmission
     from cablesense_sim.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 """Parameter values by name, each (P,): one for every arm that is simulated side by side."""
 
@@ -116,3 +120,19 @@ def chosen(place: str, count: int) -> NDArray[np.bool_]:
     if place == WHOLE_ARM:
         return np.ones(count, dtype=bool)
     return np.arange(1, count + 1) == int(place.rsplit("_", 1)[1])
+
+
+class Actuation:
+    """Base: passes the command on. Holds its own state, for P arms side by side."""
+
+    def step(self, time_s: float, held_m: Array) -> Array:
+        """Lengths (P, M) really held, given those commanded, at the next moment."""
+        return held_m
+
+
+class Sensing:
+    """Base: a perfect sensor. Holds its own state, for P arms side by side."""
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        """Readings (P, M) of tensions (P, M) at the next moment."""
+        return tensions_n

@@ -6,16 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablesense_sim.effects.dry_contact import DryContact
-from cablesense_sim.effects.effect import (
-    Array,
-    Effect,
-    Parameter,
-    Values,
-    chosen,
-    joints,
-)
-from cablesense_sim.effects.transmission import Rest, Transmission
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import Effect, Parameter, Values, chosen, joints
+from cablesense_sim.effects.transmission import DryContact, Rest, Transmission
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism

@@ -1,17 +1,31 @@
-"""Every effect that is known: the files of this folder, and what other packages offer."""
+"""Every effect that is known: the files of this folder, and what other packages offer.
+
+One effect of an arm file: which, where, and how large.
+
+What listed effects do, one after the other: to one mechanism, or to P arms side by side.
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
 
-from cablesense_msgs_py.errors import CableSenseError
+import numpy as np
+
+from cablesense_base.errors import CableSenseError
 from cablesense_sim import effects
-from cablesense_sim.effects.effect import Effect
+from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Values
+from cablesense_sim.effects.transmission import Transmission
+
+if TYPE_CHECKING:
+    from cablesense_sim.arm import Arm
+    from cablesense_sim.mechanism import Mechanism
 
 ENTRY_POINTS = "cablesense.effects"
 """The group under which another package offers its effects: classes derived from `Effect`."""
@@ -48,3 +62,100 @@ def known_effects() -> Mapping[str, Effect]:
 
 def _is_effect(value: object) -> bool:
     return isinstance(value, type) and issubclass(value, Effect) and value is not Effect
+
+
+@dataclass(frozen=True)
+class EffectEntry:
+    """An effect with its place and all its parameters."""
+
+    effect: Effect
+    place: str
+    values: dict[str, float]
+
+
+def checked_entry(
+    name: str, place: str, given: dict[str, float], segment_count: int, cable_count: int
+) -> EffectEntry:
+    """The entry, with defaults for what is not given.
+
+    Raises:
+        EffectError: an unknown effect, place or parameter, or a value outside its range.
+    """
+    effect = known_effects().get(name)
+    if effect is None:
+        raise EffectError(f"effect {name!r} is unknown; known: {', '.join(known_effects())}")
+    places = effect.places(segment_count, cable_count)
+    if place not in places:
+        several = ", ".join(places[:6]) + (", …" if len(places) > 6 else "")
+        raise EffectError(f"effect {name} cannot be at {place!r}; valid: {several}")
+    history = effect.history(segment_count, cable_count)
+    parameters = (*effect.parameters, *(p for p in history if p.name in given))
+    names = [parameter.name for parameter in (*effect.parameters, *history)]
+    for key in given:
+        if key not in names:
+            raise EffectError(f"effect {name} has no parameter {key!r}; it has {', '.join(names)}")
+    for parameter in parameters:
+        value = given.get(parameter.name, parameter.default)
+        if not parameter.low <= value <= parameter.high:
+            raise EffectError(
+                f"effect {name} at {place}: {parameter.name} = {value:g} {parameter.unit} must be "
+                f"from {parameter.low:g} to {parameter.high:g}"
+            )
+    values = {p.name: float(given.get(p.name, p.default)) for p in parameters}
+    return EffectEntry(effect, place, values)
+
+
+def entries_of(arm: Arm) -> list[EffectEntry]:
+    """The effects that an arm file lists, in its order."""
+    return [
+        checked_entry(
+            listed.effect, listed.at, listed.parameters, arm.segment_count, arm.cable_count
+        )
+        for listed in arm.effects
+    ]
+
+
+def side_by_side(entries: Sequence[EffectEntry]) -> Values:
+    """The values of one effect in P arms, each (P,)."""
+    return {
+        name: np.array([entry.values[name] for entry in entries]) for name in entries[0].values
+    }
+
+
+Variants = Sequence[Sequence[EffectEntry]]
+"""The entries of P arms, which have the same effects with other numbers."""
+
+_Acting = TypeVar("_Acting")
+
+
+def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
+    """The mechanism with what its effects change of the arm itself."""
+    for entry in entries:
+        mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
+    return mechanism
+
+
+def actuations(variants: Variants) -> list[Actuation]:
+    """What lies between the commanded and the held cable lengths, each for all arms."""
+    return _acting(variants, lambda effect, place, values: effect.actuation(place, values))
+
+
+def memories(variants: Variants) -> list[Transmission]:
+    """What along the cables and in the joints depends on the past, each for all arms."""
+    return _acting(variants, lambda effect, place, values: effect.transmission(place, values))
+
+
+def sensings(variants: Variants) -> list[Sensing]:
+    """What lies between tensions and readings, each for all arms."""
+    return _acting(variants, lambda effect, place, values: effect.sensing(place, values))
+
+
+def _acting(
+    variants: Variants, made: Callable[[Effect, str, Values], _Acting | None]
+) -> list[_Acting]:
+    found = []
+    for entries in zip(*variants, strict=True):
+        acting = made(entries[0].effect, entries[0].place, side_by_side(entries))
+        if acting is not None:
+            found.append(acting)
+    return found

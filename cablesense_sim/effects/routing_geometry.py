@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import Effect, Parameter, chosen, segments
-from cablesense_sim.effects.holes import with_cables_moved, with_plates_moved
+from cablesense_sim.mechanism import with_cables_moved, with_plates_moved
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Array, Effect, Parameter, Values
-from cablesense_sim.effects.sensing import Sensing
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, Sensing, Values
 
 
 class SensorCrosstalk(Effect):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables, chosen
-from cablesense_sim.effects.sensing import Sensing
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, cables, chosen
 
 INTERVAL_S = 30.0
 """Between these moments the zero moves at an even pace."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from cablesense_base.arrays import Array
 from cablesense_sim.effects.effect import (
     WHOLE_ARM,
-    Array,
     Effect,
     Parameter,
+    Sensing,
     Values,
     cables,
     chosen,
 )
-from cablesense_sim.effects.sensing import Sensing
 
 
 class SensorLag(Effect):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cablesense_sim.effects.effect import Array, Effect, Parameter, Values, cables, chosen
-from cablesense_sim.effects.sensing import Sensing
+from cablesense_base.arrays import Array
+from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, cables, chosen
 
 
 class SensorOffset(Effect):

@@ -15,7 +15,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.data.errors import DatasetError
 from cablesense_training.data.generation import generate
 from cablesense_training.data.protocols import (
     PROTOCOLS,
@@ -24,18 +23,18 @@ from cablesense_training.data.protocols import (
     SingleContact,
     protocol_from_options,
 )
+from cablesense_training.errors import DatasetError
 
 if TYPE_CHECKING:
-    from cablesense_training.data.production import dataset_command, produce_dataset
-    from cablesense_training.data.reading import read_dataset
-    from cablesense_training.data.writing import write_dataset, write_parts
+    from cablesense_training.data.generation import dataset_command, produce_dataset
+    from cablesense_training.data.parquet import read_dataset, write_dataset, write_parts
 
 _WITH_FILES = {
-    "dataset_command": "production",
-    "produce_dataset": "production",
-    "read_dataset": "reading",
-    "write_dataset": "writing",
-    "write_parts": "writing",
+    "dataset_command": "generation",
+    "produce_dataset": "generation",
+    "read_dataset": "parquet",
+    "write_dataset": "parquet",
+    "write_parts": "parquet",
 }
 
 __all__ = [

@@ -1,8 +1,13 @@
-"""A dataset in memory: tension differences of one arm with the contacts that caused them."""
+"""A dataset in memory: tension differences of one arm with the contacts that caused them.
+
+The forces that a row of labels stands for.
+
+What a dataset holds, in a few figures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -10,13 +15,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
+from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data.errors import DatasetError
-from cablesense_training.data.loads import contact_forces_n
 from cablesense_training.data.protocols import Protocol, SingleContact
+from cablesense_training.errors import DatasetError
 
-Array = NDArray[np.float64]
+
+def contact_forces_n(
+    mechanism: Mechanism, command_rad: Array, angles_deg: Array, magnitudes_n: Array
+) -> Array:
+    """Contact forces (B, N, 3) in base axes for angles and magnitudes (B, N), one a segment.
+
+    Each is normal to its segment at the commanded angles (B, 2N); where the magnitude is 0, so is
+    the force.
+    """
+    forces = np.zeros((len(command_rad), mechanism.segment_count, 3))
+    for n in range(mechanism.segment_count):
+        rows = np.flatnonzero(magnitudes_n[:, n])
+        segment = np.full(len(rows), n + 1)
+        angle, magnitude = angles_deg[rows, n], magnitudes_n[rows, n]
+        forces[rows] += normal_force_n(mechanism, command_rad[rows], segment, angle, magnitude)
+    return forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,3 +176,56 @@ class Dataset:
 
 ARRAY_NAMES = tuple(f.name for f in fields(Dataset) if f.name not in ("arm", "protocol", "seed"))
 """Names of the arrays that have one row per sample."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of a dataset.
+
+    Attributes:
+        rows: number of samples.
+        contact_free: samples without contact.
+        contacts_per_segment: contacts on segment 1 … N; with several at once, each counts.
+        weakest_n, strongest_n: range of the contact forces; 0 when there is no contact.
+        slack_rows: samples with at least one slack cable.
+        redrawn_rows: samples drawn again because the first draw lay beyond the arm.
+    """
+
+    rows: int
+    contact_free: int
+    contacts_per_segment: tuple[int, ...]
+    weakest_n: float
+    strongest_n: float
+    slack_rows: int
+    redrawn_rows: int
+
+
+def summarise(dataset: Dataset) -> Summary:
+    """The figures of a dataset."""
+    contacts = dataset.contacts
+    forces = dataset.magnitudes_n[contacts]
+    return Summary(
+        rows=len(dataset),
+        contact_free=int((~contacts.any(axis=1)).sum()),
+        contacts_per_segment=tuple(int(count) for count in contacts.sum(axis=0)),
+        weakest_n=float(forces.min()) if forces.size else 0.0,
+        strongest_n=float(forces.max()) if forces.size else 0.0,
+        slack_rows=int((dataset.slack_cables > 0).sum()),
+        redrawn_rows=int((dataset.redrawn > 0).sum()),
+    )
+
+
+def combine(summaries: Iterable[Summary]) -> Summary:
+    """The figures of several parts together; there must be at least one."""
+    parts = list(summaries)
+    touched = [p for p in parts if p.rows > p.contact_free]
+    per_segment = np.sum([p.contacts_per_segment for p in parts], axis=0)
+    return Summary(
+        rows=sum(p.rows for p in parts),
+        contact_free=sum(p.contact_free for p in parts),
+        contacts_per_segment=tuple(int(count) for count in per_segment),
+        weakest_n=min((p.weakest_n for p in touched), default=0.0),
+        strongest_n=max((p.strongest_n for p in touched), default=0.0),
+        slack_rows=sum(p.slack_rows for p in parts),
+        redrawn_rows=sum(p.redrawn_rows for p in parts),
+    )

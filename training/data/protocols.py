@@ -16,7 +16,27 @@ is approached at the same rate.
 
 In both, contact-free samples belong to the data, by default 1/(N+1) of it, since *nothing
 touches* is an answer.
+
+The points of a dataset in the unit cube: a scrambled Sobol sequence, addressed by chunk.
+
+A grid covers a space exhaustively, but its size is a product of resolutions that somebody has to
+choose, and a random draw of the same size leaves holes. A Sobol sequence covers evenly at any
+number of points (every dyadic box of volume 2^-m holds its share of each aligned block of 2^m
+points) and has no resolution to choose, so 5,000 samples and 5,000,000 come from one rule.
+Scrambling makes different seeds independent of each other.
+
+Work is cut into chunks of `CHUNK_SAMPLES`, whatever the number of workers. A chunk's points and
+its random stream follow from the seed and the chunk's number alone; that is why one worker and
+twenty write the same bytes.
+
+Effects drawn at random, so that a network learns arms that nobody has measured yet.
+
+Sizes are normal with their typical size for a standard deviation (one-sided where they cannot be
+negative), places are any of those that the effect can have. What a careful workshop leaves, the
+tolerances, is everywhere at once.
 """
+
+from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
@@ -25,10 +45,104 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
-from cablesense_training.data.design import MAX_SAMPLES
-from cablesense_training.data.drawn_arm import effect_names
-from cablesense_training.data.errors import DatasetError
+from cablesense_sim.effects.effect import Parameter
+from cablesense_sim.effects.registry import EffectEntry, known_effects
+from cablesense_training.errors import DatasetError
+
+CHUNK_SAMPLES = 2048
+"""A power of two, so that every chunk is a balanced block of the sequence."""
+
+MAX_SAMPLES = 2**30
+"""The length of the sequence."""
+
+_DESIGN, _NOISE, _REDRAW, _ARM = 0, 1, 2, 3
+
+
+def unit_points(dimensions: int, seed: int, chunk: int) -> NDArray[np.float64]:
+    """Points (CHUNK_SAMPLES, dimensions) in [0, 1) of the given chunk of the seed's sequence."""
+    scramble = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=scramble)
+    if chunk:
+        sequence.fast_forward(chunk * CHUNK_SAMPLES)
+    return np.asarray(sequence.random(CHUNK_SAMPLES))
+
+
+def noise_stream(seed: int, chunk: int) -> np.random.Generator:
+    """The random stream of a chunk's sensor noise, independent of the points."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NOISE, chunk)))
+
+
+def redraw_stream(seed: int, chunk: int) -> np.random.Generator:
+    """The random stream that replaces a chunk's points beyond the arm."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_REDRAW, chunk)))
+
+
+def arm_stream(seed: int, chunk: int, block: int) -> np.random.Generator:
+    """The random stream of the arm that a block of a chunk is drawn on, and of its course."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ARM, chunk, block)))
+
+
+def chunk_sizes(samples: int) -> list[int]:
+    """How many samples each chunk contributes: full chunks, then what is left."""
+    full, rest = divmod(samples, CHUNK_SAMPLES)
+    return [CHUNK_SAMPLES] * full + ([rest] if rest else [])
+
+
+ALL = "all"
+"""Stands for every effect that is known."""
+
+
+def effect_names(randomise: str) -> list[str]:
+    """The effects that an option means, in alphabetical order, each once.
+
+    Raises:
+        DatasetError: an effect that is not known, or none.
+    """
+    if not isinstance(randomise, str):
+        raise DatasetError(f"randomise = {randomise!r}: must be names of effects, or {ALL}")
+    names = [name.strip() for name in randomise.split(",")]
+    if names == [ALL]:
+        return list(known_effects())
+    for name in names:
+        if name not in known_effects():
+            raise DatasetError(
+                f"randomise = {randomise!r}: {name!r} is no effect; give {ALL}, or names from "
+                f"{', '.join(known_effects())}, with commas between them"
+            )
+    return sorted(set(names))
+
+
+def drawn_entries(
+    names: list[str], segment_count: int, cable_count: int, rng: np.random.Generator
+) -> list[EffectEntry]:
+    """One arm's effects: each of `names` at a place of its own, tolerances at all of theirs."""
+    entries = []
+    for name in names:
+        effect = known_effects()[name]
+        places = effect.places(segment_count, cable_count)
+        if not effect.tolerance:
+            places = (places[int(rng.integers(len(places)))],)
+        parameters = (*effect.parameters, *effect.history(segment_count, cable_count))
+        entries += [
+            EffectEntry(effect, place, {p.name: _value(p, rng) for p in parameters})
+            for place in places
+        ]
+    return entries
+
+
+def _value(parameter: Parameter, rng: np.random.Generator) -> float:
+    if parameter.role == "shape":
+        choices = parameter.trials or parameter.starts
+        if choices:
+            return float(rng.choice(choices))
+        return float(rng.uniform(parameter.low, parameter.high))
+    size = rng.normal(0.0, parameter.typical)
+    if parameter.low == 0.0:
+        size = abs(size)
+    return float(np.clip(size, parameter.low, parameter.high))
+
 
 Pose = Literal["straight", "random"]
 MAX_FORCE_N = 10_000.0

@@ -1,14 +1,25 @@
-"""Every setting, every estimator, on fresh samples: the figures of `cablesense evaluate`."""
+"""Every setting, every estimator, on fresh samples: the figures of `cablesense evaluate`.
+
+The settings that estimators are compared in: which arm, which poses, which models answer.
+
+Answers of a trained network on a dataset, as the metrics take them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from cablesense_sim.arm_files import open_arm
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.protocols import MultiContact, Pose, SingleContact
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -18,18 +29,90 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
-from cablesense_training.evaluation.settings import (
-    MULTI_ARM,
-    MULTI_MODEL,
-    MULTI_PEERS,
-    SETTINGS,
-    WEAKEST_MULTI_N,
-    Setting,
-    multi_protocol,
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
+from cablesense_training.inference.metadata import find_model
+from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One column of the comparison.
+
+    Attributes:
+        name: as `cablesense evaluate --json` calls it.
+        arm_name: bundled arm.
+        pose: straight, or joints within ± 10 degrees.
+        model: bundled model that CableSense ships for it.
+        peers: bundled models to compare with, by the name the report uses.
+    """
+
+    name: str
+    arm_name: str
+    pose: Pose
+    model: str
+    peers: dict[str, str]
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's description."""
+        return open_arm(self.arm_name)
+
+    def protocol(self, samples: int) -> SingleContact:
+        """0 to 200 N on any segment from any side, or nothing; sensor noise and step on."""
+        return SingleContact(samples=samples, pose=self.pose)
+
+
+SETTINGS = (
+    Setting(
+        "straight",
+        "cdsm",
+        "straight",
+        "cdsm",
+        {"closed_form": "peers/cdsm_closed_form", "two_stage": "peers/cdsm_straight_two_stage"},
+    ),
+    Setting(
+        "random_pose",
+        "cdsm",
+        "random",
+        "cdsm",
+        {"closed_form": "peers/cdsm_closed_form", "two_stage": "peers/cdsm_two_stage"},
+    ),
+    Setting(
+        "compliant",
+        "cdsm_lab",
+        "random",
+        "cdsm_lab",
+        {"closed_form": "peers/cdsm_lab_closed_form", "two_stage": "peers/cdsm_lab_two_stage"},
+    ),
+    Setting(
+        "tensions_only",
+        "cdsm",
+        "random",
+        "cdsm_tensions_only",
+        {"two_stage": "peers/cdsm_two_stage"},
+    ),
 )
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.model_files import find_model
-from cablesense_training.inference.multi_estimator import MultiEstimator
+"""Single contact; random poses are known to the pose-aware models and unknown to the others."""
+
+MULTI_ARM = "cdsm"
+MULTI_MODEL = "cdsm_multi"
+MULTI_PEERS = {"two_stage": "peers/cdsm_multi_two_stage"}
+TABLE2_MODEL = "cdsm_table2"
+TABLE2_MODELS = {
+    "shipped": TABLE2_MODEL,
+    "closed_form": "peers/cdsm_table2_closed_form",
+    "two_stage": "peers/cdsm_table2_two_stage",
+}
+"""Models of the three-segment arm, by the name the report uses."""
+
+WEAKEST_MULTI_N = 5.0
+"""Multi-contact recognition is judged on forces of at least this."""
+
+
+def multi_protocol(samples: int) -> MultiContact:
+    """None to N contacts at once on the straight arm, sensor noise and step on."""
+    return MultiContact(samples=samples, pose="straight")
+
 
 FIRM_N = 2.0
 """Below this force the figures beside the noise bound are not compared: noise decides them."""
@@ -204,3 +287,46 @@ def _bins(metrics: SingleContactMetrics) -> Iterable[dict[str, float]]:
             "direction_mae_deg": force_bin.errors.direction_mae_deg,
             "magnitude_mae_n": force_bin.errors.magnitude_mae_n,
         }
+
+
+_ROWS_AT_ONCE = 8192
+
+
+def single_contact_truth(dataset: Dataset) -> ContactTruth:
+    """The labels of a single-contact dataset."""
+    return ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
+
+
+def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
+    """What a single-contact network says of a dataset; angles in [0, 360)."""
+    outputs = list(_outputs(network, dataset))
+    logits, direction, magnitude, magnitude_std, angle_std = (
+        torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)
+    )
+    return ContactAnswer(
+        segment=logits.argmax(axis=1),
+        angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
+        magnitude_n=magnitude,
+        magnitude_std_n=magnitude_std,
+        angle_std_deg=angle_std,
+    )
+
+
+def multi_contact_answer(
+    network: MultiContactNetwork, dataset: Dataset
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Touched segments (B, N) and magnitudes (B, N) that a multi-contact network says."""
+    logits, magnitude, _ = zip(*_outputs(network, dataset), strict=True)
+    touched: NDArray[np.bool_] = torch.cat(logits).numpy() > 0.0
+    return touched, torch.cat(magnitude).double().numpy()
+
+
+def _outputs(network: Network, dataset: Dataset) -> Iterator[tuple[Tensor, ...]]:
+    dtype = next(network.parameters()).dtype
+    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype)
+    command = torch.as_tensor(dataset.command_rad).to(dtype)
+    network.eval()
+    with torch.no_grad():
+        for start in range(0, len(tension), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            yield tuple(network(tension[rows], command[rows]))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from cablesense_base.arrays import Array
+
 Integers = NDArray[np.int64]
 
 FORCE_EDGES_N = (0.0, 2.0, 10.0, 50.0, 100.0, 200.0)

@@ -13,16 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
 from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import angle_difference_deg
-
-Array = NDArray[np.float64]
 
 DRAWS = 64
 

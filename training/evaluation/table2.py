@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_msgs_py.errors import CableSenseError
-from cablesense_sim.config_files import config_path
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
+from cablesense_base.installation import config_path
 from cablesense_training.evaluation.metrics import angle_difference_deg
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import ModelFileError
-
-Array = NDArray[np.float64]
 
 STANDARD_GRAVITY_M_S2 = 9.81
 """What the paper's newtons are worth: its 2 kg load counts as 19.62 N."""

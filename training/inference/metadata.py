@@ -1,14 +1,19 @@
-"""What a model file says about itself, and the error for one that does not fit."""
+"""What a model file says about itself, and the error for one that does not fit.
+
+The models that come with CableSense, found by name; any other is found by its path.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cablesense_msgs_py.errors import CableSenseError
+from cablesense_base.errors import CableSenseError
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import Arm
 
 FORMAT = "cablesense-model/1"
@@ -150,3 +155,39 @@ def _with_infinities(content: object) -> object:
         if isinstance(actuators, dict) and actuators.get("kp_n_m", 0.0) is None:
             actuators["kp_n_m"] = float("inf")
     return content
+
+
+def bundled_models() -> list[str]:
+    """Names of the bundled models, for example `cdsm`; peers to compare with are in `peers/`."""
+    folder = config_path("models")
+    return sorted(
+        path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.onnx")
+    )
+
+
+def find_model(name_or_path: str | Path) -> Path:
+    """The model file that a name (`cdsm`) or a path (`my.onnx`) stands for.
+
+    Raises:
+        ModelFileError: neither a bundled model nor a file; the message lists the bundled names.
+    """
+    name, bundled = str(name_or_path), bundled_models()
+    if Path(name).suffix == ".onnx":
+        if _is_file(Path(name)):
+            return Path(name)
+        raise ModelFileError(
+            f"no model file {name}; give an existing .onnx file or one of {', '.join(bundled)}"
+        )
+    if name in bundled:
+        return config_path(f"models/{name}.onnx")
+    raise ModelFileError(
+        f"unknown model {name!r}; bundled models are {', '.join(bundled)}, "
+        "and any other is given as the path of its .onnx file"
+    )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a null in it
+        return False

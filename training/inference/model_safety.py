@@ -1,10 +1,14 @@
-"""What an ONNX file may hold: plain operators on its own numbers, and nothing beyond itself."""
+"""What an ONNX file may hold: plain operators on its own numbers, and nothing beyond itself.
+
+How much memory and work a model asks for a sample, known before any of it is run.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 
+import onnx
 from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
 
 from cablesense_training.inference.metadata import ModelFileError
@@ -157,3 +161,84 @@ def _require_size(name: str, dims: Sequence[int], source: str) -> None:
             f"{source}: tensor {name!r} has shape {list(dims)}; "
             f"a model's tensors hold at most {MAX_ELEMENTS} numbers each"
         )
+
+
+MAX_NODES = 10_000
+"""Ours have at most some hundred."""
+
+MAX_ELEMENTS_MODEL_SIZE = 2**16
+"""Largest tensor that a model may make for one sample; ours stay below 4,000."""
+
+MAX_WORK = 2**26
+"""Multiplications for one sample, about a tenth of a second; ours stay below a million."""
+
+Shapes = dict[str, list[int]]
+
+
+def require_bounded(model: ModelProto, source: str) -> None:
+    """Refuse a graph whose tensors have no size that is certain beforehand, or that are huge.
+
+    Raises:
+        ModelFileError: names the tensor, or the number.
+    """
+    if len(model.graph.node) > MAX_NODES:
+        raise ModelFileError(
+            f"{source}: has {len(model.graph.node)} operators; a model has at most {MAX_NODES}"
+        )
+    shapes = _shapes_of_one_sample(model)
+    work = 0
+    for node in model.graph.node:
+        for name in filter(None, node.output):
+            shape = shapes.get(name)
+            if shape is None:
+                raise ModelFileError(
+                    f"{source}: what size tensor {name!r} has is open until the model is run; "
+                    "needed is a graph whose sizes depend on the number of samples alone"
+                )
+            elements = math.prod(shape)
+            if elements > MAX_ELEMENTS_MODEL_SIZE:
+                raise ModelFileError(
+                    f"{source}: tensor {name!r} has shape {shape}; a model's tensors hold at "
+                    f"most {MAX_ELEMENTS_MODEL_SIZE} numbers each a sample"
+                )
+            work += elements * _terms(node, shapes)
+    if work > MAX_WORK:
+        raise ModelFileError(
+            f"{source}: takes {work:.1e} multiplications a sample; at most {MAX_WORK:.1e} can "
+            "be meant"
+        )
+
+
+def _terms(node: NodeProto, shapes: Shapes) -> int:
+    """How many products go into a number that the operator makes, at most."""
+    taken = [shapes.get(name, []) for name in node.input]
+    if node.op_type in ("MatMul", "Gemm", "Inverse"):
+        return max((size for shape in taken for size in shape), default=1)
+    if node.op_type == "Conv":
+        return math.prod(taken[1][1:])
+    if node.op_type in ("GRU", "LSTM"):
+        return sum(math.prod(shape[-2:]) for shape in taken[1:3])
+    return 1
+
+
+def _shapes_of_one_sample(model: ModelProto) -> Shapes:
+    """Shapes of all tensors that onnx can tell, every open dimension of the inputs taken as 1."""
+    one = ModelProto()
+    one.CopyFrom(model)
+    del one.graph.value_info[:]  # claims, which are to be found out
+    for entry in one.graph.output:
+        entry.type.tensor_type.ClearField("shape")
+    for entry in one.graph.input:
+        for dim in entry.type.tensor_type.shape.dim:
+            if not dim.HasField("dim_value"):
+                dim.dim_value = 1
+    for node in one.graph.node:
+        if node.domain == "com.microsoft":  # onnx does not know Inverse, which keeps the shape
+            node.domain, node.op_type = "", "Identity"
+    found = onnx.shape_inference.infer_shapes(one, strict_mode=True, data_prop=True).graph
+    shapes = {entry.name: list(entry.dims) for entry in one.graph.initializer}
+    for value in (*found.input, *found.value_info, *found.output):
+        tensor = value.type.tensor_type
+        if tensor.HasField("shape") and all(d.HasField("dim_value") for d in tensor.shape.dim):
+            shapes[value.name] = [dim.dim_value for dim in tensor.shape.dim]
+    return shapes

@@ -9,16 +9,13 @@ from pathlib import Path
 import numpy as np
 import onnx
 import onnxruntime
-from numpy.typing import NDArray
 from onnx import TensorProto
 
-from cablesense_msgs_py.bounded_file import read_bounded_bytes
+from cablesense_base.arrays import Array
+from cablesense_base.files import read_bounded_bytes
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
-from cablesense_training.inference.model_safety import require_harmless
-from cablesense_training.inference.model_size import require_bounded
-
-Array = NDArray[np.float64]
+from cablesense_training.inference.model_safety import require_bounded, require_harmless
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Models are a fraction of a megabyte; a file beyond this is not one."""

@@ -1,12 +1,23 @@
-"""What sequences of motion and contact are drawn from."""
+"""What sequences of motion and contact are drawn from.
+
+Commands as people and controllers give them: moves from pose to pose, and streams of steps.
+
+Contacts that come and go: where, from which side and how hard, tick by tick.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
-from cablesense_training.data.errors import DatasetError
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_sim.joint_motion import JointMotion
+from cablesense_training.errors import DatasetError
 
 LONGEST_S = 3600.0
 
@@ -61,3 +72,178 @@ def _within(name: str, value: float, low: float, high: float) -> None:
 
 
 OPTION_NAMES = tuple(field.name for field in fields(MotionProtocol))
+
+
+STEP_S = 1e-3
+"""Set-points are given this often, as the sim node does."""
+
+_MOVES_BEFORE = 3
+_TICKS_BEFORE = 25
+"""In each of these moves."""
+
+_SHARE_OF_STREAMS = 0.4
+_SHARE_OF_SINGLE_JOINTS = 0.3
+_STREAM_EVERY_S = (0.02, 0.1)
+_STREAM_LASTS_S = (1.0, 5.0)
+_MEAN_DWELL_S = 1.2
+_SHARE_OF_LONG_DWELLS = 0.15
+_LONG_DWELL_S = (3.0, 10.0)
+
+
+class CommandedMotion(NamedTuple):
+    """Set-points of T ticks.
+
+    Attributes:
+        angle_rad, speed_rad_s, acceleration_rad_s2: (T, 2N) at the end of each tick.
+        fine_rad: (T, K, 2N) angles at the K steps of `STEP_S` that end in each tick.
+    """
+
+    angle_rad: Array
+    speed_rad_s: Array
+    acceleration_rad_s2: Array
+    fine_rad: Array
+
+
+def drawn_motion(
+    protocol: MotionProtocol, joint_count: int, rng: np.random.Generator
+) -> CommandedMotion:
+    """A course through random poses, beginning at rest at one of them."""
+    reach = np.deg2rad(protocol.pose_range_deg)
+    start = rng.uniform(-reach, reach, joint_count)
+    motion = JointMotion(start, np.deg2rad(protocol.joint_speed_deg_s))
+    commander = _Commander(protocol, start, rng)
+    inner = max(1, round(protocol.tick_s / STEP_S))
+    shape = (protocol.ticks, joint_count)
+    angle, speed, acceleration = np.empty(shape), np.empty(shape), np.empty(shape)
+    fine = np.empty((protocol.ticks, inner, joint_count))
+    for tick in range(protocol.ticks):
+        command = commander.at(tick * protocol.tick_s)
+        if command is not None:
+            motion.go_to(command)
+        for step in range(inner):
+            fine[tick, step] = motion.advance(protocol.tick_s / inner)
+        angle[tick], speed[tick], acceleration[tick] = motion.state
+    return CommandedMotion(angle, speed, acceleration, fine)
+
+
+def drawn_before(start_rad: Array, reach_rad: float, rng: np.random.Generator) -> Array:
+    """(S, W, 2N) set-points that lead through random poses to `start_rad` (S, 2N).
+
+    They give the friction of each arm a past, and whoever counts commands knows it.
+    """
+    poses = [rng.uniform(-reach_rad, reach_rad, start_rad.shape) for _ in range(_MOVES_BEFORE)]
+    poses.append(start_rad)
+    share = np.linspace(0.0, 1.0, _TICKS_BEFORE)[:, None, None]
+    way = [here + share * (there - here) for here, there in pairwise(poses)]
+    return np.concatenate(way).swapaxes(0, 1)
+
+
+class _Commander:
+    """Gives the next command when its time has come."""
+
+    def __init__(
+        self, protocol: MotionProtocol, start_rad: Array, rng: np.random.Generator
+    ) -> None:
+        self._rng, self._reach = rng, np.deg2rad(protocol.pose_range_deg)
+        self._speed = np.deg2rad(protocol.joint_speed_deg_s)
+        self._command = start_rad.copy()
+        self._next_s = rng.exponential(_MEAN_DWELL_S)
+        self._stream_until_s = -1.0
+        self._every_s = 0.0
+        self._velocity = np.zeros_like(start_rad)
+
+    def at(self, time_s: float) -> Array | None:
+        """The command (2N,) that is due, or None."""
+        if time_s < self._next_s:
+            return None
+        rng = self._rng
+        if time_s < self._stream_until_s:
+            self._step()
+            self._next_s = time_s + self._every_s
+        elif rng.random() < _SHARE_OF_STREAMS:
+            self._every_s = rng.uniform(*_STREAM_EVERY_S)
+            self._stream_until_s = time_s + rng.uniform(*_STREAM_LASTS_S)
+            self._velocity = self._drawn_velocity()
+            self._step()
+            self._next_s = time_s + self._every_s
+        else:
+            moved = np.ones(len(self._command), dtype=bool)
+            if rng.random() < _SHARE_OF_SINGLE_JOINTS:
+                moved[:] = False
+                moved[rng.integers(len(moved))] = True
+            drawn = rng.uniform(-self._reach, self._reach, len(moved))
+            way = np.abs(np.where(moved, drawn - self._command, 0.0)).max()
+            self._command = np.where(moved, drawn, self._command)
+            self._next_s = time_s + 1.9 * way / self._speed + self._dwell_s()
+        return self._command.copy()
+
+    def _drawn_velocity(self) -> Array:
+        size = self._speed * self._rng.uniform(0.0, 0.5)
+        return self._rng.normal(0.0, 0.6, len(self._command)) * size
+
+    def _step(self) -> None:
+        turned = self._velocity + 0.3 * self._drawn_velocity()
+        ahead = self._command + turned * self._every_s
+        out = np.abs(ahead) > self._reach
+        self._velocity = np.where(out, -turned, turned)
+        self._command = np.clip(ahead, -self._reach, self._reach)
+
+    def _dwell_s(self) -> float:
+        if self._rng.random() < _SHARE_OF_LONG_DWELLS:
+            return float(self._rng.uniform(*_LONG_DWELL_S))
+        return float(self._rng.exponential(_MEAN_DWELL_S))
+
+
+_MEAN_FREE_S = 2.0
+_SHORTEST_FREE_S = 0.2
+_MEAN_HOLD_S = 2.0
+_LOG_RISE = (np.log(0.02), np.log(1.5))
+_SHARE_OF_WEAK = 0.3
+_WEAK_SHARE_OF_FORCE = 0.15
+_MOST_TURNED_DEG_S = 20.0
+_SWELL = 0.3
+_SWELL_HZ = (0.2, 2.0)
+
+
+class ContactCourse(NamedTuple):
+    """Of T ticks: segment (T,), 0 for none; angle (T,), degrees; magnitude (T,), N."""
+
+    segment: NDArray[np.int64]
+    angle_deg: Array
+    magnitude_n: Array
+
+
+def drawn_contacts(
+    protocol: MotionProtocol, segment_count: int, rng: np.random.Generator
+) -> ContactCourse:
+    """One contact at a time, with pauses between; most swell, and turn a little, while they last.
+
+    A contact rises within 20 ms to 1.5 s, holds, and falls likewise. A third are weak.
+    """
+    ticks = protocol.ticks
+    segment = np.zeros(ticks, dtype=np.int64)
+    angle, magnitude = np.zeros(ticks), np.zeros(ticks)
+    time_s = np.arange(ticks) * protocol.tick_s
+    start_s = _free_s(rng)
+    while start_s < time_s[-1]:
+        rise_s, fall_s = np.exp(rng.uniform(*_LOG_RISE, 2))
+        hold_s = rng.exponential(_MEAN_HOLD_S)
+        end_s = start_s + rise_s + hold_s + fall_s
+        rows = np.flatnonzero((time_s > start_s) & (time_s < end_s))
+        since = time_s[rows] - start_s
+        peak = rng.uniform(0.0, protocol.force_high_n)
+        if rng.random() < _SHARE_OF_WEAK:
+            peak *= _WEAK_SHARE_OF_FORCE
+        envelope = np.minimum(1.0, np.minimum(since / rise_s, (end_s - time_s[rows]) / fall_s))
+        swell = rng.uniform(0.0, _SWELL) * (rng.random() < 0.5)
+        phase = 2.0 * np.pi * (rng.uniform(*_SWELL_HZ) * since + rng.random())
+        segment[rows] = rng.integers(1, segment_count + 1)
+        magnitude[rows] = peak * envelope * (1.0 - swell * (0.5 + 0.5 * np.sin(phase)))
+        turning = rng.uniform(-_MOST_TURNED_DEG_S, _MOST_TURNED_DEG_S) * (rng.random() < 0.5)
+        angle[rows] = (rng.uniform(0.0, 360.0) + turning * since) % 360.0
+        start_s = end_s + _free_s(rng)
+    return ContactCourse(segment, angle, magnitude)
+
+
+def _free_s(rng: np.random.Generator) -> float:
+    return float(_SHORTEST_FREE_S + rng.exponential(_MEAN_FREE_S))

@@ -1,18 +1,41 @@
-"""Sequences of samples in memory: tensions along a course, with the contacts that bent them."""
+"""Sequences of samples in memory: tensions along a course, with the contacts that bent them.
+
+Sequences from arm, protocol and seed; the same for any number of worker processes.
+
+True tensions along a course: in time by MuJoCo, or from rest to rest where the past counts.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
-from cablesense_training.data.errors import DatasetError
-from cablesense_training.motion.motion_protocol import MotionProtocol
-
-Array = NDArray[np.float64]
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.effects.registry import actuations, amended, entries_of, memories, sensings
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.quasi_static import QuasiStaticArm
+from cablesense_sim.sensors import read_tensions_n
+from cablesense_training.data.dataset import contact_forces_n
+from cablesense_training.errors import DatasetError
+from cablesense_training.motion.motion_protocol import (
+    STEP_S,
+    CommandedMotion,
+    ContactCourse,
+    MotionProtocol,
+    drawn_before,
+    drawn_contacts,
+    drawn_motion,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,3 +100,175 @@ class Sequences:
 
 ARRAY_NAMES = tuple(f.name for f in fields(Sequences) if f.name not in ("arm", "protocol", "seed"))
 """Names of the arrays that have one row per sequence."""
+
+
+def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
+    """(T, M) tensions of an arm without memory under loads (T, N, 3), at rest at the start."""
+    dynamics = ArmDynamics(arm, STEP_S)
+    dynamics.reset(motion.angle_rad[0])
+    found = np.empty((len(forces_n), arm.cable_count))
+    for tick, loads in enumerate(forces_n):
+        for segment, force in enumerate(loads, start=1):
+            dynamics.load(segment, force)
+        for angles in motion.fine_rad[tick]:
+            dynamics.command(angles)
+            dynamics.advance(STEP_S)
+        found[tick] = dynamics.tensions_n
+    return found
+
+
+def tensions_from_rest_to_rest_n(
+    arm: Arm,
+    before_rad: Array,
+    command_rad: Array,
+    forces_n: Array,
+    tick_s: float,
+) -> Array:
+    """(S, T, M) tensions of arms that remember, side by side, under loads (S, T, N, 3).
+
+    Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
+    sequences in which an arm finds no rest.
+    """
+    before = before_rad.swapaxes(0, 1)
+    course = np.concatenate([before, command_rad.swapaxes(0, 1)])
+    none = np.zeros((len(before), *forces_n.swapaxes(0, 1).shape[1:]))
+    loads = np.concatenate([none, forces_n.swapaxes(0, 1)])
+    found = np.full((*course.shape[:2], arm.cable_count), np.nan)
+    rows = np.arange(course.shape[1])
+    while rows.size:
+        try:
+            found[:, rows] = _through(arm, course[:, rows], loads[:, rows], tick_s)
+        except EquilibriumError as error:
+            if not error.failed.size:
+                raise
+            rows = np.delete(rows, error.failed)
+            continue
+        break
+    return found[len(before) :].swapaxes(0, 1)
+
+
+def _through(arm: Arm, course_rad: Array, loads_n: Array, tick_s: float) -> Array:
+    entries, nominal = entries_of(arm), Mechanism.from_arm(arm)
+    count = course_rad.shape[1]
+    resting = QuasiStaticArm([amended(nominal, entries)] * count, [entries] * count)
+    acting = actuations([entries] * count)
+    found = np.empty((len(course_rad), count, arm.cable_count))
+    for tick, command in enumerate(course_rad):
+        held = held_lengths_m(nominal, command)
+        for actuation in acting:
+            held = actuation.step(tick * tick_s, held)
+        found[tick] = resting.step(tick * tick_s, held, loads_n[tick])
+    return found
+
+
+SHARE_STARTED_LATE = 0.4
+"""Sequences whose estimator was started just before the tare, when the arm had moved already."""
+
+BLOCK_SEQUENCES = 32
+"""Sequences that one worker draws at a time; each block has a random stream of its own."""
+
+
+def draw_sequences(
+    arm: Arm,
+    protocol: MotionProtocol,
+    seed: int,
+    *,
+    workers: int = 1,
+    on_done: Callable[[int], None] | None = None,
+) -> Sequences:
+    """The sequences that arm, protocol and seed determine; `on_done` is told how many are.
+
+    Sequences in which the arm finds no rest are left out.
+
+    Raises:
+        DatasetError: none is left.
+    """
+    counts = _block_sizes(protocol.sequences)
+    draw = partial(draw_block, arm, protocol, seed)
+    parts: list[Sequences] = []
+    if min(workers, len(counts)) == 1:
+        for block, count in enumerate(counts):
+            parts.append(draw(block, count))
+            _tell(on_done, count)
+    else:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+            results = pool.map(draw, range(len(counts)), counts)
+            for part, count in zip(results, counts, strict=True):
+                parts.append(part)
+                _tell(on_done, count)
+    return Sequences.concatenate([part for part in parts if len(part)])
+
+
+def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int) -> Sequences:
+    """Some sequences of a run, by their block's number."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block,)))
+    nominal, entries = Mechanism.from_arm(arm), entries_of(arm)
+    motions = [drawn_motion(protocol, arm.joint_count, rng) for _ in range(count)]
+    contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
+    command = np.stack([motion.angle_rad for motion in motions])
+    forces = np.stack(
+        [_forces_n(nominal, pose, course) for pose, course in zip(command, contacts, strict=True)]
+    )
+    before = drawn_before(command[:, 0], np.abs(command).max(), rng)
+    if memories([entries]):
+        true = tensions_from_rest_to_rest_n(arm, before, command, forces, protocol.tick_s)
+    else:
+        pairs = zip(motions, forces, strict=True)
+        true = np.stack([tensions_in_time_n(arm, motion, loads) for motion, loads in pairs])
+    sensed = _sensed_n(arm, true, protocol.tick_s)
+    reading, tare = sensed, sensed[:, :1]
+    if protocol.noise:
+        reading = read_tensions_n(sensed, arm.sensors, rng)
+        repeated = np.repeat(sensed[:, :1], protocol.tare_samples, axis=1)
+        tare = read_tensions_n(repeated, arm.sensors, rng).mean(axis=1, keepdims=True)
+    held = held_lengths_m(nominal, command)
+    predicted = solve_equilibrium(amended(nominal, entries), command, held_m=held).tensions_n
+    whole = np.isfinite(true).all(axis=(1, 2))
+    return Sequences(
+        arm=arm,
+        protocol=protocol,
+        seed=seed,
+        before_rad=_as_known(before, rng),
+        tension_difference_n=reading - tare - (predicted - predicted[:, :1]),
+        joint_command_rad=command,
+        joint_speed_rad_s=np.stack([motion.speed_rad_s for motion in motions]),
+        joint_acceleration_rad_s2=np.stack([m.acceleration_rad_s2 for m in motions]),
+        segment=np.stack([course.segment for course in contacts]),
+        angle_deg=np.stack([course.angle_deg for course in contacts]),
+        magnitude_n=np.stack([course.magnitude_n for course in contacts]),
+    ).select(whole)
+
+
+def _as_known(before_rad: Array, rng: np.random.Generator) -> Array:
+    """What an estimator knows of set-points (S, W, 2N): nothing, where it was started later."""
+    late = rng.random(len(before_rad)) < SHARE_STARTED_LATE
+    return np.where(late[:, None, None], before_rad[:, -1:], before_rad)
+
+
+def _forces_n(mechanism: Mechanism, command_rad: Array, course: ContactCourse) -> Array:
+    """(T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
+    here = course.segment[:, None] == np.arange(1, mechanism.segment_count + 1)
+    angles = np.where(here, course.angle_deg[:, None], 0.0)
+    magnitudes = np.where(here, course.magnitude_n[:, None], 0.0)
+    return contact_forces_n(mechanism, command_rad, angles, magnitudes)
+
+
+def _sensed_n(arm: Arm, true_n: Array, tick_s: float) -> Array:
+    """What sensors that lag, drift or mix their channels make of tensions (S, T, M)."""
+    entries = entries_of(arm)
+    sensed = true_n
+    for sensing in sensings([entries] * len(true_n)):
+        ticks = [sensing.step(t * tick_s, sensed[:, t]) for t in range(sensed.shape[1])]
+        sensed = np.stack(ticks, axis=1)
+    return sensed
+
+
+def _block_sizes(count: int) -> list[int]:
+    full, rest = divmod(count, BLOCK_SEQUENCES)
+    return [BLOCK_SEQUENCES] * full + ([rest] if rest else [])
+
+
+def _tell(on_done: Callable[[int], None] | None, count: int) -> None:
+    if on_done is not None:
+        on_done(count)

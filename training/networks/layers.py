@@ -1,8 +1,16 @@
-"""Building blocks that the networks share."""
+"""Building blocks that the networks share.
+
+What the networks answer, in physical units.
+
+The stated uncertainty: a small head beside the answers that cannot disturb them.
+
+Standardisation of inputs and labels, inside the networks: they take and give physical units.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -52,3 +60,115 @@ def tension_norm_n(tension_difference_n: Tensor) -> Tensor:
     """Length (B, 1) of the tension differences, kept off zero by 1 mN, so safe to divide by."""
     squared = (tension_difference_n * tension_difference_n).sum(dim=-1, keepdim=True)
     return torch.sqrt(squared + 1e-6)
+
+
+class SingleContactOutput(NamedTuple):
+    """Answer for B tension differences of an arm with N segments.
+
+    Attributes:
+        contact_logits: (B, N + 1) no contact, segment 1 … N; their softmax is the contact
+            probability.
+        direction: (B, 2) (sin θ, cos θ) of the contact angle, not necessarily of unit length.
+        magnitude_n: (B,) force magnitude.
+        magnitude_std_n: (B,) stated standard deviation of the magnitude.
+        angle_std_deg: (B,) stated standard deviation of the contact angle.
+    """
+
+    contact_logits: Tensor
+    direction: Tensor
+    magnitude_n: Tensor
+    magnitude_std_n: Tensor
+    angle_std_deg: Tensor
+
+
+class MultiContactOutput(NamedTuple):
+    """Answer for B tension differences, each segment of N touched or not.
+
+    Attributes:
+        contact_logits: (B, N) their sigmoid is the probability that a segment is touched.
+        magnitude_n: (B, N) force magnitudes, meant where the segment is touched.
+        magnitude_std_n: (B, N) stated standard deviations of the magnitudes.
+    """
+
+    contact_logits: Tensor
+    magnitude_n: Tensor
+    magnitude_std_n: Tensor
+
+
+_LOG_RANGE = (-9.0, 6.0)
+
+
+class StatedSpread(nn.Module):
+    """What every head for stated standard deviations has.
+
+    Attributes:
+        factor: (outputs,) set after training such that 95 % of held-out errors lie within 1.96
+            standard deviations.
+    """
+
+    factor: Tensor
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__()
+        self.register_buffer("factor", torch.ones(outputs))
+
+
+class Spread(StatedSpread):
+    """Standard deviations (B, outputs) from the answering network's hidden features.
+
+    The features arrive detached, so the likelihood that trains this head leaves the answers
+    alone. The length of the tension difference joins them, because sensor noise makes directions
+    of weak forces uncertain as its inverse. The likelihood alone does not make 95 % intervals
+    hold where errors have heavy tails; `factor` does.
+    """
+
+    unit: Tensor
+
+    def __init__(self, features: int, outputs: int, width: int = 48) -> None:
+        super().__init__(outputs)
+        self.hidden = perceptron(features + 1, (width, width))
+        self.log_std = nn.Linear(width, outputs)
+        self.register_buffer("unit", torch.ones(outputs))
+
+    def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
+        """Standard deviations (B, outputs) from features (B, F) and tension differences (B, M)."""
+        length = torch.log(tension_norm_n(tension_difference_n))
+        hidden = self.hidden(torch.cat([features.detach(), length], dim=-1))
+        log_std = self.log_std(hidden).clamp(*_LOG_RANGE)
+        std: Tensor = torch.exp(log_std) * self.unit * self.factor
+        return std
+
+
+SMALLEST_STD = 1e-9
+"""A column that never varies is left unscaled instead of being divided by its rounding error."""
+
+
+class Standardiser(nn.Module):
+    """`(x - mean) / std` per column, and back; `adapt` sets these buffers from training data.
+
+    Before `adapt` it changes nothing.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, columns: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(columns))
+        self.register_buffer("std", torch.ones(columns))
+
+    def adapt(self, values: Tensor) -> None:
+        """Take mean and standard deviation from rows (B, columns)."""
+        std = values.std(dim=0, correction=0)
+        self.mean.copy_(values.mean(dim=0))
+        self.std.copy_(torch.where(std > SMALLEST_STD, std, torch.ones_like(std)))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Standardised rows (B, columns)."""
+        scaled: Tensor = (values - self.mean) / self.std
+        return scaled
+
+    def undo(self, values: Tensor) -> Tensor:
+        """Rows in physical units from standardised ones."""
+        physical: Tensor = values * self.std + self.mean
+        return physical

@@ -1,16 +1,33 @@
-"""What all single-contact networks have in common."""
+"""What all single-contact networks have in common.
+
+The two-stage network of the paper, with no contact as a class of its own.
+
+The decoupled baseline: one network for each of contact, direction and magnitude.
+
+One backbone for all three tasks, with a linear head for each.
+
+A network for the twelve tensions alone that knows how tensions scale with force.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from cablesense_training.networks.output import SingleContactOutput
-from cablesense_training.networks.spread import Spread, StatedSpread
-from cablesense_training.scaling import Standardiser
+from cablesense_training.networks.layers import (
+    SingleContactOutput,
+    Spread,
+    Standardiser,
+    StatedSpread,
+    gated_perceptron,
+    one_hot_of_argmax,
+    perceptron,
+    tension_norm_n,
+)
 
 
 class Answer(NamedTuple):
@@ -96,4 +113,128 @@ class LearntNetwork(SingleContactNetwork):
             magnitude_n=answer.magnitude_n,
             magnitude_std_n=std[:, 0],
             angle_std_deg=std[:, 1],
+        )
+
+
+class TwoStageNetwork(LearntNetwork):
+    """First the contact, then magnitude and direction given the contact; equations (9) to (13).
+
+    With x the standardised tension differences, stage one gives the contact class, whose one-hot
+    code c joins x as input of the trunk φ that magnitude and direction share. In training, too, c
+    is the network's own verdict, so stage two learns from the mistakes that stage one makes in
+    use.
+    """
+
+    def __init__(
+        self,
+        cable_count: int,
+        segment_count: int,
+        contact_widths: Sequence[int] = (128, 128),
+        widths: Sequence[int] = (192, 192, 192),
+    ) -> None:
+        super().__init__(cable_count, segment_count, features=widths[-1])
+        classes = segment_count + 1
+        self.contact_trunk = perceptron(cable_count, contact_widths)
+        self.contact_head = nn.Linear(contact_widths[-1], classes)
+        self.trunk = perceptron(cable_count + classes, widths)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.magnitude_head = nn.Linear(widths[-1], 1)
+
+    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
+        """See the base class."""
+        x = self.tension(tension_difference_n)
+        logits = self.contact_head(self.contact_trunk(x))
+        contact = one_hot_of_argmax(logits)
+        hidden = self.trunk(torch.cat([x, contact], dim=-1))
+        return Answer(
+            contact_logits=logits,
+            direction=self.direction_head(hidden),
+            magnitude_n=self.magnitude.undo(self.magnitude_head(hidden))[:, 0],
+            features=hidden,
+        )
+
+
+class DecoupledNetwork(LearntNetwork):
+    """Three networks that share nothing but the standardised input."""
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (128, 128, 128)
+    ) -> None:
+        super().__init__(cable_count, segment_count, features=2 * widths[-1])
+        self.contact_trunk = perceptron(cable_count, widths)
+        self.contact_head = nn.Linear(widths[-1], segment_count + 1)
+        self.direction_trunk = perceptron(cable_count, widths)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.magnitude_trunk = perceptron(cable_count, widths)
+        self.magnitude_head = nn.Linear(widths[-1], 1)
+
+    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
+        """See the base class."""
+        x = self.tension(tension_difference_n)
+        for_direction, for_magnitude = self.direction_trunk(x), self.magnitude_trunk(x)
+        magnitude = self.magnitude.undo(self.magnitude_head(for_magnitude))
+        return Answer(
+            contact_logits=self.contact_head(self.contact_trunk(x)),
+            direction=self.direction_head(for_direction),
+            magnitude_n=magnitude[:, 0],
+            features=torch.cat([for_direction, for_magnitude], dim=-1),
+        )
+
+
+class SharedBackboneNetwork(LearntNetwork):
+    """Contact, direction and magnitude are linear in the same hidden features."""
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (192, 192, 192)
+    ) -> None:
+        super().__init__(cable_count, segment_count, features=widths[-1])
+        self.backbone = perceptron(cable_count, widths)
+        self.contact_head = nn.Linear(widths[-1], segment_count + 1)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.magnitude_head = nn.Linear(widths[-1], 1)
+
+    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
+        """See the base class."""
+        hidden = self.backbone(self.tension(tension_difference_n))
+        return Answer(
+            contact_logits=self.contact_head(hidden),
+            direction=self.direction_head(hidden),
+            magnitude_n=self.magnitude.undo(self.magnitude_head(hidden))[:, 0],
+            features=hidden,
+        )
+
+
+class ScaleAwareNetwork(LearntNetwork):
+    """Reads the pattern of the tension differences apart from their size.
+
+    While no cable goes slack, twice the force makes twice the differences: the pattern
+    u = ΔT / |ΔT| holds segment and direction, and the magnitude is |ΔT| times a function of it.
+    Pattern, log |ΔT| and the standardised differences (slack and sensor noise do depend on size)
+    enter one trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|, so
+    its error is relative, as the physics is.
+    """
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (208, 208, 208)
+    ) -> None:
+        super().__init__(cable_count, segment_count, features=widths[-1])
+        self.trunk = gated_perceptron(2 * cable_count + 1, widths)
+        self.contact_head = nn.Linear(widths[-1], segment_count + 1)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.ratio_head = nn.Linear(widths[-1], 1)
+
+    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
+        """See the base class."""
+        length = tension_norm_n(tension_difference_n)
+        pattern = tension_difference_n / length
+        x = torch.cat(
+            [pattern, torch.log(length) / 3.0, self.tension(tension_difference_n)], dim=-1
+        )
+        hidden = self.trunk(x)
+        ratio = torch.exp(self.ratio_head(hidden).clamp(max=3.0))
+        return Answer(
+            contact_logits=self.contact_head(hidden),
+            direction=self.direction_head(hidden),
+            magnitude_n=(length * ratio)[:, 0],
+            features=hidden,
         )

@@ -1,0 +1,179 @@
+"""One process under test: started as a user would, its output in a file, ended for sure.
+
+Memory and processor time of a process, from /proc (Linux).
+
+The file of a result: what made it, on which machine, written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cablesense_ros.node_process import prefer_quick_discovery
+
+END_WITHIN_S = 20.0
+
+
+def own_graph() -> None:
+    """Keep this process and its children on this machine, in a ROS domain of their own."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("PYTHONUNBUFFERED", "1")
+    prefer_quick_discovery()
+
+
+def node_command(
+    module: str, parameters: Mapping[str, object], remaps: Mapping[str, str] | None = None
+) -> list[str]:
+    """The command line of a node of this package in this Python."""
+    command = [sys.executable, "-m", f"cablesense_ros.{module}", "--ros-args"]
+    for topic, other in (remaps or {}).items():
+        command += ["-r", f"{topic}:={other}"]
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ["-p", f"{name}:={text}"]
+    return command
+
+
+def wait_until(true: Callable[[], object], within_s: float) -> bool:
+    """Look every 20 ms; give whether it became true in time."""
+    deadline_s = time.monotonic() + within_s
+    while not true():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+class NodeProcess:
+    """A child process that can be killed and started again.
+
+    Attributes:
+        started_s: when it was last started, monotonic.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
+        self.name = name
+        self._command = list(command)
+        self._log = log
+        self.start()
+
+    def start(self) -> None:
+        """Start it, or start it again after its end."""
+        with self._log.open("ab") as sink:
+            self.started_s = time.monotonic()
+            self.process = subprocess.Popen(
+                self._command, stdin=subprocess.PIPE, stdout=sink, stderr=subprocess.STDOUT
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.process.poll() is None
+
+    def log(self) -> str:
+        """All that it has printed so far."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def kill(self) -> float:
+        """Kill it as nothing can refuse (SIGKILL); give the monotonic time of that."""
+        killed_s = time.monotonic()
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(timeout=END_WITHIN_S)
+        return killed_s
+
+    def stop(self) -> int:
+        """End it as Ctrl-C does; give its exit code."""
+        if self.alive:
+            self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(timeout=END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+_TICKS_S = os.sysconf("SC_CLK_TCK")
+_USER_TICKS, _SYSTEM_TICKS = 11, 12  # in the fields after the name, which may hold spaces
+
+
+def rss_mb(pid: int) -> float:
+    """Memory of a process that lies in RAM, MB (10^6 bytes); NaN when it has ended."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, IndexError):
+        return float("nan")
+    return pages * _PAGE_BYTES / 1e6
+
+
+def shared_memory_mb() -> float:
+    """What lies in /dev/shm, MB: Fast DDS's segments, also those of processes that were killed."""
+    try:
+        return sum(file.stat().st_blocks for file in Path("/dev/shm").iterdir()) * 512 / 1e6
+    except OSError:
+        return float("nan")
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has taken so far, s; NaN when it has ended."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return float("nan")
+    fields = stat.rpartition(")")[2].split()
+    return (int(fields[_USER_TICKS]) + int(fields[_SYSTEM_TICKS])) / _TICKS_S
+
+
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+def with_origin(command: str, result: Mapping[str, Any]) -> dict[str, Any]:
+    """The result, after the command, the time and the machine that made it."""
+    return {
+        "command": command,
+        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
+        "python": platform.python_version(),
+        "rclpy": version("rclpy"),
+        **result,
+    }
+
+
+def write_result(name: str, result: Mapping[str, Any]) -> Path:
+    """Put the result into its file; gives the path."""
+    path = RESULTS / name
+    path.parent.mkdir(exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    part.replace(path)
+    return path

@@ -1,0 +1,1 @@
+"""What every package stands on: errors, files from outside, installed data, progress."""

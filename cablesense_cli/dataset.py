@@ -1,0 +1,161 @@
+"""`cablesense dataset`: draw contacts after a protocol and write what the cables would say."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cablesense_base.errors import CableSenseError
+
+if TYPE_CHECKING:
+    from cablesense_training.data.dataset import Summary
+
+
+def dataset(
+    out: Annotated[Path, typer.Option(help="The Parquet file to write.")],
+    arm: Annotated[str, typer.Option(help="A bundled arm's name, or an arm file.")] = "cdsm",
+    protocol: Annotated[
+        str,
+        typer.Option(
+            metavar="single|multi",
+            help="single: at most one contact, every segment, direction and force covered evenly. "
+            "multi: none to all segments touched at once.",
+        ),
+    ] = "single",
+    samples: Annotated[int, typer.Option(help="How many samples.")] = 5000,
+    pose: Annotated[
+        str,
+        typer.Option(metavar="straight|random", help="The arm straight, or at random poses."),
+    ] = "straight",
+    pose_range_deg: Annotated[
+        float, typer.Option(help="Random poses: joint angles within plus or minus this.")
+    ] = 10.0,
+    force_low_n: Annotated[float, typer.Option(help="Weakest contact force, N.")] = 0.0,
+    force_high_n: Annotated[
+        float | None,
+        typer.Option(help="Strongest contact force, N.", show_default="200; 60 for multi"),
+    ] = None,
+    no_contact_fraction: Annotated[
+        float | None,
+        typer.Option(help="Share of contact-free samples.", show_default="1 / (segments + 1)"),
+    ] = None,
+    max_contacts: Annotated[
+        int | None,
+        typer.Option(help="multi: most contacts at once.", show_default="all segments"),
+    ] = None,
+    noise: Annotated[
+        bool, typer.Option(help="Apply the arm file's sensor noise and step, or read exactly.")
+    ] = True,
+    randomise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT,…|all",
+            help="Draw samples on arms with these effects, of other sizes and in other places; "
+            "cablesense info --effects lists them.",
+        ),
+    ] = None,
+    tare_samples: Annotated[
+        int, typer.Option(help="Unloaded readings averaged into each sample's tare.")
+    ] = 50,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    workers: Annotated[
+        int, typer.Option(help="Processes to use; has no influence on the file.")
+    ] = 1,
+    dask_scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead."),
+    ] = None,
+    json_output: Annotated[
+        bool, typer.Option("--json", help="Print the figures as JSON.")
+    ] = False,
+) -> None:
+    """Generate training data: cable tensions of the simulated arm, with the contacts behind them.
+
+    Each row is the difference that a contact makes to the cable tensions, with the contact as its
+    label. Units, the arm and all options are stored in the file.
+
+    Example: cablesense dataset --pose random --samples 20000 --workers 2 --out data.parquet
+    """
+    from cablesense_sim.arm import open_arm
+
+    try:
+        from cablesense_training.data import (
+            dataset_command,
+            produce_dataset,
+            protocol_from_options,
+        )
+    except ModuleNotFoundError as error:
+        raise CableSenseError(
+            f"datasets need {error.name}; install it with: pip install 'cablesense_ros[train]'"
+        ) from error
+
+    chosen = {
+        "kind": protocol,
+        "samples": samples,
+        "pose": pose,
+        "pose_range_deg": pose_range_deg,
+        "noise": noise,
+        "tare_samples": tare_samples,
+        "force_low_n": force_low_n,
+        "force_high_n": force_high_n,
+        "no_contact_fraction": no_contact_fraction,
+        "max_contacts": max_contacts,
+        "randomise": randomise,
+    }
+    drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None})
+    description = open_arm(arm)
+    started = time.perf_counter()
+    summary = produce_dataset(
+        out,
+        description,
+        drawn,
+        seed,
+        command=dataset_command(arm, drawn, seed),
+        workers=workers,
+        dask_scheduler=dask_scheduler,
+        show_progress=not json_output,
+    )
+    took_s = time.perf_counter() - started
+    figures = _figures(summary, out, description.identity, took_s)
+    if json_output:
+        typer.echo(json.dumps(figures))
+    else:
+        _print_table(figures)
+
+
+def _figures(summary: Summary, out: Path, identity: str, took_s: float) -> dict[str, Any]:
+    return {
+        "out": str(out),
+        "arm": identity,
+        "rows": summary.rows,
+        "contact_free": summary.contact_free,
+        "contacts_per_segment": list(summary.contacts_per_segment),
+        "force_range_n": [summary.weakest_n, summary.strongest_n],
+        "slack_rows": summary.slack_rows,
+        "redrawn_rows": summary.redrawn_rows,
+        "seconds": took_s,
+        "rows_per_second": summary.rows / took_s,
+    }
+
+
+def _print_table(figures: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    weakest, strongest = figures["force_range_n"]
+    table = Table(title=f"{figures['out']}, arm {figures['arm']}", show_header=False)
+    table.add_row("samples", f"{figures['rows']:,}")
+    table.add_row("without contact", f"{figures['contact_free']:,}")
+    for number, count in enumerate(figures["contacts_per_segment"], start=1):
+        table.add_row(f"contacts on segment {number}", f"{count:,}")
+    table.add_row("contact forces", f"{weakest:.3g} to {strongest:.4g} N")
+    table.add_row("with slack cables", f"{figures['slack_rows']:,}")
+    table.add_row("drawn again (beyond the arm)", f"{figures['redrawn_rows']:,}")
+    table.add_row(
+        "rate", f"{figures['rows_per_second']:,.0f} samples/s, {figures['seconds']:.1f} s"
+    )
+    Console().print(table)

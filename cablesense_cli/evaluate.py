@@ -1,0 +1,203 @@
+"""`cablesense evaluate`: how good the estimators are, on fresh samples or measured ones."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from cablesense_training.evaluation.comparison import Comparison
+    from cablesense_training.evaluation.metrics import SingleContactMetrics
+    from cablesense_training.evaluation.noise_bound import NoiseBound
+
+
+def evaluate(
+    samples: Annotated[
+        int, typer.Option(min=100, max=10_000_000, help="Fresh samples per setting.")
+    ] = 20_000,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the samples; none of it was trained on.")
+    ] = 20_260_001,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
+    model: Annotated[
+        str,
+        typer.Option(
+            help="Evaluate this single-contact model (a path, or a bundled name) alone, "
+            "on its own arm."
+        ),
+    ] = "",
+    table2: Annotated[
+        bool,
+        typer.Option(
+            "--table2", help="Instead: the paper's measured tensions, true load against estimate."
+        ),
+    ] = False,
+    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Compare the bundled models, their peers and the noise bound on fresh samples.
+
+    Without options: single contacts on the straight arm, at random poses, on a compliant arm, and
+    from tensions alone; several contacts at once. With [bold]--table2[/bold]: the six loads that
+    were hung on the physical arm.
+
+    Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
+    [bold]cablesense evaluate --model my_arm.onnx[/bold]
+    """
+    from rich.console import Console
+
+    if table2:
+        _show_table2(model, json_output, Console())
+    elif model:
+        _show_model(model, samples, seed, workers, json_output, Console())
+    else:
+        _show_comparison(samples, seed, workers, json_output, Console())
+
+
+def _show_table2(model: str, json_output: bool, console: Any) -> None:
+    from rich.table import Table
+
+    from cablesense_training.evaluation.comparison import TABLE2_MODEL
+    from cablesense_training.evaluation.table2 import evaluate_table2
+    from cablesense_training.inference.estimator import Estimator
+    from cablesense_training.inference.metadata import find_model
+
+    estimator = Estimator.load(find_model(model or TABLE2_MODEL))
+    answers = evaluate_table2(estimator)
+    if json_output:
+        rows = [
+            {
+                "true_segment": a.load.segment,
+                "segment": a.segment,
+                "true_angle_deg": 180.0,
+                "angle_deg": a.angle_deg,
+                "true_magnitude_n": a.load.weight_n,
+                "magnitude_n": a.magnitude_n,
+                "magnitude_error": a.magnitude_error,
+            }
+            for a in answers
+        ]
+        print(json.dumps({"model": estimator.metadata.network, "rows": rows}, indent=2))
+        return
+    table = Table(
+        "true segment", "estimated", "off from down", "true force", "estimated force", "error",
+        title="Loads hung on the physical arm (the paper's Table II)",
+    )  # fmt: skip
+    for a in answers:
+        table.add_row(
+            str(a.load.segment),
+            str(a.segment) if a.segment else "none",
+            f"{a.angle_error_deg:+.1f}°",
+            f"{a.load.weight_n:.2f} N",
+            f"{a.magnitude_n:.2f} N",
+            f"{a.magnitude_error:+.1%}",
+        )
+    console.print(table)
+
+
+def _show_model(
+    model: str, samples: int, seed: int, workers: int, json_output: bool, console: Any
+) -> None:
+    from cablesense_training.data.dataset import Dataset
+    from cablesense_training.data.protocols import SingleContact
+    from cablesense_training.evaluation.comparison import single_figures, single_json
+    from cablesense_training.evaluation.noise_bound import noise_bound
+    from cablesense_training.inference.estimator import Estimator
+    from cablesense_training.inference.metadata import find_model
+
+    estimator = Estimator.load(find_model(model))
+    said = estimator.metadata
+    protocol = SingleContact(
+        samples=samples,
+        pose="random" if said.pose_range_deg > 0 else "straight",
+        pose_range_deg=said.pose_range_deg,
+        force_high_n=said.force_range_n,
+        tare_samples=said.tare_samples,
+    )
+    dataset = Dataset.from_protocol(said.arm, protocol, seed, workers=workers)
+    figures, bound = single_figures(estimator, dataset), noise_bound(dataset)
+    if json_output:
+        print(json.dumps({"single": single_json(figures), "bound": asdict(bound)}, indent=2))
+        return
+    table = _figures_table(f"{said.network} on {said.arm_identity}, {samples} fresh samples")
+    _add_figures(table, said.network, figures)
+    _add_bound(table, bound)
+    console.print(table)
+
+
+def _show_comparison(
+    samples: int, seed: int, workers: int, json_output: bool, console: Any
+) -> None:
+    from rich.console import Console
+
+    from cablesense_training.evaluation.comparison import as_json, compare
+
+    with Console(stderr=True).status("Evaluating …") as status:
+        comparison = compare(
+            seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
+        )
+    if json_output:
+        print(json.dumps(as_json(comparison), indent=2))
+        return
+    for table in _comparison_tables(comparison):
+        console.print(table)
+
+
+def _comparison_tables(comparison: Comparison) -> list[Table]:
+    from rich.table import Table
+
+    tables = []
+    for figures in comparison.settings:
+        table = _figures_table(figures.setting.replace("_", " "))
+        _add_figures(table, "shipped model", figures.shipped)
+        for name, peer in figures.peers.items():
+            _add_figures(table, name.replace("_", " "), peer)
+        _add_bound(table, figures.bound)
+        tables.append(table)
+    table = Table(
+        "estimator", "recognised", "macro F1", "force MAE per segment", title="several contacts"
+    )
+    for name, multi in comparison.multi.items():
+        table.add_row(
+            name.replace("_", " "),
+            f"{multi.recognition_accuracy:.2%}",
+            f"{multi.macro_f1:.4f}",
+            ", ".join(f"{value:.2f}" for value in multi.magnitude_mae_n) + " N",
+        )
+    return [*tables, table]
+
+
+def _figures_table(title: str) -> Table:
+    from rich.table import Table
+
+    return Table(
+        "estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds",
+        title=title,
+    )  # fmt: skip
+
+
+def _add_figures(table: Table, name: str, metrics: SingleContactMetrics) -> None:
+    errors = metrics.errors
+    table.add_row(
+        name,
+        f"{metrics.contact_accuracy:.2%}",
+        f"{errors.direction_mae_deg:.3f}°",
+        f"{errors.magnitude_mae_n:.3f} N",
+        f"{errors.magnitude_rmse_n:.3f} N",
+        f"{errors.magnitude_coverage95:.1%}",
+    )
+
+
+def _add_bound(table: Table, bound: NoiseBound) -> None:
+    table.add_row(
+        "noise bound",
+        "",
+        f"{bound.direction_mae_deg:.3f}°",
+        f"{bound.magnitude_mae_n:.3f} N",
+        f"{bound.magnitude_rmse_n:.3f} N",
+        "",
+    )

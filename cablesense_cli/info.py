@@ -1,0 +1,311 @@
+"""`cablesense info`: what an arm file or a model file says, and which effects an arm can have.
+
+An arm or a model in words and numbers, for `cablesense info`.
+
+The catalogue of effects, for `cablesense info --effects`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from cablesense_sim.arm import find_arm, load_arm
+from cablesense_sim.effects.effect import Effect, Parameter
+from cablesense_sim.effects.registry import entries_of, known_effects
+from cablesense_sim.mechanism import Mechanism
+
+
+def info(
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="An arm file (.yaml) or a model file (.onnx): a path, or a bundled arm's name."
+        ),
+    ] = "cdsm",
+    effects: Annotated[
+        bool,
+        typer.Option(
+            "--effects", help="Show the catalogue of effects that an arm file can list instead."
+        ),
+    ] = False,
+    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
+
+    With --effects: what real arms do beyond the ideal, with places, parameters and sources.
+
+    Examples: [bold]cablesense info cdsm[/bold], [bold]cablesense info my_arm.yaml --json[/bold],
+    [bold]cablesense info config/models/cdsm.onnx[/bold], [bold]cablesense info --effects[/bold]
+    """
+    import json
+
+    from rich.console import Console
+
+    if effects:
+        description = describe_effects()
+        tables = effect_tables(description)
+    else:
+        description = describe_model(file) if file.endswith(".onnx") else describe_arm(file)
+        tables = description_tables(description)
+    if json_output:
+        print(json.dumps(description, indent=2))
+        return
+    console = Console()
+    for table in tables:
+        console.print(table)
+
+
+Description = dict[str, Any]
+
+
+def describe_arm(name: str) -> Description:
+    """An arm's identity, geometry, cables and sensors as drawn, and its effects.
+
+    SI units, as the keys say.
+
+    Raises:
+        CableSenseError: no such arm file, or one that cannot be true.
+    """
+    path = find_arm(name)
+    arm = load_arm(path)
+    mechanism = Mechanism.from_arm(arm)
+    sensors = arm.sensors
+    angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
+    return {
+        "kind": "arm",
+        "file": str(path),
+        "name": arm.name,
+        "identity": arm.identity,
+        "segments": {
+            "count": arm.segment_count,
+            "length_m": mechanism.segment_length_m.tolist(),
+            "mass_kg": mechanism.mass_kg.tolist(),
+            "contact_m": mechanism.contact_m.tolist(),
+            "plate_offset_m": mechanism.plate_offset_m,
+        },
+        "cables": [
+            {
+                "name": cable_name,
+                "ends_on_segment": int(mechanism.cable_segment[i]),
+                "angle_deg": round(float(angle_deg[i]), 6) % 360.0,
+                "radius_m": math.hypot(mechanism.hole_y_m[i], mechanism.hole_z_m[i]),
+                "length_m": float(mechanism.straight_length_m[i]),
+                "stiffness_n_m": float(mechanism.stiffness_n_m[i]),
+                "pretension_n": float(mechanism.pretension_n[i]),
+            }
+            for i, cable_name in enumerate(arm.cable_names)
+        ],
+        "sensors": {
+            "rate_hz": sensors.rate_hz,
+            "noise_std_n": sensors.noise_std_n,
+            "step_n": sensors.step_n,
+            "range_n": sensors.range_n,
+        },
+        "joints": list(arm.joint_names),
+        "effects": [
+            {
+                "effect": entry.effect.name,
+                "at": entry.place,
+                "parameters": {
+                    parameter.name: {"value": entry.values[parameter.name], "unit": parameter.unit}
+                    for parameter in (
+                        *entry.effect.parameters,
+                        *entry.effect.history(arm.segment_count, arm.cable_count),
+                    )
+                    if parameter.name in entry.values
+                },
+            }
+            for entry in entries_of(arm)
+        ],
+    }
+
+
+def describe_model(path: str) -> Description:
+    """A model file's inputs, outputs and metadata.
+
+    Raises:
+        CableSenseError: the file is missing or no model.
+    """
+    from cablesense_training.inference.metadata import find_model
+    from cablesense_training.inference.session import read_model
+
+    file = find_model(path)
+    model, metadata = read_model(file)
+    said = metadata.model_dump(mode="json", exclude={"arm", "units"})
+    return {
+        "kind": "model",
+        "file": str(file),
+        "size_bytes": file.stat().st_size,
+        "inputs": [_port(port, metadata.units) for port in model.graph.input],
+        "outputs": [_port(port, metadata.units) for port in model.graph.output],
+        "metadata": said,
+    }
+
+
+def _port(port: Any, units: dict[str, str]) -> dict[str, Any]:
+    dims = port.type.tensor_type.shape.dim
+    shape = [dim.dim_param or dim.dim_value for dim in dims]
+    return {"name": port.name, "unit": units.get(port.name, "1"), "shape": shape}
+
+
+def description_tables(description: Description) -> list[Table]:
+    """The description of an arm or a model as tables for a terminal."""
+    return _arm_tables(description) if description["kind"] == "arm" else _model_tables(description)
+
+
+def _arm_tables(arm: Description) -> list[Table]:
+    segments, sensors = arm["segments"], arm["sensors"]
+    facts = _facts(f"Arm {arm['identity']}")
+    facts.add_row("file", arm["file"])
+    facts.add_row("segments", f"{segments['count']}, of {_listed(segments['length_m'])} m")
+    facts.add_row("mass", f"{_listed(segments['mass_kg'])} kg each")
+    facts.add_row("guide plates", f"{segments['plate_offset_m']:g} m before and after each joint")
+    facts.add_row("loads act", f"{_listed(segments['contact_m'])} m from each segment's joint")
+    facts.add_row(
+        "sensors",
+        f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
+        f"step {sensors['step_n']:g} N",
+    )
+    cables = Table(title="Cables", title_justify="left", header_style="bold")
+    cables.add_column("name")
+    for heading in (
+        "ends on segment",
+        "angle, °",
+        "radius, m",
+        "length, m",
+        "stiffness, N/m",
+        "pretension, N",
+    ):
+        cables.add_column(heading, justify="right")
+    for cable in arm["cables"]:
+        cables.add_row(
+            cable["name"],
+            str(cable["ends_on_segment"]),
+            f"{cable['angle_deg']:.0f}",
+            f"{cable['radius_m']:.3f}",
+            f"{cable['length_m']:.3f}",
+            f"{cable['stiffness_n_m']:.3g}",
+            f"{cable['pretension_n']:g}",
+        )
+    return [facts, cables, *_effect_tables(arm["effects"])]
+
+
+def _effect_tables(effects: list[Description]) -> list[Table]:
+    """What the arm does beyond the ideal; no table where that is nothing."""
+    if not effects:
+        return []
+    table = Table(title="Effects", title_justify="left", header_style="bold")
+    for heading in ("effect", "at", "parameters"):
+        table.add_column(heading)
+    for effect in effects:
+        numbers = (
+            f"{name} = {said['value']:g} {'' if said['unit'] == '1' else said['unit']}".strip()
+            for name, said in effect["parameters"].items()
+        )
+        table.add_row(effect["effect"], effect["at"], "\n".join(numbers))
+    return [table]
+
+
+def _model_tables(model: Description) -> list[Table]:
+    facts = _facts(f"Model {model['file']}")
+    facts.add_row("size", f"{model['size_bytes'] / 1000:.0f} kB")
+    for way in ("inputs", "outputs"):
+        for port in model[way]:
+            shape = ", ".join(map(str, port["shape"]))
+            unit = "" if port["unit"] == "1" else f", {port['unit']}"
+            facts.add_row(way[:-1], f"{port['name']} ({shape}){unit}")
+    for key, value in model["metadata"].items():
+        shown = f"{value[0]} … {value[-1]}" if isinstance(value, list) else str(value)
+        facts.add_row(key.replace("_", " "), shown)
+    return [facts]
+
+
+def _facts(title: str) -> Table:
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column("what", style="bold")
+    table.add_column("value", overflow="fold")
+    return table
+
+
+def _listed(values: list[float]) -> str:
+    return f"{values[0]:g}" if len(set(values)) == 1 else ", ".join(f"{v:g}" for v in values)
+
+
+_FOUR_SEGMENTS, _TWELVE_CABLES = 4, 12
+_SHOWN_PLACES = 4
+
+
+def describe_effects() -> Description:
+    """All known effects, those of other packages too, as plain values.
+
+    Raises:
+        CableSenseError: another package offers what is no effect.
+    """
+    return {"kind": "effects", "effects": [_said(effect) for effect in known_effects().values()]}
+
+
+def _said(effect: Effect) -> Description:
+    return {
+        "name": effect.name,
+        "acts_on": effect.acts_on,
+        "about": effect.about,
+        "tolerance": effect.tolerance,
+        "source": effect.source,
+        "places_of_four_segments_and_twelve_cables": list(
+            effect.places(_FOUR_SEGMENTS, _TWELVE_CABLES)
+        ),
+        "parameters": [_numbers(parameter) for parameter in effect.parameters],
+        "history_of_four_segments_and_twelve_cables": [
+            _numbers(parameter) for parameter in effect.history(_FOUR_SEGMENTS, _TWELVE_CABLES)
+        ],
+    }
+
+
+def _numbers(parameter: Parameter) -> Description:
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "low": parameter.low,
+        "high": parameter.high,
+        "typical": parameter.typical,
+        "default": parameter.default,
+        "role": parameter.role,
+        "about": parameter.about,
+    }
+
+
+def effect_tables(catalogue: Description) -> list[Table]:
+    """One table an effect: what it is, and its parameters."""
+    return [_table(effect) for effect in catalogue["effects"]]
+
+
+def _table(effect: Description) -> Table:
+    places = effect["places_of_four_segments_and_twelve_cables"]
+    shown = places if len(places) <= _SHOWN_PLACES + 1 else [*places[:_SHOWN_PLACES], "…"]
+    kind = ", a tolerance and no finding" if effect["tolerance"] else ""
+    table = Table(
+        title=f"[bold]{effect['name']}[/bold]: {effect['about']}",
+        title_justify="left",
+        caption=f"acts on: {effect['acts_on']}{kind}\nat: {', '.join(shown)}\n{effect['source']}",
+        caption_justify="left",
+        header_style="bold",
+        expand=True,
+    )
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    for heading in ("from", "to", "typical"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("what", ratio=1)
+    for p in (*effect["parameters"], *effect["history_of_four_segments_and_twelve_cables"][:1]):
+        table.add_row(
+            p["name"],
+            "" if p["unit"] == "1" else p["unit"],
+            *(f"{p[key]:g}" for key in ("low", "high", "typical")),
+            p["about"],
+        )
+    return table

@@ -1,0 +1,318 @@
+"""`cablesense sensors …`: tension sensors of a real arm taken into use.
+
+`cablesense sensors calibrate`: known weights to scale and zero, with uncertainty.
+
+`cablesense sensors check`: whether tension sensors can be used, from a recording or live.
+
+The figures of a sensor check as a table, with what would be right above each column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
+
+if TYPE_CHECKING:
+    from cablesense_online.commissioning.known_loads import KnownLoad
+    from cablesense_online.commissioning.sensor_calibration import SensorCalibration
+
+
+def calibrate(
+    loads: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV: cable; mass_kg or force_n; raw, or start_s and end_s of the recording."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The calibration file to write, .yaml.")],
+    channel_map: Annotated[
+        str, typer.Option("--map", help="Channel map of the driver: a bundled name, or a path.")
+    ] = "twelve_channel_amplifier",
+    recording: Annotated[
+        Path | None, typer.Option(help="Where the windows of the loads lie: .csv or .mcap.")
+    ] = None,
+    recorded_with: Annotated[
+        Path | None,
+        typer.Option(help="The calibration that the driver used during the recording, if any."),
+    ] = None,
+    arm: Annotated[
+        str, typer.Option(help="Arm of the recording: a path, or the name of a bundled one.")
+    ] = "cdsm",
+    gravity: Annotated[
+        float | None,
+        typer.Option(
+            min=9.7,
+            max=9.9,
+            help="Local gravity, m/s²; without it 9.80665, and its spread over the Earth counts.",
+        ),
+    ] = None,
+    reference_uncertainty: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            help="Standard uncertainty that all loads share (gauge, set of weights), percent.",
+        ),
+    ] = 0.0,
+    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Find scale and zero of tension sensors from known loads, and how sure they are.
+
+    Writes the file that can_driver takes as its parameter calibration. At least five loads of
+    three sizes a cable, from the bare cable on, up and down again.
+
+    Example: cablesense sensors calibrate loads.csv --map my_map.yaml --out calibration.yaml
+    """
+    from datetime import UTC, datetime
+
+    from rich.console import Console
+
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_online.can.calibration import calibrated, load_calibration, write_calibration
+    from cablesense_online.can.channel_map import open_channel_map
+    from cablesense_online.commissioning.known_loads import (
+        GRAVITY_RELATIVE_U,
+        STANDARD_GRAVITY_M_S2,
+        calibration_points,
+        read_known_loads,
+    )
+    from cablesense_online.commissioning.readings import CommissioningError
+    from cablesense_online.commissioning.sensor_calibration import (
+        calibrate_sensor,
+        calibration_record,
+    )
+    from cablesense_sim.arm import open_arm
+
+    if out.exists():
+        raise CommissioningError(f"{out}: exists already; give another --out, or move it away")
+    described, database = open_channel_map(channel_map)
+    as_recorded, recorded = described, None
+    if recorded_with is not None:
+        earlier = load_calibration(recorded_with)
+        as_recorded = calibrated(described, database, earlier, str(recorded_with))
+    if recording is not None:
+        of_arm = open_arm(arm)
+        recorded = read_recording(recording, of_arm)
+        as_recorded = as_recorded.arranged(of_arm.cable_names)
+    gravity_m_s2 = STANDARD_GRAVITY_M_S2 if gravity is None else gravity
+    known = read_known_loads(loads, described.cable_names, gravity_m_s2)
+    weighed = any(load.by_mass for of_cable in known.values() for load in of_cable)
+    gravity_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
+    common_relative_u = float((gravity_u**2 + (reference_uncertainty / 100.0) ** 2) ** 0.5)
+    found = {
+        cable: calibrate_sensor(cable, points, common_relative_u)
+        for cable, points in calibration_points(known, as_recorded, recorded).items()
+    }
+    made = datetime.now(UTC).replace(microsecond=0)
+    used_m_s2 = gravity_m_s2 if weighed else None
+    calibration = calibration_record(
+        found, described, database, made, used_m_s2, common_relative_u
+    )
+    write_calibration(out, calibration)
+    if json_output:
+        print(calibration.model_dump_json(indent=2))
+        return
+    console = Console()
+    console.print(_table(found, known))
+    if gravity_u:
+        console.print("Give --gravity: without it, masses are forces to 0.3 % only.")
+    if calibration.uncalibrated:
+        console.print(f"Not calibrated: {', '.join(calibration.uncalibrated)}", soft_wrap=True)
+    console.print(f"{out}: give it to can_driver as -p calibration:={out}", soft_wrap=True)
+
+
+def _table(
+    found: Mapping[str, SensorCalibration], known: Mapping[str, Sequence[KnownLoad]]
+) -> Table:
+    from rich.table import Table
+
+    table = Table(title="± is 95 %; all else in N", title_justify="left", header_style="bold")
+    table.add_column("cable")
+    for heading in ("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"):
+        table.add_column(heading, justify="right")
+    for heading in ("nonlinearity", "hysteresis", "repeatability", "furthest off, line"):
+        table.add_column(heading, justify="right")
+    for cable, sensor in found.items():
+        line = known[cable][sensor.largest_residual_at].where.rpartition(" ")[2]
+        table.add_row(
+            cable,
+            str(sensor.points),
+            f"{sensor.largest_force_n:.1f}",
+            f"{sensor.scale_n_per_unit:.6g} ± {sensor.scale_u95_n_per_unit:.2g}",
+            f"{sensor.zero:.6g} ± {sensor.zero_u95:.2g}",
+            f"{sensor.tension_u95_n:.3g}",
+            _newtons(sensor.figures.nonlinearity_n),
+            _newtons(sensor.figures.hysteresis_n),
+            _newtons(sensor.figures.repeatability_n),
+            f"{sensor.largest_residual_n:+.3f}, {line}",
+        )
+    return table
+
+
+def _newtons(value: float | None) -> str:
+    return "not shown" if value is None else f"{value:.3f}"
+
+
+EXIT_UNUSABLE = 1
+
+
+def check(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            help="A .csv file, a .mcap file or a rosbag2 folder.",
+            show_default="live, from the topic cable_tensions",
+        ),
+    ] = None,
+    arm: Annotated[
+        str, typer.Option(help="Arm, which says what is right: a path, or a bundled one's name.")
+    ] = "cdsm",
+    seconds: Annotated[
+        float, typer.Option(min=2.0, max=3600.0, help="Live: how long the arm is left alone.")
+    ] = 10.0,
+    pull: Annotated[
+        str | None,
+        typer.Option(
+            help="Live: cables that you pull by hand when told, joined by commas, or all; shows "
+            "exchanged plugs.",
+        ),
+    ] = None,
+    pulls: Annotated[
+        Path | None,
+        typer.Option(help="Of a recording: CSV with cable, start_s, end_s of pulls by hand."),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.1, max=10_000.0, help="Right rate, Hz.", show_default="the arm file's"),
+    ] = None,
+    drift_limit: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=1000.0,
+            help="Most drift at rest that is right, N.",
+            show_default="four times what a reading varies by",
+        ),
+    ] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
+
+    Exit code 0: usable; 1: something is wrong; 2: wrong input.
+
+    Examples: cablesense sensors check recording.mcap --arm my_arm.yaml,
+    cablesense sensors check --pull all
+    """
+    import json
+    from dataclasses import asdict, replace
+
+    from rich.console import Console
+
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_online.commissioning.pull_check import read_pulls
+    from cablesense_online.commissioning.readings import CommissioningError, series_of
+    from cablesense_online.commissioning.sensor_check import (
+        check_sensors,
+        exercised_channel_findings,
+        expectation,
+    )
+    from cablesense_sim.arm import open_arm
+
+    described = open_arm(arm)
+    names = described.cable_names
+    expected = expectation(described.sensors, rate, drift_limit)
+    if recording is None:
+        from cablesense_ros.subscriptions import listen_to_tensions
+
+        if pulls is not None:
+            raise CommissioningError("--pulls is for a recording; live it is --pull all")
+        pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
+        unknown = [cable for cable in pulled if cable not in names]
+        if unknown:
+            raise CommissioningError(
+                f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
+            )
+        said = Console(stderr=True)
+        series, made = listen_to_tensions(names, seconds, pulled, said.print)
+        report = check_sensors(series, expected, made)
+    else:
+        if pull is not None:
+            raise CommissioningError("--pull is for a live arm; of a recording it is --pulls FILE")
+        recorded = read_recording(recording, described)
+        made = [] if pulls is None else read_pulls(pulls, names)
+        report = check_sensors(series_of(recorded, names), expected, made)
+        found = exercised_channel_findings(recorded, described)
+        report = replace(report, findings=(*found, *report.findings))
+    if json_output:
+        content = {"usable": report.usable, "expected": asdict(expected), **asdict(report)}
+        print(json.dumps(content, indent=2))
+    else:
+        console = Console()
+        console.print(check_table(report, expected))
+        for finding in report.findings:
+            where = "" if finding.where == "all" else f"{finding.where} "
+            kind = "wrong" if finding.wrong else "note"
+            console.print(f"{kind}: {where}{finding.text}", soft_wrap=True, markup=False)
+        if report.usable:
+            console.print("Nothing wrong was found.")
+    if not report.usable:
+        raise typer.Exit(EXIT_UNUSABLE)
+
+
+sensors = typer.Typer(
+    name="sensors",
+    help="Takes the tension sensors of a real arm into use.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+)
+for verb in (check, calibrate):
+    sensors.command()(verb)
+
+
+def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
+    """One row a sensor; what is wrong is red."""
+    timing = report.timing
+    title = (
+        f"{timing.samples:,} samples at {timing.rate_hz:.1f} Hz (right: {expected.rate_hz:g} "
+        f"± 5 %), jitter {1e3 * timing.jitter_s:.2f} ms (≤ {1e3 * expected.jitter_s:.2f}), "
+        f"{timing.lost} lost"
+    )
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column("cable")
+    table.add_column("at rest, N", justify="right")
+    table.add_column(f"noise, N\n≤ {expected.noise_n:.3f}", justify="right")
+    step = f"≤ {expected.step_n:.3f}" if expected.step_n else "any"
+    table.add_column(f"step, N\n{step}", justify="right")
+    table.add_column(f"drift, N\n≤ {expected.drift_n:.2f}", justify="right")
+    pulled = {result.cable: result for result in report.pulls}
+    if pulled:
+        table.add_column("pulled, moved most\nitself", justify="right")
+    wrong = {(finding.where, finding.kind) for finding in report.findings if finding.wrong}
+    for channel in report.channels:
+
+        def cell(text: str, kind: str, cable: str = channel.cable) -> str:
+            return f"[red]{text}[/red]" if (cable, kind) in wrong else text
+
+        cells = [
+            cell(channel.cable, "stuck"),
+            cell(f"{channel.mean_n:.2f}", "range"),
+            cell(_newtons_check_table(channel.noise_n, ".3f", "not told"), "noise"),
+            cell(_newtons_check_table(channel.step_n, ".3f", "none seen"), "step"),
+            cell(_newtons_check_table(channel.drift_n, "+.2f", "not told"), "drift"),
+        ]
+        if pulled:
+            result = pulled.get(channel.cable)
+            text = "" if result is None else f"{result.moved}, {result.verdict}"
+            cells.append(cell(text, "swapped"))
+        table.add_row(*cells)
+    return table
+
+
+def _newtons_check_table(value: float | None, form: str, missing: str) -> str:
+    return missing if value is None else f"{value:{form}}"

@@ -1,0 +1,262 @@
+"""The gap by cable, by cable set and by regime: before, after, and the floor.
+
+The candidates: what each leaves on held-out trials, and how probable it is.
+
+The residual of each cable over time, before and after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_gap.report.inputs import ReportInputs
+from cablesense_gap.report.style import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    GRID,
+    LEAST_N,
+    LOADED,
+    OTHER,
+    WIDTH_IN,
+    as_uri,
+    percent,
+    plain_log_ticks,
+)
+from cablesense_gap.report.text import candidate_name
+from cablesense_gap.residuals import CABLE, LOOP, REGIMES, SET, Decomposition
+from cablesense_gap.verdict import Verdict
+
+
+def cable_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+    """RMS gap of each cable as bars; only those before where `after_label` is empty."""
+    import matplotlib.pyplot as plt
+
+    names = [part.member for part in before.of_group(CABLE)]
+    x = np.arange(len(names))
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 2.7), layout="constrained")
+    shown = [(before, 0.0, BEFORE, "nominal arm")]
+    if after_label:
+        shown = [(before, -0.2, BEFORE, "nominal arm"), (after, 0.2, AFTER, after_label)]
+    for found, aside, colour, label in shown:
+        size = {part.member: part.rms_n for part in found.of_group(CABLE)}
+        heights = [size.get(name, np.nan) for name in names]
+        axes.bar(x + aside, heights, 0.38, color=colour, label=label)
+    axes.axhline(before.floor_n, color=FLOOR, ls="--", lw=1.2, label="floor")
+    axes.set_xticks(x, [name.rpartition("_")[2] for name in names])
+    axes.set(xlabel="cable", ylabel="RMS gap, N", xlim=(-0.6, len(names) - 0.4))
+    axes.grid(axis="y")
+    figure.legend(loc="outside upper right", ncols=3)
+    return as_uri(figure)
+
+
+def regime_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+    """RMS gap by regime, each as a line from before to after."""
+    return _dumbbells(before, after, after_label, (*REGIMES, LOOP))
+
+
+def set_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+    """RMS gap of each cable set's common mode and bending parts, likewise."""
+    return _dumbbells(before, after, after_label, (SET,))
+
+
+def _dumbbells(
+    before: Decomposition, after: Decomposition, after_label: str, groups: Sequence[str]
+) -> str:
+    import matplotlib.pyplot as plt
+
+    remaining = {(part.group, part.member): part.rms_n for part in after.parts}
+    labels: list[str] = []
+    heads: list[tuple[float, str]] = []
+    lines: list[tuple[float, float, float]] = []
+    y = 0.0
+    for group in groups:
+        parts = before.of_group(group)
+        if not parts:
+            continue
+        if len(groups) > 1:
+            heads.append((y, group))
+            y += 1.0
+        for part in parts:
+            lines.append((y, part.rms_n, remaining.get((group, part.member), np.nan)))
+            labels.append(part.member.replace("_", " "))
+            y += 1.0
+        y += 0.35
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 0.8 + 0.205 * y), layout="constrained")
+    at, start, end = (np.array(column) for column in zip(*lines, strict=True))
+    start, end = np.maximum(start, LEAST_N), np.maximum(end, LEAST_N)
+    _draw(axes, at, start, end, after_label)
+    axes.axvline(before.floor_n, color=FLOOR, ls="--", lw=1.2, label="floor")
+    sizes = np.concatenate([start, end])
+    axes.set_xlim(
+        max(min(np.nanmin(sizes) / 1.2, before.floor_n / 2.0), LEAST_N),
+        max(np.nanmax(sizes) * 1.2, before.floor_n * 5.0, 10.0 * LEAST_N),
+    )
+    axes.set_yticks(at, labels)
+    for height, words in heads:
+        axes.text(
+            -0.012, height, words, weight="bold", ha="right", va="center",
+            transform=axes.get_yaxis_transform(),
+        )  # fmt: skip
+    axes.set_ylim(y - 0.4, -0.8)
+    figure.legend(loc="outside upper right", ncols=3)
+    return as_uri(figure)
+
+
+def _draw(axes: Any, at: Any, start: Any, end: Any, after_label: str) -> None:
+    axes.scatter(start, at, s=34, color=BEFORE, zorder=3, label="nominal arm", marker="D")
+    if after_label:
+        axes.hlines(at, np.fmin(start, end), np.fmax(start, end), color=OTHER, lw=2.2, zorder=2)
+        axes.scatter(end, at, s=34, color=AFTER, zorder=4, label=after_label)
+    axes.hlines(at, 0, 1, color=GRID, lw=0.7, zorder=0, transform=axes.get_yaxis_transform())
+    axes.set_xscale("log")
+    plain_log_ticks(axes.xaxis)
+    axes.set_xlabel("RMS gap, N (logarithmic)")
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+
+
+MOST = 12
+
+
+def candidate_figure(verdict: Verdict) -> str:
+    """The most probable candidates, the verdict's in colour, as the `src` of an image."""
+    return as_uri(drawn_candidates(verdict))
+
+
+def drawn_candidates(verdict: Verdict) -> Any:
+    """The same as a matplotlib figure."""
+    import matplotlib.pyplot as plt
+
+    shown = verdict.ranked[:MOST]
+    y = np.arange(len(shown))
+    figure, (left, right) = plt.subplots(
+        1,
+        2,
+        figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
+        sharey=True,
+        width_ratios=(1.25, 1.0),
+        layout="constrained",
+    )
+    for at, candidate in zip(y, shown, strict=True):
+        chosen = candidate.effects == verdict.effects
+        colour = AFTER if chosen else OTHER
+        if candidate.held_out_ci95_n is not None:
+            left.hlines(at, *np.maximum(candidate.held_out_ci95_n, LEAST_N), color=colour, lw=2.4)
+        left.scatter(max(candidate.held_out_rmse_n, LEAST_N), at, s=38, color=colour, zorder=3)
+        right.barh(at, candidate.probability, 0.62, color=colour)
+        right.text(
+            candidate.probability + 0.012, at, percent(candidate.probability), va="center",
+            weight="bold" if chosen else "normal",
+        )  # fmt: skip
+    floor_n = max(verdict.gap.floor_n, LEAST_N)
+    left.axvline(floor_n, color=FLOOR, ls="--", lw=1.2)
+    left.text(
+        floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
+        transform=left.get_xaxis_transform(),
+    )  # fmt: skip
+    left.set_xscale("log")
+    plain_log_ticks(left.xaxis)
+    left.set_yticks(y, [candidate_name(candidate.effects) for candidate in shown])
+    for label, candidate in zip(left.get_yticklabels(), shown, strict=True):
+        label.set_fontweight("bold" if candidate.effects == verdict.effects else "normal")
+    left.set_ylim(len(shown) - 0.4, -0.6)
+    left.set_xlabel("RMS left on held-out trials, N (logarithmic)")
+    right.set(xlabel="probability", xlim=(0.0, 1.12), xticks=(0.0, 0.25, 0.5, 0.75, 1.0))
+    for axes in (left, right):
+        axes.tick_params(axis="y", length=0)
+        axes.grid(axis="x")
+    return figure
+
+
+MOST_CABLES = 24
+MOST_POINTS = 3000
+"""More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
+ROW_IN = 1.45
+
+
+def time_figure(inputs: ReportInputs) -> str:
+    """Small multiples with one scale; of very many cables, those with the largest gap."""
+    import matplotlib.pyplot as plt
+
+    cables, columns = _shown(inputs), inputs.arm.cables.per_segment
+    rows = -(-len(cables) // columns)
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(WIDTH_IN, ROW_IN * rows + 0.75),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    reach_n = _reach_n(inputs)
+    for panel, cable in zip(axes.flat, cables, strict=False):
+        _panel(panel, inputs, cable)
+        panel.set_ylim(-reach_n, reach_n)
+    for panel in axes.flat[len(cables) :]:
+        panel.set_visible(False)
+    for panel in axes[:, 0]:
+        panel.set_ylabel("residual, N")
+    for panel in axes[-1]:
+        panel.set_xlabel("time, s")
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4, fontsize=9
+    )
+    return as_uri(figure, "png")
+
+
+def _panel(panel: Any, inputs: ReportInputs, cable: int) -> None:
+    from matplotlib.transforms import blended_transform_factory
+
+    recording, floor_n = inputs.recording, inputs.verdict.gap.floor_n
+    panel.fill_between(
+        recording.time_s,
+        0.0,
+        1.0,
+        where=recording.load_segment > 0,
+        step="mid",
+        color=LOADED,
+        lw=0,
+        transform=blended_transform_factory(panel.transData, panel.transAxes),
+        label="a load acts",
+    )
+    panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
+    drawn = [(inputs.before_n, BEFORE, 1.4, "nominal arm")]
+    if inputs.after_label:
+        drawn.append((inputs.after_n, AFTER, 0.9, inputs.after_label))
+    for residual_n, colour, width, label in drawn:
+        panel.plot(
+            *_drawn(recording.time_s, residual_n[:, cable]), color=colour, lw=width, label=label
+        )
+    panel.set_title(inputs.arm.cable_names[cable].replace("_", " "), pad=2)
+    panel.set_xlim(recording.time_s[0], recording.time_s[-1])
+    panel.grid(axis="y")
+
+
+def _shown(inputs: ReportInputs) -> list[int]:
+    count = inputs.arm.cable_count
+    if count <= MOST_CABLES:
+        return list(range(count))
+    size = np.nanmean(inputs.before_n**2, axis=0)
+    return sorted(np.argsort(size)[-MOST_CABLES:].tolist())
+
+
+def _reach_n(inputs: ReportInputs) -> float:
+    """What all panels show: nearly all, so that one stray row hides nothing."""
+    both = np.abs(np.concatenate([inputs.before_n, inputs.after_n]))
+    known = both[np.isfinite(both)]
+    largest = float(np.quantile(known, 0.999)) if known.size else 1.0
+    return 1.08 * max(largest, 4.0 * inputs.verdict.gap.floor_n, 1e-3)
+
+
+def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:
+    if len(time_s) <= MOST_POINTS:
+        return time_s, values_n
+    edges = np.linspace(0, len(time_s), MOST_POINTS // 2 + 1).astype(int)[:-1]
+    low, high = np.fmin.reduceat(values_n, edges), np.fmax.reduceat(values_n, edges)
+    return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()

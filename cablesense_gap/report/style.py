@@ -1,0 +1,168 @@
+"""How the pictures of a report look, and how they get into the page.
+
+Colours are of Okabe and Ito (*Color Universal Design*, 2008); the two that carry the message also
+differ in lightness, so that they stay apart in grey print.
+
+Pages that need nothing beside them: made from a template in the common style, written whole.
+
+Numbers as a page shows them.
+
+The error of a report that cannot be written.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from cablesense_base.errors import CableSenseError
+from cablesense_gap.verdict import Estimate
+
+BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
+OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
+WIDTH_IN = 10.2
+PNG_DPI = 130
+LEAST_N = 1e-4
+"""A logarithmic axis has no zero; simulated readings without noise would need it."""
+
+_STYLE: Any = {
+    "font.size": 9.5,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.edgecolor": "#8A929B",
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "svg.hashsalt": "cablesense",  # the same inputs give the same bytes
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """All drawing of a report happens inside; no window is ever opened."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def as_uri(figure: Any, kind: str = "svg") -> str:
+    """A drawn figure as the `src` of an image, `svg` or `png`; the figure is closed."""
+    return image_uri(image_bytes(figure, kind), kind)
+
+
+def image_bytes(figure: Any, kind: str, dpi: int = PNG_DPI) -> bytes:
+    """A drawn figure as a file, `svg` or `png`; the figure is closed."""
+    import matplotlib.pyplot as plt
+
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    plt.close(figure)
+    return buffer.getvalue()
+
+
+def image_uri(image: bytes, kind: str) -> str:
+    """A file of an image, `svg` or `png`, as the `src` of an image."""
+    mime = "image/svg+xml" if kind == "svg" else "image/png"
+    return f"data:{mime};base64,{base64.b64encode(image).decode()}"
+
+
+def plain_log_ticks(axis: Any) -> None:
+    """Ticks of a logarithmic axis as 0.1, 0.2, 0.5, 1 … rather than powers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+class ReportError(CableSenseError):
+    """A report that cannot be written: says where, and why."""
+
+
+def rendered(
+    package: str,
+    template: str,
+    content: Mapping[str, Any],
+    filters: Mapping[str, Callable[..., str]],
+) -> str:
+    """A package's Jinja template as HTML text; `content` and the common style, `css`, go in."""
+    from jinja2 import Environment, StrictUndefined
+
+    source = resources.files(package).joinpath(template).read_text(encoding="utf-8")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(filters)
+    return environment.from_string(source).render({"css": page_css(), **content})
+
+
+def page_css() -> str:
+    """The style sheet that all pages share."""
+    return resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+
+
+def write_whole(path: Path, page: str) -> None:
+    """Write a page; whole or not at all.
+
+    Raises:
+        ReportError: the place cannot be written to.
+    """
+    beside = path.parent / f".{path.name}.{os.getpid()}.part"
+    try:
+        beside.write_text(page, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise ReportError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def newtons(value: float) -> str:
+    """`3.20 N`: hundredths below 10 N, tenths above, no more than a sensor tells."""
+    return f"{value:.2f} N" if abs(value) < 10.0 else f"{value:.1f} N"
+
+
+def percent(share: float) -> str:
+    """`93 %`; never 0 % or 100 % unless it is just that."""
+    whole = round(100.0 * share)
+    if whole >= 100 and share < 1.0:
+        return "> 99 %"
+    if whole <= 0 and share > 0.0:
+        return "< 1 %"
+    return f"{whole} %"
+
+
+def with_interval(estimate: Estimate) -> tuple[str, str]:
+    """Value and 95 % interval, to the digits that the interval leaves."""
+    low, high = estimate.ci95
+    width = high - low
+    decimals = 3
+    if width > 0.0:
+        decimals = min(9, max(0, 1 - math.floor(math.log10(width))))
+    elif estimate.value:
+        decimals = min(9, max(0, 3 - math.floor(math.log10(abs(estimate.value)))))
+    return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f} to {high:.{decimals}f}"
+
+
+def listed(words: list[str], last: str = "and") -> str:
+    """`a, b and c`."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"

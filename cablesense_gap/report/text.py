@@ -1,0 +1,305 @@
+"""The verdict in plain sentences.
+
+What to do next, as steps that someone who has never seen the tool can follow.
+
+Effects in words for people who have never seen the tool: what each is, what to look at.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from cablesense_gap.report.inputs import ReportInputs
+from cablesense_gap.report.style import listed, newtons, percent
+from cablesense_gap.residuals import EVERYWHERE
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined
+
+
+class EffectWords(NamedTuple):
+    """What an effect is, and what someone at the arm can do about it."""
+
+    is_: str
+    look: str = ""
+
+
+_WORDS = {
+    "capstan_friction": EffectWords(
+        "friction of the cables over guides and pulleys",
+        "Look for worn, dry or misaligned guides. The estimator is blind to loads within the loop "
+        "that friction opens; train it on the amended arm.",
+    ),
+    "joint_friction": EffectWords(
+        "dry friction in joints",
+        "Move the joint by hand with slack cables; look for dry or jammed bearings.",
+    ),
+    "cable_creep": EffectWords(
+        "cables that creep under load",
+        "Pre-stretch the cables, or tare again after every long hold.",
+    ),
+    "cable_stiffness": EffectWords(
+        "cables of another stiffness than stated",
+        "Measure a cable's stiffness on a bench, from command to anchor; look for another kind or "
+        "length of cable, and for a soft anchor.",
+    ),
+    "actuator_backlash": EffectWords(
+        "lost motion of actuators on reversal",
+        "Check couplings and nuts of these actuators, or approach poses from one side.",
+    ),
+    "sensor_gain": EffectWords(
+        "a wrong scale of tension sensors",
+        "Hang known weights on these sensors and set their scale anew.",
+    ),
+    "sensor_offset": EffectWords(
+        "a constant zero error of tension sensors",
+        "Set the zero of these sensors with slack cables. A tare hides it from the estimator.",
+    ),
+    "sensor_drift": EffectWords(
+        "a zero of tension sensors that wanders",
+        "Let the sensors warm up; look at their supply and cabling; tare often.",
+    ),
+    "sensor_crosstalk": EffectWords(
+        "crosstalk between tension sensors",
+        "Look at shared wiring, ground and amplifier of these channels.",
+    ),
+    "sensor_lag": EffectWords(
+        "tension sensors that follow late",
+        "Look at the filter settings of these channels; all should be alike.",
+    ),
+    "payload": EffectWords(
+        "mass that nobody modelled",
+        "Weigh what was added there: tools, hoses, covers.",
+    ),
+    "base_tilt": EffectWords(
+        "a base that is not level",
+        "Put a level on the base; level it, or keep the tilt in the arm file.",
+    ),
+    "routing_geometry": EffectWords(
+        "guide holes on another radius or at another angle",
+        "Measure radius and angle of these holes.",
+    ),
+    "contact_offset": EffectWords(
+        "loads that act elsewhere along the segment than stated",
+        "Measure where the load was applied, from the segment's joint centre.",
+    ),
+    "joint_elasticity": EffectWords(
+        "joints that spring back",
+        "Look for a sheath, a hose or a bundle through the middle of the arm.",
+    ),
+    "pretension_error": EffectWords(
+        "cables tensioned to another value",
+        "Tension these cables anew with the arm straight, or keep the values in the arm file.",
+    ),
+}
+
+
+def effect_words(name: str) -> EffectWords:
+    """Words for an effect; one that a user has added keeps its name."""
+    return _WORDS.get(name, EffectWords(name.replace("_", " ")))
+
+
+SURE = 0.9
+"""From this probability on, a verdict is said without `probably`."""
+
+_PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
+_PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
+
+
+def headline(verdict: Verdict) -> str:
+    """The first line: what, where, how sure."""
+    sure, gap = percent(verdict.probability), verdict.gap
+    if verdict.effects == (NONE,):
+        return (
+            f"Nothing to add: the gap of {newtons(gap.before_n)} is what noise and a careful "
+            f"workshop leave ({sure} sure)."
+        )
+    if verdict.effects == (UNKNOWN,):
+        return (
+            f"Something that no known effect explains makes a gap of {newtons(gap.before_n)}"
+            f"{_at(all_places(verdict))} ({sure} sure)."
+        )
+    causes = ", and from ".join(cause(verdict, name) for name in verdict.effects)
+    probably = "" if verdict.probability >= SURE else " probably"
+    return f"The gap{probably} comes from {causes} ({sure} sure)."
+
+
+def shrinkage(verdict: Verdict) -> str:
+    """The second line: how far the gap shrinks."""
+    gap = verdict.gap
+    floor = f"noise and the sensors' step alone make {newtons(gap.floor_n)}"
+    if verdict.effects == (NONE,):
+        return f"In comparison, {floor}."
+    unknown = verdict.effects == (UNKNOWN,)
+    if gap.removed_fraction <= 0.0:
+        if unknown:
+            return f"No effect of the library shrinks it; {floor}."
+        return (
+            f"Simulating it does not shrink the gap of {newtons(gap.before_n)} on trials that the "
+            f"fit has not seen; {floor}."
+        )
+    low, high = gap.ci95
+    what = "A flexible correction, which knows no physics," if unknown else "Simulating it"
+    return (
+        f"{what} shrinks the gap from {newtons(gap.before_n)} to {newtons(gap.after_n)} on trials "
+        f"that the fit has not seen: {percent(gap.removed_fraction)} of what can be removed "
+        f"(95 % interval {percent(low)} to {percent(high)}); {floor}."
+    )
+
+
+def ambiguity(verdict: Verdict) -> str:
+    """What this recording cannot tell from the verdict; empty where there is nothing."""
+    others = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
+    if not others:
+        return ""
+    named = [candidate_name(tuple(name.split("+"))) for name in others]
+    return f"This recording cannot tell it from {listed(named, 'or')}."
+
+
+def cause(verdict: Verdict, effect: str) -> str:
+    """An effect in words with its places."""
+    return effect_words(effect).is_ + _at(effect_places(verdict, effect))
+
+
+def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
+    """Where an effect of the verdict sits; empty for the whole arm."""
+    middles = [
+        name.split(".")[1]
+        for name in verdict.parameters
+        if name.startswith(f"{effect}.") and name.count(".") > 1
+    ]
+    found = [match.group() for middle in middles for match in _PLACE.finditer(middle)]
+    if not found and len(verdict.effects) == 1:
+        found = list(all_places(verdict))
+    return tuple(dict.fromkeys(found))
+
+
+def all_places(verdict: Verdict) -> tuple[str, ...]:
+    """Cables, segments and joints of the verdict."""
+    return (*verdict.where.cables, *verdict.where.segments, *verdict.where.joints)
+
+
+def regime_words(verdict: Verdict) -> str:
+    """A sentence on the regimes; empty where the verdict names none."""
+    named = verdict.where.regimes
+    if not named:
+        return ""
+    if named == (EVERYWHERE,):
+        return "The gap is alike whatever the arm does."
+    return f"The gap is clearly larger than elsewhere here: {', '.join(named)}."
+
+
+def place_words(places: tuple[str, ...]) -> str:
+    """`at cables 3 and 5, on segment 2`."""
+    numbers: dict[str, list[int]] = {}
+    for place in places:
+        kind, _, number = place.rpartition("_")
+        numbers.setdefault(kind, []).append(int(number))
+    return ", ".join(
+        f"{_PREPOSITIONS[kind]} {kind}{'s' if len(found) > 1 else ''} "
+        f"{listed([str(n) for n in sorted(found)])}"
+        for kind, found in numbers.items()
+    )
+
+
+def candidate_name(effects: tuple[str, ...]) -> str:
+    """`payload + base tilt`, as pictures and lists call a candidate."""
+    return " + ".join(name.replace("_", " ") for name in effects)
+
+
+def _at(places: tuple[str, ...]) -> str:
+    return f", {place_words(places)}" if places else ""
+
+
+POOR_SHARE = 0.5
+"""Where less of the gap is removed, an amended arm is not to be relied on."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do.
+
+    Attributes:
+        title: what, in a few words.
+        text: how, and why.
+        commands: to type.
+    """
+
+    title: str
+    text: str
+    commands: tuple[str, ...] = ()
+
+
+def steps(inputs: ReportInputs) -> tuple[Step, ...]:
+    """What to do about the verdict, the most urgent first."""
+    verdict = inputs.verdict
+    if verdict.effects == (NONE,):
+        return (_keep(), *_experiment(inputs, "To be surer"))
+    if verdict.effects == (UNKNOWN,):
+        return (*_experiment(inputs, "Narrow it down"), *_look(), _own_effect())
+    use = _use_amended(inputs)
+    doubtful = verdict.probability < SURE or ambiguity(verdict) != ""
+    if doubtful or verdict.gap.removed_fraction < POOR_SHARE:
+        return (*_experiment(inputs, "First make sure"), use, *_mend(inputs))
+    return (use, *_mend(inputs), *_experiment(inputs, "To be surer still"))
+
+
+def _keep() -> Step:
+    return Step(
+        "Keep the nominal arm file",
+        "No effect of the library earns a place in it. If an estimate is still poor, the cause is "
+        "not the arm's simulation in the regimes that were recorded.",
+    )
+
+
+def _use_amended(inputs: ReportInputs) -> Step:
+    name = inputs.amended_file
+    return Step(
+        f"Use the amended arm file {name}",
+        f"It lies beside this page: arm {inputs.arm.name} with the parameters of the table below. "
+        "Check it on a recording that was not used here, train the estimator on it, and measure "
+        "again.",
+        (
+            f"cablesense gap predict NEW_RECORDING --arm {name} --out predicted.csv",
+            f"cablesense train --arm {name} --out amended.onnx",
+        ),
+    )
+
+
+def _mend(inputs: ReportInputs) -> tuple[Step, ...]:
+    return tuple(
+        Step(f"Or mend the arm: {cause(inputs.verdict, name)}", effect_words(name).look)
+        for name in inputs.verdict.effects
+        if effect_words(name).look
+    )
+
+
+def _experiment(inputs: ReportInputs, title: str) -> tuple[Step, ...]:
+    verdict = inputs.verdict
+    if not verdict.next_experiment:
+        return ()
+    text = verdict.next_experiment
+    if verdict.effects not in ((NONE,), (UNKNOWN,)) and verdict.probability < SURE:
+        text += (
+            f" As it stands, {percent(1.0 - verdict.probability)} of the belief lies elsewhere."
+        )
+    return (Step(title, text, ("cablesense gap record --out next.mcap",)),)
+
+
+def _look() -> tuple[Step, ...]:
+    return (
+        Step(
+            "Do not amend the arm file",
+            "The nominal arm is still the best that the library offers. The pictures below show "
+            "in which cables and regimes the gap is; look at the arm there for what rubs, gives "
+            "way, touches or comes loose.",
+        ),
+    )
+
+
+def _own_effect() -> Step:
+    return Step(
+        "If you know the physics, add it as an effect",
+        "An effect is one Python file, in the package or in one of your own; diagnose again with "
+        "it (docs/diagnosis.md).",
+    )

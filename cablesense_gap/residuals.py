@@ -1,0 +1,340 @@
+"""A residual taken apart by place, regime and time, each part beside the noise floor.
+
+One part of a residual, measured beside the noise floor.
+
+The residual of the cables that end on one segment, as common mode and bending parts.
+
+What pulls all cables of a set alike (pretension, creep) is common mode; what bends the arm
+(weight, loads, tilt, joint springs) is in the other two. The three are orthonormal, so each has
+the noise of one cable, and their squares add up to that of the set where it has three cables.
+
+Loading against unloading: what the load last did, and how far apart both ways lie.
+
+The rows of a recording by what the arm was doing: load, pose, motion, time, trial.
+
+The regimes in which a gap is clearly larger than elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_gap.recordings.recording import Recording
+from cablesense_sim.arm import Arm
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Part:
+    """The residual in one member of a group.
+
+    Attributes:
+        group: by what the residual is taken apart.
+        member: which of that; a place by its name, a regime in plain words.
+        rms_n: root mean square.
+        over_floor: the same in noise floors.
+        mean_n: signed mean over all its numbers.
+        systematic_share: of the mean square, what one constant per channel explains; the rest
+            scatters within the member.
+        count: rows in it.
+    """
+
+    group: str
+    member: str
+    rms_n: float
+    over_floor: float
+    mean_n: float
+    systematic_share: float
+    count: int
+
+
+def measure(group: str, member: str, values_n: Array, floor_n: float) -> Part | None:
+    """Measure values (R, C) in N, NaN where a number is missing; None where all are."""
+    known = np.isfinite(values_n)
+    count = known.sum(axis=0)
+    if not count.any():
+        return None
+    seen = count > 0
+    known, values_n, count = known[:, seen], values_n[:, seen], count[seen]
+    filled = np.where(known, values_n, 0.0)
+    square, mean = (filled**2).sum(axis=0), filled.sum(axis=0) / count
+    total = float(square.sum())
+    rms_n = float(np.sqrt(total / count.sum()))
+    return Part(
+        group=group,
+        member=member,
+        rms_n=rms_n,
+        over_floor=rms_n / floor_n if floor_n > 0.0 else np.inf,
+        mean_n=float(filled.sum() / count.sum()),
+        systematic_share=float((count * mean**2).sum()) / total if total > 0.0 else 0.0,
+        count=int(known.any(axis=1).sum()),
+    )
+
+
+MODES = ("common mode", "bending, y", "bending, z")
+
+
+def set_modes_n(residual_n: Array, arm: Arm) -> Array:
+    """The modes (R, N, 3) of a residual (R, M), N: common, towards +y and towards +z of the holes.
+
+    NaN where a cable of the set has none.
+    """
+    per_set = arm.cables.per_segment
+    by_set = residual_n.reshape(len(residual_n), arm.segment_count, per_set)
+    return np.einsum("rnk,nkm->rnm", by_set, _bases(arm))
+
+
+def _bases(arm: Arm) -> Array:
+    angles = arm.cables.angle_deg
+    n, k = np.arange(arm.segment_count)[:, None], np.arange(arm.cables.per_segment)
+    hole = np.deg2rad(angles.first + n * angles.per_segment + k * angles.per_cable)
+    spans = np.stack([np.ones_like(hole), np.sin(hole), np.cos(hole)], axis=-1)
+    basis, triangle = np.linalg.qr(spans)
+    return basis * np.sign(np.diagonal(triangle, axis1=1, axis2=2))[:, None, :]
+
+
+BRANCHES = ("before the load", "loading", "unloading", "after the load")
+TOLERANCE = 0.05
+"""Share of a trial's peak by which a measured load must move before it counts as moved."""
+
+
+def load_branch(recording: Recording) -> NDArray[np.int64]:
+    """Position (R,) in `BRANCHES`, -1 in trials without a load."""
+    size = np.linalg.norm(recording.load_n, axis=-1)
+    branch = np.full(len(recording), -1)
+    for trial in np.unique(recording.trial):
+        rows = np.flatnonzero(recording.trial == trial)
+        if size[rows].max() > 0.0:
+            branch[rows] = _branches(size[rows])
+    return branch
+
+
+def loop_n(recording: Recording, residual_n: Array) -> Array:
+    """Half the residual's difference (L, M) between loading and unloading, at L equal levels.
+
+    What friction leaves behind, and nothing that depends on the load alone.
+    """
+    size, branch = np.linalg.norm(recording.load_n, axis=-1), load_branch(recording)
+    found = []
+    for trial in np.unique(recording.trial[branch >= 0]):
+        here = recording.trial == trial
+        level = np.round(size / (TOLERANCE * size[here].max())).astype(int)
+        for at in np.unique(level[here]).tolist():
+            ways = [here & (level == at) & np.isin(branch, which) for which in ((0, 1), (2, 3))]
+            if all(way.any() for way in ways):
+                up, down = (residual_n[way].mean(axis=0) for way in ways)
+                found.append((up - down) / 2.0)
+    return np.array(found).reshape(-1, residual_n.shape[1])
+
+
+def _branches(size: Array) -> NDArray[np.int64]:
+    """Branches of one trial, by the load's last move beyond the tolerance."""
+    step = TOLERANCE * float(size.max())
+    branch = np.zeros(len(size), dtype=np.int64)
+    extreme, rising = float(size[0]), bool(size[0] > step)
+    for i, value in enumerate(size.tolist()):
+        if (value - extreme) * (1.0 if rising else -1.0) >= 0.0:
+            extreme = value
+        elif abs(value - extreme) > step:
+            extreme, rising = value, not rising
+        if value > step:
+            branch[i] = 1 if rising else 2
+        else:
+            branch[i] = 3 if (branch[:i] > 0).any() else 0
+    return branch
+
+
+Rows = NDArray[np.bool_]
+
+LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME, TRIAL = (
+    "loaded segment",
+    "pose",
+    "joint bent most",
+    "load level",
+    "loading and unloading",
+    "rest and motion",
+    "time",
+    "trial",
+)
+REGIMES = (LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME)
+"""The groups that name a regime; trials only say when."""
+
+BENT_RAD = float(np.deg2rad(1.5))
+"""A joint bent by less counts as straight: the small reversals of the protocol stay below."""
+MOVED_RAD = 1e-5
+
+
+def row_groups(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
+    """Group, member and its rows (R,), members of a group apart from each other."""
+    yield from _loads(recording)
+    yield from _poses(recording)
+    branch = load_branch(recording)
+    for i, name in enumerate(BRANCHES):
+        yield BRANCH, name, branch == i
+    moving = _moving(recording)
+    yield MOTION, "at rest", ~moving
+    yield MOTION, "moving", moving
+    elapsed = recording.time_s - recording.time_s[0]
+    third = np.minimum((3.0 * elapsed / max(float(elapsed[-1]), 1e-9)).astype(int), 2)
+    for i, name in enumerate(("early", "middle", "late")):
+        yield TIME, name, third == i
+    for trial in np.unique(recording.trial).tolist():
+        yield TRIAL, f"trial {trial}", recording.trial == trial
+
+
+def _loads(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
+    segment = recording.load_segment
+    yield LOADED, "no load", segment == 0
+    for n in range(1, recording.command_rad.shape[1] // 2 + 1):
+        yield LOADED, f"segment_{n}", segment == n
+    size = np.linalg.norm(recording.load_n, axis=-1)
+    third_n = float(size.max()) / 3.0
+    if third_n == 0.0:
+        return
+    for low, high in pairwise((0.0, third_n, 2.0 * third_n, np.inf)):
+        name = f"{low:.0f} to {high:.0f} N" if high < np.inf else f"above {low:.0f} N"
+        yield LEVEL, name, (segment > 0) & (size > low) & (size <= high)
+
+
+def _poses(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
+    pitch_yaw = recording.command_rad.reshape(len(recording), -1, 2)
+    bend = np.linalg.norm(pitch_yaw, axis=-1)
+    bent, most = bend.max(axis=1) > BENT_RAD, bend.argmax(axis=1)
+    yield POSE, "straight", ~bent
+    yield POSE, "bent", bent
+    for n in range(bend.shape[1]):
+        yield JOINT, f"joint_{n + 1}", bent & (most == n)
+
+
+def _moving(recording: Recording) -> Rows:
+    """Rows whose command differs from that of the row before or after, in the same trial."""
+    step = np.abs(np.diff(recording.command_rad, axis=0)).max(axis=1) > MOVED_RAD
+    step &= np.diff(recording.trial) == 0
+    return np.append(step, False) | np.append(False, step)
+
+
+ALL, CABLE, SET, LOOP = "all", "cable", "cable set", "hysteresis"
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """The parts of one residual, and the noise floor they stand beside."""
+
+    parts: tuple[Part, ...]
+    floor_n: float
+
+    @property
+    def rms_n(self) -> float:
+        """Of the whole residual."""
+        return self.of_group(ALL)[0].rms_n
+
+    def of_group(self, group: str) -> tuple[Part, ...]:
+        """The members of one group."""
+        return tuple(part for part in self.parts if part.group == group)
+
+    def table(self) -> pd.DataFrame:
+        """One row a part, columns as in `Part`."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(part) for part in self.parts])
+
+
+def decompose(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Decomposition:
+    """Take a residual (R, M), measured less predicted, apart; NaN is left out.
+
+    `floor_n` is the root mean square that a perfect model would leave in one reading.
+
+    Raises:
+        ValueError: the residual is of other shape than the readings, or has no number at all.
+    """
+    if residual_n.shape != recording.tensions_n.shape:
+        raise ValueError(
+            f"the residual is {residual_n.shape}, the readings are {recording.tensions_n.shape}"
+        )
+    measured = (
+        measure(group, member, values, floor_n)
+        for group, member, values in _pieces(recording, residual_n, arm)
+    )
+    parts = tuple(part for part in measured if part is not None)
+    if not parts:
+        raise ValueError("the residual has no number that is finite")
+    return Decomposition(parts, floor_n)
+
+
+def _pieces(recording: Recording, residual_n: Array, arm: Arm) -> Iterator[tuple[str, str, Array]]:
+    yield ALL, "all", residual_n
+    for name, column in zip(arm.cable_names, residual_n.T, strict=True):
+        yield CABLE, name, column[:, None]
+    modes = set_modes_n(residual_n, arm)
+    for n in range(arm.segment_count):
+        for mode, name in enumerate(MODES):
+            yield SET, f"segment_{n + 1}, {name}", modes[:, n, mode, None]
+    yield LOOP, "half the width of the loop", loop_n(recording, residual_n)
+    for group, member, rows in row_groups(recording):
+        yield group, member, residual_n[rows]
+
+
+EVERYWHERE = "everywhere alike"
+LARGER = 1.4
+"""How many times the RMS of the rest of its group a regime must have: twice the mean square."""
+ABOVE_FLOORS = 2.0
+FEWEST_ROWS = 20
+"""Four seconds at 5 Hz; what is shorter can be large by chance."""
+
+_WORDS = {
+    LOADED: "load on {}",
+    POSE: "{} poses",
+    JOINT: "{} bent most",
+    LEVEL: "loads {}",
+    BRANCH: "{}",
+    MOTION: "{}",
+    TIME: "{} in the recording",
+    LOOP: "loading against unloading",
+}
+
+
+def regimes(decomposition: Decomposition) -> list[str]:
+    """Regimes in plain words, the largest gap first; none where all is within the floor.
+
+    Where a gap is there and no regime stands out, `EVERYWHERE`.
+    """
+    clear = [part for group in REGIMES for part in _standing_out(decomposition, group)]
+    clear += [p for p in decomposition.of_group(LOOP) if p.over_floor >= ABOVE_FLOORS]
+    if not clear and decomposition.rms_n >= ABOVE_FLOORS * decomposition.floor_n:
+        return [EVERYWHERE]
+    return [_words(part) for part in sorted(clear, key=lambda part: -part.rms_n)]
+
+
+def _standing_out(decomposition: Decomposition, group: str) -> list[Part]:
+    parts = decomposition.of_group(group)
+    return [
+        part
+        for part in parts
+        if len(parts) > 1 and _stands_out(part, [other for other in parts if other is not part])
+    ]
+
+
+def _stands_out(part: Part, others: list[Part]) -> bool:
+    count = np.array([other.count for other in others])
+    square = np.array([other.rms_n for other in others]) ** 2
+    elsewhere_n = float(np.sqrt((count * square).sum() / count.sum()))
+    return (
+        part.count >= FEWEST_ROWS
+        and part.over_floor >= ABOVE_FLOORS
+        and part.rms_n >= LARGER * elsewhere_n
+    )
+
+
+def _words(part: Part) -> str:
+    if part.member == "no load":
+        return part.member
+    return _WORDS[part.group].format(part.member.replace("_", " "))

@@ -1,0 +1,457 @@
+"""Verdicts against answers: the score sheet.
+
+The error of what cannot be scored.
+
+The answers that were withheld: what each recording's arm really had.
+
+Whether a stated probability is the share of cases in which it comes true.
+
+A proportion of few cases, with the interval that few cases leave.
+
+A score sheet as JSON.
+
+A folder of verdicts: `RECORDING/verdict.json`, or `RECORDING.json`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from math import sqrt
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_text
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, read_verdict
+
+
+class ScoreError(CableSenseError):
+    """Verdicts or answers that cannot be scored: says which, and what is right."""
+
+
+COLUMNS = ("recording", "effects", "where")
+GAP_OVER_FLOOR = "gap_over_floor"
+FORM = "form"
+
+MAX_FILE_BYTES = 10_000_000
+"""Some hundred thousand recordings."""
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The truth about one recording.
+
+    Attributes:
+        recording: its name, without a suffix.
+        effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
+        places: cables, segments and joints that the answer names; empty if it names none.
+        gap_over_floor: RMS gap of the nominal arm in noise floors, if the file gives it.
+        form: which form of the effect the plant has, if the file gives it.
+    """
+
+    recording: str
+    effects: tuple[str, ...]
+    places: frozenset[str] = frozenset()
+    gap_over_floor: float | None = None
+    form: str = ""
+
+
+def read_answers(path: str | Path) -> tuple[Answer, ...]:
+    """Read answers: CSV with `recording,effects,where`; effects are joined by `+`.
+
+    In `where`, places are found whatever stands between them, so that
+    `cable_2_into_cable_5` and `cable_2 cable_5` say the same.
+
+    Raises:
+        ScoreError: the file cannot be read, a column is missing, a row cannot be.
+    """
+    path = Path(path)
+    try:
+        text = read_bounded_text(path, MAX_FILE_BYTES, "a table of answers", ScoreError)
+        table = csv.DictReader(text.splitlines(), skipinitialspace=True)
+        rows = list(table)
+    except (ValueError, csv.Error) as error:
+        raise ScoreError(f"{path}: cannot be read as CSV text ({error})") from error
+    missing = [name for name in COLUMNS if name not in (table.fieldnames or ())]
+    if missing:
+        raise ScoreError(f"{path}: misses column {missing[0]}; answers have {', '.join(COLUMNS)}")
+    if not rows:
+        raise ScoreError(f"{path}: has no rows; one for each recording is right")
+    answers = tuple(_answer(f"{path}: row {i}", row) for i, row in enumerate(rows, start=1))
+    names = [answer.recording for answer in answers]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ScoreError(f"{path}: recording {twice} stands twice; each must be once")
+    return answers
+
+
+def _answer(at: str, row: dict[str, str | None]) -> Answer:
+    cells = {key: (value or "").strip() for key, value in row.items() if isinstance(key, str)}
+    recording = Path(cells["recording"]).name.removesuffix(".csv")
+    if not recording:
+        raise ScoreError(f"{at}: names no recording")
+    effects = tuple(sorted(name.strip() for name in cells["effects"].split("+")))
+    if not all(_NAME.fullmatch(name) for name in effects) or len(set(effects)) < len(effects):
+        raise ScoreError(
+            f"{at}: effects = {cells['effects'][:80]!r}; must be names joined by +, each once"
+        )
+    for alone in (NONE, UNKNOWN):
+        if alone in effects and len(effects) > 1:
+            raise ScoreError(f"{at}: effects = {'+'.join(effects)}; {alone} must stand alone")
+    return Answer(
+        recording=recording,
+        effects=effects,
+        places=frozenset(_PLACE.findall(cells["where"])),
+        gap_over_floor=_number(at, cells.get(GAP_OVER_FLOOR, "")),
+        form=cells.get(FORM, ""),
+    )
+
+
+def _number(at: str, cell: str) -> float | None:
+    if not cell:
+        return None
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0.0):
+        raise ScoreError(f"{at}: {GAP_OVER_FLOOR} = {cell[:40]!r}; must be a number from 0 up")
+    return value
+
+
+BINS = 10
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Cases whose stated probability lies in one tenth of 0 to 1."""
+
+    low: float
+    high: float
+    count: int
+    mean_probability: float
+    share_right: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Stated probabilities of verdicts against whether they were right.
+
+    Attributes:
+        brier: mean square of (probability - outcome); 0 is best, 0.25 is a coin's.
+        expected_error: mean over cases of what a bin's mean probability and share differ by.
+        bins: those that hold a case.
+    """
+
+    brier: float
+    expected_error: float
+    bins: tuple[Bin, ...]
+
+
+def calibrate(probability: Sequence[float], right: Sequence[bool]) -> Calibration:
+    """Brier score and expected calibration error of stated probabilities, ten even bins.
+
+    G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
+    """
+    stated, outcome = np.asarray(probability, dtype=float), np.asarray(right, dtype=float)
+    member = np.minimum((stated * BINS).astype(int), BINS - 1)  # 1.0 belongs to the last
+    bins = tuple(
+        Bin(
+            low=k / BINS,
+            high=(k + 1) / BINS,
+            count=int((member == k).sum()),
+            mean_probability=float(stated[member == k].mean()),
+            share_right=float(outcome[member == k].mean()),
+        )
+        for k in np.unique(member).tolist()
+    )
+    apart = sum(b.count * abs(b.mean_probability - b.share_right) for b in bins)
+    return Calibration(
+        brier=float(((stated - outcome) ** 2).mean()),
+        expected_error=apart / len(stated),
+        bins=bins,
+    )
+
+
+Z95 = 1.959963984540054
+"""Standard normal deviate that 2.5 % exceed."""
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """`hits` of `count` cases."""
+
+    hits: int
+    count: int
+
+    @classmethod
+    def of(cls, outcomes: Iterable[bool]) -> Proportion:
+        """How many of the outcomes are true."""
+        listed = [bool(outcome) for outcome in outcomes]
+        return cls(sum(listed), len(listed))
+
+    @property
+    def value(self) -> float | None:
+        """The share, None without a case."""
+        return self.hits / self.count if self.count else None
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """Wilson's score interval, which holds for few cases and for shares of 0 and 1 too.
+
+        E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212.
+        """
+        if not self.count:
+            return 0.0, 1.0
+        share, weight = self.hits / self.count, Z95**2 / self.count
+        middle = (share + weight / 2.0) / (1.0 + weight)
+        half = sqrt(share * (1.0 - share) * weight + weight**2 / 4.0) / (1.0 + weight)
+        # the ends are exact where nothing or everything hits; rounding must not cross them
+        low = 0.0 if self.hits == 0 else middle - half
+        high = 1.0 if self.hits == self.count else middle + half
+        return low, high
+
+    def as_json(self) -> dict[str, Any]:
+        """Share, interval and counts."""
+        return {
+            "value": self.value,
+            "ci95": list(self.ci95),
+            "hits": self.hits,
+            "count": self.count,
+        }
+
+
+CLEAR_GAP_FLOORS = 5.0
+"""From this many noise floors up a gap is called clear."""
+
+KINDS = ("cable", "segment", "joint")
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the verdicts are worth. `singles` and `doubles` are cases inside the library.
+
+    Attributes:
+        cases: number of recordings scored.
+        confusion: counts by truth, then by verdict.
+        exact: verdicts that name exactly the truth.
+        top2: truth among the two explanations held most probable.
+        truth_in_group: truth is the verdict or in its ambiguity group.
+        singles_exact: of singles, exact ones.
+        clear_singles_exact: the same where the gap is at least 5 noise floors.
+        doubles_both: of doubles, those with both effects named and no other.
+        doubles_one: of doubles, those with at least one effect named.
+        false_alarms: of `none`, those with another verdict.
+        unknown_recall: of `unknown`, those recognised.
+        where: of correct verdicts whose answer names places, those that name the same ones.
+        by_effect: exact verdicts by true effect, singles.
+        by_form: exact verdicts by the plant's form, where answers give one.
+        mean_probability_on_truth: of the candidate that is the truth, 0 where none is.
+        brier_over_candidates: sum over candidates of (probability - outcome)², mean over cases.
+        calibration: of the verdicts' own probability.
+        median_removed_fraction: of correct verdicts on singles and doubles; None without one.
+        wrong: recordings whose verdict is not exact.
+    """
+
+    cases: int
+    confusion: dict[str, dict[str, int]]
+    exact: Proportion
+    top2: Proportion
+    truth_in_group: Proportion
+    singles_exact: Proportion
+    clear_singles_exact: Proportion
+    doubles_both: Proportion
+    doubles_one: Proportion
+    false_alarms: Proportion
+    unknown_recall: Proportion
+    where: Proportion
+    by_effect: dict[str, Proportion]
+    by_form: dict[str, Proportion]
+    mean_probability_on_truth: float
+    brier_over_candidates: float
+    calibration: Calibration
+    median_removed_fraction: float | None
+    wrong: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Case:
+    verdict: Verdict
+    answer: Answer
+
+    @property
+    def right(self) -> bool:
+        return self.verdict.effects == self.answer.effects
+
+    @property
+    def single(self) -> bool:
+        return len(self.answer.effects) == 1 and not (self.none or self.unknown)
+
+    @property
+    def double(self) -> bool:
+        return len(self.answer.effects) > 1
+
+    @property
+    def none(self) -> bool:
+        return self.answer.effects == (NONE,)
+
+    @property
+    def unknown(self) -> bool:
+        return self.answer.effects == (UNKNOWN,)
+
+    @property
+    def clear(self) -> bool:
+        given = self.answer.gap_over_floor
+        gap = self.verdict.gap
+        # the gap before is measured on the recording, so it does where answers are silent
+        ratio = gap.before_n / gap.floor_n if given is None and gap.floor_n > 0.0 else given
+        return ratio is not None and ratio >= CLEAR_GAP_FLOORS
+
+    @property
+    def in_top2(self) -> bool:
+        others = [c.effects for c in self.verdict.ranked if c.effects != self.verdict.effects]
+        return self.answer.effects in (self.verdict.effects, *others[:1])
+
+    @property
+    def in_group(self) -> bool:
+        return self.right or joined(self.answer.effects) in self.verdict.ambiguity_group
+
+    @property
+    def probabilities(self) -> dict[tuple[str, ...], float]:
+        weighed = {c.effects: c.probability for c in self.verdict.candidates}
+        return weighed or {self.verdict.effects: self.verdict.probability}
+
+    @property
+    def places_right(self) -> bool:
+        """The same set for each kind of place that the answer names."""
+        return all(
+            _of_kind(self.answer.places, kind) == _of_kind(self.verdict.where.places, kind)
+            for kind in KINDS
+            if _of_kind(self.answer.places, kind)
+        )
+
+    @property
+    def brier(self) -> float:
+        stated = self.probabilities
+        others = sum(p**2 for effects, p in stated.items() if effects != self.answer.effects)
+        return (1.0 - stated.get(self.answer.effects, 0.0)) ** 2 + others
+
+
+def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
+    """Score verdicts, by recording, against answers; verdicts without an answer do not count.
+
+    Raises:
+        ScoreError: no answers, or one without a verdict.
+    """
+    if not answers:
+        raise ScoreError("no answers to score against; give at least one")
+    without = next((a.recording for a in answers if a.recording not in verdicts), None)
+    if without is not None:
+        raise ScoreError(f"no verdict on {without}; every recording of the answers needs one")
+    cases = [_Case(verdicts[answer.recording], answer) for answer in answers]
+    right = [case for case in cases if case.right]
+    removed = [c.verdict.gap.removed_fraction for c in right if c.single or c.double]
+    singles = [case for case in cases if case.single]
+    doubles = [case for case in cases if case.double]
+    return Score(
+        cases=len(cases),
+        confusion=_confusion(cases),
+        exact=Proportion.of(case.right for case in cases),
+        top2=Proportion.of(case.in_top2 for case in cases),
+        truth_in_group=Proportion.of(case.in_group for case in cases),
+        singles_exact=Proportion.of(case.right for case in singles),
+        clear_singles_exact=Proportion.of(case.right for case in singles if case.clear),
+        doubles_both=Proportion.of(case.right for case in doubles),
+        doubles_one=Proportion.of(
+            not set(case.answer.effects).isdisjoint(case.verdict.effects) for case in doubles
+        ),
+        false_alarms=Proportion.of(not case.right for case in cases if case.none),
+        unknown_recall=Proportion.of(case.right for case in cases if case.unknown),
+        where=Proportion.of(case.places_right for case in right if case.answer.places),
+        by_effect=_exact_by(singles, lambda case: case.answer.effects[0]),
+        by_form=_exact_by(cases, lambda case: case.answer.form),
+        mean_probability_on_truth=fmean(
+            case.probabilities.get(case.answer.effects, 0.0) for case in cases
+        ),
+        brier_over_candidates=fmean(case.brier for case in cases),
+        calibration=calibrate(
+            [case.verdict.probability for case in cases], [case.right for case in cases]
+        ),
+        median_removed_fraction=median(removed) if removed else None,
+        wrong=tuple(case.answer.recording for case in cases if not case.right),
+    )
+
+
+def _confusion(cases: Sequence[_Case]) -> dict[str, dict[str, int]]:
+    counts: dict[str, dict[str, int]] = {}
+    for case in sorted(cases, key=lambda c: (joined(c.answer.effects), joined(c.verdict.effects))):
+        row = counts.setdefault(joined(case.answer.effects), {})
+        said = joined(case.verdict.effects)
+        row[said] = row.get(said, 0) + 1
+    return counts
+
+
+def _exact_by(cases: Sequence[_Case], key: Callable[[_Case], str]) -> dict[str, Proportion]:
+    names = sorted({key(case) for case in cases} - {""})
+    return {name: Proportion.of(c.right for c in cases if key(c) == name) for name in names}
+
+
+def _of_kind(places: frozenset[str], kind: str) -> set[str]:
+    return {place for place in places if place.startswith(f"{kind}_")}
+
+
+def as_json(score: Score) -> dict[str, Any]:
+    """The score as plain values; a proportion becomes its value, interval and counts."""
+    figures = {field.name: _plain(getattr(score, field.name)) for field in fields(score)}
+    figures["calibration"] = asdict(score.calibration)
+    return figures
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Proportion):
+        return value.as_json()
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Verdict]:
+    """Read the verdicts on these recordings; what else lies in the folder is left alone.
+
+    Raises:
+        ScoreError: no such folder; a recording without a verdict, or with two.
+        VerdictError: a file is no verdict.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ScoreError(f"{folder}: no such folder; give the one that holds the verdicts")
+    found, missing = {}, []
+    for name in recordings:
+        paths = [
+            path
+            for path in (folder / name / "verdict.json", folder / f"{name}.json")
+            if path.is_file()
+        ]
+        if len(paths) > 1:
+            raise ScoreError(f"{folder}: has {name}/verdict.json and {name}.json; keep one")
+        if paths:
+            found[name] = read_verdict(paths[0])
+        else:
+            missing.append(name)
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ScoreError(
+            f"{folder}: no verdict on {missing[0]}{more}; every recording of the answers needs "
+            f"its {missing[0]}/verdict.json or {missing[0]}.json"
+        )
+    return found

@@ -1,1 +1,0 @@
-"""The gap between Table II's physical rows and the simulation, and what 54 numbers say of it."""

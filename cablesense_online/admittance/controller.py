@@ -1,0 +1,225 @@
+"""The admittance controller without ROS: estimates in, joint commands out, in a cycle.
+
+Command, wait until the arm must have arrived, average what the estimator says from then on, step.
+An estimator that is blind until the arm has settled makes this a measure-step-wait cycle by
+itself; one that answers while the arm swings makes the cycle as short as move and average.
+
+What the controller says of itself in diagnostics.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_online.admittance.estimate_watch import EstimateWatch, Sight, WatchSettings
+from cablesense_online.admittance.law import (
+    AdmittanceLaw,
+    AdmittanceSettings,
+    FeltForce,
+    ForceAverage,
+    Reach,
+)
+from cablesense_sim import kinematics
+from cablesense_sim.joint_motion import move_duration_s
+from cablesense_sim.mechanism import Mechanism
+
+OWN_COMMANDS_KEPT = 16
+REPEAT_S = 0.5
+"""While estimates are awaited, the command in force is told again this often."""
+
+_PROBABILITIES_FOR_FREE = 2
+"""One message of probabilities could still be of the time before the command."""
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """All numbers of the controller.
+
+    Attributes:
+        law, watch: of the parts.
+        joint_limit_rad: radius of each joint's disc of commands.
+        measure_s: estimates are averaged over this time.
+        yield_s: after a command of somebody else, none is sent for this long.
+        await_command: send nothing before the first command of somebody else has been heard.
+    """
+
+    law: AdmittanceSettings = field(default_factory=AdmittanceSettings)
+    watch: WatchSettings = field(default_factory=WatchSettings)
+    joint_limit_rad: float = float(np.deg2rad(10.0))
+    measure_s: float = 0.1
+    yield_s: float = 2.0
+    await_command: bool = False
+
+
+class AdmittanceController:
+    """Times are monotonic, s; stamps are of the clock of the samples, ns.
+
+    Attributes:
+        command_rad: (2N,) the command in force.
+        home_rad: (2N,) where to be when nothing touches: the last command of somebody else.
+        felt: the last measurement's contact; None when nothing touched.
+        at_limit: whether the last step ended at the edge of the reach.
+        step_count: steps sent.
+    """
+
+    def __init__(self, mechanism: Mechanism, settings: ControllerSettings, now_s: float) -> None:
+        self._mechanism = mechanism
+        self._settings = settings
+        reach = Reach.of(mechanism, settings.joint_limit_rad)
+        self.law = AdmittanceLaw(mechanism, reach, settings.law)
+        self.command_rad = np.zeros(mechanism.joint_count)
+        self.home_rad = self.command_rad.copy()
+        self.watch = EstimateWatch(self.command_rad, settings.watch, now_s)
+        self._average = ForceAverage(settings.measure_s, settings.watch.stale_after_s)
+        self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
+        self._arrived_s = self._stepped_s = now_s
+        self._yield_until_s = self._repeated_s = float("-inf")
+        self._await_command = settings.await_command
+        self._in_force = False
+        self.felt: FeltForce | None = None
+        self.at_limit = False
+        self.step_count = 0
+
+    def heard_command(self, command_rad: Array, now_s: float) -> bool:
+        """A command (2N,) was on the topic; gives whether it was somebody else's.
+
+        Such a command is the new home, whatever it is, and quiet is kept for a while.
+        """
+        self._in_force = True
+        own = any(np.array_equal(command_rad, sent) for sent in self._own)
+        if own or np.array_equal(command_rad, self.command_rad):
+            return False
+        self.home_rad = command_rad.copy()
+        self._yield_until_s = now_s + self._settings.yield_s
+        self._go_on_from(command_rad, now_s)
+        return True
+
+    def heard_wrench(
+        self, segment: int, force_n: Array, stamp_ns: int, clock_ns: int, now_s: float
+    ) -> Array | None:
+        """An estimate came: segment 0 for a wrench in the base frame; gives the next command.
+
+        Args:
+            segment: touched, from 1.
+            force_n: (3,) in the segment's axes.
+            stamp_ns: of the sample.
+            clock_ns: what the clock of the stamps says now.
+            now_s: monotonic.
+        """
+        age_s = (clock_ns - stamp_ns) * 1e-9
+        fresh = self.watch.heard_wrench(bool(segment), age_s, now_s)
+        sight = self.watch.look(now_s)
+        held = self.awaiting or self.yielding(now_s) or self.beyond_reach
+        if not fresh or sight is Sight.STOPPED or held:
+            self._average.clear()
+            return None
+        if now_s - age_s < self._arrived_s:
+            return None
+        if not segment and (
+            self.watch.probabilities_since(self._arrived_s) < _PROBABILITIES_FOR_FREE
+        ):
+            return None
+        self._average.add(stamp_ns, segment, force_n)
+        return self._step(now_s) if self._average.complete else None
+
+    def repeated(self, now_s: float) -> Array | None:
+        """The command in force, when it is worth telling again.
+
+        An estimator that was started anew takes the arm to be straight until it is told. While it
+        speaks but is not trusted yet, the command in force is told to it; the arm has it already.
+        """
+        if self.watch.look(now_s) is not Sight.STOPPED or not self.watch.speaking(now_s):
+            return None
+        if not self._in_force or self.yielding(now_s) or now_s - self._repeated_s < REPEAT_S:
+            return None
+        self._repeated_s = now_s
+        return self.command_rad
+
+    def yielding(self, now_s: float) -> bool:
+        """Whether somebody else commanded a short while ago."""
+        return now_s < self._yield_until_s
+
+    @property
+    def awaiting(self) -> bool:
+        """Whether the first command of somebody else is awaited."""
+        return self._await_command and not self._in_force
+
+    @property
+    def beyond_reach(self) -> bool:
+        """Whether the command in force is one that this controller would not give."""
+        return not self.law.reach.holds(self.command_rad)
+
+    def _step(self, now_s: float) -> Array | None:
+        segment, local_n = self._average.take()
+        self.felt = None
+        if segment:
+            rotation = kinematics.segment_rotations(self._mechanism, self.command_rad)
+            self.felt = FeltForce(segment, np.asarray(rotation[segment - 1] @ local_n))
+        target = self.law.step(self.command_rad, self.home_rad, self.felt, now_s - self._stepped_s)
+        self._stepped_s = now_s
+        bent = np.linalg.norm(target.reshape(-1, 2), axis=1)
+        self.at_limit = bool((bent >= self.law.reach.radius_rad - 1e-6).any())
+        if np.array_equal(target, self.command_rad):
+            return None
+        self._own.append(target)
+        self._in_force = True
+        self.step_count += 1
+        self._go_on_from(target, now_s)
+        return target
+
+    def _go_on_from(self, command_rad: Array, now_s: float) -> None:
+        turn = float(np.abs(command_rad - self.command_rad).max())
+        self._arrived_s = now_s + move_duration_s(turn, self._settings.watch.joint_speed_rad_s)
+        self.command_rad = command_rad.copy()
+        self.watch.commanded(command_rad, now_s)
+        self._average.clear()
+
+
+def control_status(
+    controller: AdmittanceController, active: bool, commanders: int, now_s: float
+) -> Status:
+    """Phase, last contact and pose; `commanders` publish joint commands, this node included."""
+    level, message = _verdict(controller, active, commanders, now_s)
+    felt = controller.felt
+    values = {
+        "sight": controller.watch.sight.value,
+        "last contact": (
+            "none"
+            if felt is None
+            else f"segment {felt.segment}, {np.linalg.norm(felt.force_base_n):.2f} N"
+        ),
+        "steps": str(controller.step_count),
+        "command (deg)": _degrees(controller.command_rad),
+        "home (deg)": _degrees(controller.home_rad),
+        "commanders": str(commanders),
+    }
+    return Status("control", level, message, values)
+
+
+def _verdict(
+    controller: AdmittanceController, active: bool, commanders: int, now_s: float
+) -> tuple[Level, str]:
+    if not active:
+        return Level.OK, "configured, not active: no commands are sent"
+    if controller.watch.sight is Sight.STOPPED:
+        return Level.ERROR, f"stopped: {controller.watch.reason}"
+    if controller.awaiting:
+        return Level.WARN, "waits for a first command"
+    if controller.yielding(now_s):
+        return Level.WARN, "another node commands; quiet"
+    if controller.beyond_reach:
+        return Level.WARN, "the arm was commanded beyond joint_limit_deg; no step is taken"
+    if controller.felt is not None and controller.at_limit:
+        return Level.WARN, "at joint_limit_deg: what force is left stays"
+    if commanders > 1:
+        return Level.OK, f"{controller.watch.sight.value}; {commanders} nodes can command"
+    return Level.OK, controller.watch.sight.value
+
+
+def _degrees(angles_rad: np.ndarray) -> str:
+    return ", ".join(f"{angle:.3f}" for angle in np.rad2deg(angles_rad))

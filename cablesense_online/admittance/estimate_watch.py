@@ -1,0 +1,230 @@
+"""Whether the estimator can be believed at this moment: stopped, blind, free or in contact.
+
+A wrench of zero stands for three things: nothing touches, no estimate while the arm moves, and no
+usable samples. What tells them apart:
+
+- a wrench in a segment's frame is an estimate of a contact;
+- probabilities come with estimates only, so that a zero wrench beside them is a sure "nothing
+  touches", and one without them says nothing;
+- after a new command the estimator may say nothing for as long as the arm moves and settles; when
+  it says nothing for longer, something is wrong.
+
+What is read of the estimator's messages; anything that breaks the contract is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_msgs_py.wrenches import MAX_LOAD_N
+from cablesense_online.motion_gate import MotionGate
+
+PROBABILITIES_KEPT = 8
+
+
+class Sight(Enum):
+    """What can be known of contacts now."""
+
+    STOPPED = "stopped"
+    BLIND = "blind"
+    FREE = "free"
+    CONTACT = "contact"
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """When estimates count.
+
+    Attributes:
+        stale_after_s: without a fresh wrench for this long there is no estimator.
+        resume_after_s: estimates must come for this long before they are trusted again.
+        joint_speed_rad_s, settle_s: as the estimator's: how long a command leaves it blind.
+    """
+
+    stale_after_s: float = 0.2
+    resume_after_s: float = 1.0
+    joint_speed_rad_s: float = float(np.deg2rad(20.0))
+    settle_s: float = 0.5
+
+
+class EstimateWatch:
+    """Takes note of all that the estimator says; times are monotonic, s.
+
+    Attributes:
+        reason: why the sight is `STOPPED`; empty when it is not.
+    """
+
+    def __init__(self, command_rad: Array, settings: WatchSettings, now_s: float) -> None:
+        """The arm holds `command_rad` (2N,); nothing has been heard of the estimator yet."""
+        self._settings = settings
+        self._gate = MotionGate(command_rad, settings.joint_speed_rad_s, settings.settle_s)
+        self._contact_s = self._fresh_s = self._stale_report_s = float("-inf")
+        self._probabilities_s: deque[float] = deque(maxlen=PROBABILITIES_KEPT)
+        self._moved_until_s = now_s
+        self._believed_since_s: float | None = None
+        self._fault = ""
+        self.sight = Sight.STOPPED
+        self.reason = "no estimate yet"
+
+    def commanded(self, command_rad: Array, now_s: float) -> None:
+        """A command (2N,) is in force; estimates from before it count no more."""
+        if self._gate.command(command_rad):
+            self._gate.moving(round(now_s * 1e9))
+            self._contact_s = float("-inf")
+            self._probabilities_s.clear()
+
+    def heard_wrench(self, contact: bool, age_s: float, now_s: float) -> bool:
+        """A wrench came, `contact` where it is in a segment's frame; gives whether it is fresh."""
+        if abs(age_s) > self._settings.stale_after_s:
+            return False
+        self._fresh_s = now_s
+        if contact:
+            self._contact_s = now_s
+        return True
+
+    def heard_probabilities(self, now_s: float) -> None:
+        """Probabilities came, so an estimate was made."""
+        self._probabilities_s.append(now_s)
+
+    def heard_of_input(self, stale: bool, now_s: float) -> None:
+        """The estimator reported on its samples; it has none where `stale`."""
+        self._stale_report_s = now_s if stale else float("-inf")
+
+    def refused(self, why: str) -> None:
+        """A message broke the contract: stop."""
+        self._fault = why
+
+    def probabilities_since(self, since_s: float) -> int:
+        """How many probabilities came after a moment, up to `PROBABILITIES_KEPT`."""
+        return sum(1 for time_s in self._probabilities_s if time_s > since_s)
+
+    def speaking(self, now_s: float) -> bool:
+        """Whether wrenches with fresh stamps come, whatever is in them."""
+        return now_s - self._fresh_s <= self._settings.stale_after_s
+
+    def look(self, now_s: float) -> Sight:
+        """Decide what can be known now; to be called at least every 20 ms."""
+        fault, self._fault = self._fault or self._silence(now_s), ""
+        estimating = now_s - self._estimate_s <= self._settings.stale_after_s
+        if fault or not estimating:
+            self._believed_since_s = None
+        elif self._believed_since_s is None:
+            self._believed_since_s = now_s
+        if fault:
+            self.sight, self.reason = Sight.STOPPED, fault
+        elif self.sight is Sight.STOPPED:
+            self._try_to_resume(now_s)
+        if self.sight is not Sight.STOPPED:
+            self.sight = self._sight(estimating, now_s)
+        return self.sight
+
+    @property
+    def _estimate_s(self) -> float:
+        heard = self._probabilities_s[-1] if self._probabilities_s else float("-inf")
+        return max(self._contact_s, heard)
+
+    def _silence(self, now_s: float) -> str:
+        silent_s = now_s - self._fresh_s
+        if silent_s > self._settings.stale_after_s:
+            return (
+                f"no wrench with a fresh stamp for {silent_s:.1f} s"
+                if np.isfinite(silent_s)
+                else "no wrench has come yet"
+            )
+        if self._stale_report_s > self._estimate_s:
+            return "the estimator reports that its samples are stale"
+        if self._gate.moving(round(now_s * 1e9)):
+            self._moved_until_s = now_s
+            return ""
+        mute_s = now_s - max(self._estimate_s, self._moved_until_s)
+        if mute_s > self._settings.stale_after_s:
+            return f"the estimator gives no estimate, though the arm has rested for {mute_s:.1f} s"
+        return ""
+
+    def _try_to_resume(self, now_s: float) -> None:
+        since = self._believed_since_s
+        if since is None:
+            self.reason = "waiting for estimates"
+        elif now_s - since < self._settings.resume_after_s:
+            self.reason = f"estimates are back; trusted after {self._settings.resume_after_s:g} s"
+        else:
+            self.sight, self.reason = Sight.BLIND, ""
+
+    def _sight(self, estimating: bool, now_s: float) -> Sight:
+        if not estimating:
+            return Sight.BLIND
+        touched = now_s - self._contact_s <= self._settings.stale_after_s
+        return Sight.CONTACT if touched else Sight.FREE
+
+
+INPUT_STATUS = "cable_tensions"
+
+
+class FeltWrench(NamedTuple):
+    """An estimate: segment 0 and no force where nothing touches, or nothing is known.
+
+    Attributes:
+        segment: from 1.
+        force_n: (3,) in the segment's axes.
+        stamp_ns: of the sample.
+    """
+
+    segment: int
+    force_n: Array
+    stamp_ns: int
+
+
+def read_wrench(message: Any, frames: Frames) -> FeltWrench:
+    """The estimate in a `WrenchStamped`.
+
+    Raises:
+        ContractError: an unknown frame, a force that is not finite or too large, or a force in
+            the base frame, where there is none.
+    """
+    force = message.wrench.force
+    components = (force.x, force.y, force.z)
+    if not math.hypot(*components) <= MAX_LOAD_N:
+        raise ContractError(
+            f"wrench.force is {components} N; it must be finite, at most {MAX_LOAD_N:g} N"
+        )
+    frame = message.header.frame_id
+    segment = 0 if frame == frames.base else frames.segment_number(frame)
+    if segment == 0 and any(components):
+        raise ContractError(
+            f"wrench.force is {components} N in {frame}; a contact comes in its segment's frame"
+        )
+    stamp = message.header.stamp
+    return FeltWrench(segment, np.array(components), stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+
+def check_probabilities(message: Any, segment_count: int) -> None:
+    """Make sure that a `Float64MultiArray` holds this arm's probabilities.
+
+    Raises:
+        ContractError: another number of them, or one that is none.
+    """
+    if len(message.data) != segment_count + 1 or not all(0.0 <= p <= 1.0 for p in message.data):
+        raise ContractError(
+            f"data holds {list(message.data)[:8]}; it must hold {segment_count + 1} probabilities"
+        )
+
+
+def input_is_stale(message: Any, estimator: str) -> bool | None:
+    """Whether a `DiagnosticArray` says that the estimator has no samples; None if it says nothing.
+
+    `estimator` is the node's name.
+    """
+    for status in message.status:
+        node, _, part = status.name.partition(": ")
+        if part == INPUT_STATUS and node.strip("/") == estimator.strip("/"):
+            return int.from_bytes(status.level, "little") == Level.STALE
+    return None

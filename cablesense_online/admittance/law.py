@@ -1,0 +1,244 @@
+"""How far to move away from a contact: one step of an admittance in joint space.
+
+The law is D q̇ + K (q − q_home) + friction = Jᵀ f with J the Jacobian of the contact point at the
+commanded angles and f the environment's force. Friction is dry: it takes up the torque of
+`deadband_n` along the contact, so that the arm rests under less. A step of length T solves the law
+with the torque k |J|² Δ that a wall of the assumed worst stiffness k would take away during the
+step already taken off (linearly implicit Euler):
+
+    (D/T + K) Δ + k j (jᵀ Δ) = τ max(0, 1 − deadband |j| / |τ|),   τ = j |f| − K (q − q_home),
+    j = Jᵀ f / |f|.
+
+docs/controller.md derives when the loop that is closed by the estimator is stable.
+
+The joint angles that the controller may command: for each joint a disc about straight.
+
+One measurement: the average of the wrenches that came after the arm had arrived.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_sim import kinematics
+from cablesense_sim.mechanism import Mechanism
+
+PLATE_MARGIN_RAD = float(np.deg2rad(2.0))
+"""How far the guide plates stay apart at least."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Discs √(pitch² + yaw²) ≤ radius, one a joint.
+
+    A disc holds the bend of the joint below its radius, as √(pitch² + yaw²) is never less than the
+    bend. Discs are convex, so the nearest point of a disc to a step's end is never against the
+    step.
+
+    Attributes:
+        radius_rad: (N,) of each joint's disc.
+    """
+
+    radius_rad: Array
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, limit_rad: float) -> Reach:
+        """As far as `limit_rad`, but never so far that guide plates come near each other."""
+        return cls(np.minimum(limit_rad, mechanism.bend_limit_rad - PLATE_MARGIN_RAD))
+
+    def nearest(self, joint_angles_rad: Array) -> Array:
+        """The nearest joint angles (2N,) within reach."""
+        joints = joint_angles_rad.reshape(-1, 2)
+        bent = np.linalg.norm(joints, axis=1)
+        share = np.where(
+            bent > self.radius_rad, self.radius_rad / np.maximum(bent, self.radius_rad), 1.0
+        )
+        return np.asarray((joints * share[:, None]).reshape(-1))
+
+    def holds(self, joint_angles_rad: Array, slack_rad: float = 1e-9) -> bool:
+        """Whether these joint angles (2N,) are within reach."""
+        bent = np.linalg.norm(joint_angles_rad.reshape(-1, 2), axis=1)
+        return bool((bent <= self.radius_rad + slack_rad).all())
+
+
+LONGEST_STEP_S = 1.0
+"""However long ago the last step was, the next one moves no farther than for this time."""
+
+
+@dataclass(frozen=True)
+class AdmittanceSettings:
+    """The law's numbers.
+
+    Attributes:
+        damping_n_m_s_rad: D of every joint axis, N·m·s/rad.
+        return_stiffness_n_m_rad: K of every joint axis, N·m/rad; 0 never goes home.
+        deadband_n: forces up to this one move nothing.
+        worst_stiffness_n_m: k, the stiffest contact that is expected.
+        step_limit_rad: no joint turns farther in one step.
+        speed_limit_rad_s: nor, on the average of a step, faster.
+        touch_n: a step towards home may run into an unseen wall of the worst stiffness with at
+            most this force.
+        smallest_step_rad: a step in which every joint turns less is not worth being blind for.
+    """
+
+    damping_n_m_s_rad: float = 5.0
+    return_stiffness_n_m_rad: float = 1.0
+    deadband_n: float = 2.0
+    worst_stiffness_n_m: float = 20_000.0
+    step_limit_rad: float = float(np.deg2rad(1.0))
+    speed_limit_rad_s: float = float(np.deg2rad(5.0))
+    touch_n: float = 4.0
+    smallest_step_rad: float = float(np.deg2rad(0.002))
+
+
+@dataclass(frozen=True)
+class FeltForce:
+    """An estimated contact: a force (3,) in base axes, N, on segment `segment` (from 1)."""
+
+    segment: int
+    force_base_n: Array
+
+
+class AdmittanceLaw:
+    """Steps for one arm."""
+
+    def __init__(self, mechanism: Mechanism, reach: Reach, settings: AdmittanceSettings) -> None:
+        self._mechanism = mechanism
+        self.reach = reach
+        self.settings = settings
+
+    def step(
+        self, command_rad: Array, home_rad: Array, felt: FeltForce | None, elapsed_s: float
+    ) -> Array:
+        """The next command (2N,); the same command where no step is worth it.
+
+        Args:
+            command_rad: (2N,) the command in force.
+            home_rad: (2N,) where to be when nothing touches.
+            felt: the contact; None is a sure "nothing touches".
+            elapsed_s: since the last step.
+        """
+        period_s = min(elapsed_s, LONGEST_STEP_S)
+        away = command_rad - home_rad
+        step = (
+            self._homeward(command_rad, away, period_s)
+            if felt is None
+            else self._yielding(command_rad, away, felt, period_s)
+        )
+        step = self._limited(step, period_s)
+        target = self.reach.nearest(command_rad + step)
+        if np.abs(target - command_rad).max() < self.settings.smallest_step_rad:
+            return command_rad
+        return target
+
+    def loop_gain(
+        self,
+        command_rad: Array,
+        segment: int,
+        direction: Array,
+        stiffness_n_m: float,
+        step_s: float,
+    ) -> float:
+        """How much of a contact's force above its rest one unlimited step takes away, as a share.
+
+        Below 1 the force falls without overshoot, below 2 the loop is stable; `direction` (3,) is
+        the force's in base axes, `stiffness_n_m` the contact's.
+        """
+        squared = float(np.sum((self._jacobian(command_rad, segment).T @ direction) ** 2))
+        return stiffness_n_m * squared / (self._diagonal(step_s) + self._implicit(squared))
+
+    def _homeward(self, command_rad: Array, away: Array, period_s: float) -> Array:
+        stiffness = self.settings.return_stiffness_n_m_rad
+        step = -away * (stiffness / self._diagonal(period_s))
+        moved = np.linalg.norm(
+            kinematics.contact_jacobians_m(self._mechanism, command_rad) @ step, axis=-1
+        ).max()
+        touching_n = self.settings.worst_stiffness_n_m * float(moved)
+        return step * min(1.0, self.settings.touch_n / max(touching_n, 1e-12))
+
+    def _yielding(
+        self, command_rad: Array, away: Array, felt: FeltForce, period_s: float
+    ) -> Array:
+        magnitude_n = float(np.linalg.norm(felt.force_base_n))
+        if magnitude_n == 0.0:
+            return np.zeros_like(command_rad)
+        lever = self._jacobian(command_rad, felt.segment).T @ (felt.force_base_n / magnitude_n)
+        torque = lever * magnitude_n - self.settings.return_stiffness_n_m_rad * away
+        size, friction = np.linalg.norm(torque), self.settings.deadband_n * np.linalg.norm(lever)
+        if size <= friction:
+            return np.zeros_like(command_rad)
+        torque = torque * (1.0 - friction / size)
+        diagonal, squared = self._diagonal(period_s), float(lever @ lever)
+        implicit = self.settings.worst_stiffness_n_m * float(lever @ torque)
+        return (torque - lever * (implicit / (diagonal + self._implicit(squared)))) / diagonal
+
+    def _limited(self, step: Array, period_s: float) -> Array:
+        largest = float(np.abs(step).max())
+        limit = min(self.settings.step_limit_rad, self.settings.speed_limit_rad_s * period_s)
+        return step * (limit / largest) if largest > limit else step
+
+    def _jacobian(self, command_rad: Array, segment: int) -> Array:
+        """(3, 2N) of a segment's contact point."""
+        return np.asarray(
+            kinematics.contact_jacobians_m(self._mechanism, command_rad)[segment - 1]
+        )
+
+    def _diagonal(self, period_s: float) -> float:
+        return (
+            self.settings.damping_n_m_s_rad / max(period_s, 1e-6)
+            + self.settings.return_stiffness_n_m_rad
+        )
+
+    def _implicit(self, squared_lever_m2: float) -> float:
+        return self.settings.worst_stiffness_n_m * squared_lever_m2
+
+
+FEWEST_SAMPLES = 3
+
+
+class ForceAverage:
+    """Averages forces in a segment's axes over a stretch of stamps, all of the same command.
+
+    A sample without contact counts as no force, so that one that is doubtful weakens the answer.
+    Where samples name several segments, those of the most frequent one count.
+    """
+
+    def __init__(self, span_s: float, longest_gap_s: float) -> None:
+        """`span_s` is averaged over; a gap longer than `longest_gap_s` begins anew."""
+        self._span_ns = round(span_s * 1e9)
+        self._longest_gap_ns = round(longest_gap_s * 1e9)
+        self._samples: list[tuple[int, int, Array]] = []
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._samples.clear()
+
+    def add(self, stamp_ns: int, segment: int, force_n: Array) -> None:
+        """A sample's force (3,) in its segment's axes; segment 0 is no contact."""
+        if self._samples and not 0 < stamp_ns - self._samples[-1][0] <= self._longest_gap_ns:
+            self._samples.clear()
+        self._samples.append((stamp_ns, segment, force_n))
+
+    @property
+    def complete(self) -> bool:
+        """Whether the samples span the time."""
+        return (
+            len(self._samples) >= FEWEST_SAMPLES
+            and self._samples[-1][0] - self._samples[0][0] >= self._span_ns
+        )
+
+    def take(self) -> tuple[int, Array]:
+        """Segment and mean force (3,) in its axes, N; (0, zero) for no contact. Begins anew."""
+        touched = Counter(segment for _, segment, _ in self._samples if segment)
+        segment = touched.most_common(1)[0][0] if touched else 0
+        total = sum(
+            (force for _, number, force in self._samples if number == segment and segment),
+            start=np.zeros(3),
+        )
+        mean = total / max(len(self._samples), 1)
+        self.clear()
+        return segment, np.asarray(mean)

@@ -1,0 +1,213 @@
+"""A calibration: scale and zero of single cables' sensors, in place of those of the channel map.
+
+It says of which map and which signal it was made, so that it cannot be applied to another one.
+
+Calibrations as YAML files: data, bounded in size, written whole or not at all.
+
+Which calibration the driver's tensions rest on, for log and diagnostics.
+"""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+from cantools.database.can import Database
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cablesense_base.files import read_bounded_text
+from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_online.can.channel_map import (
+    MAX_CHANNELS,
+    MAX_MAP_BYTES,
+    ChannelMap,
+    ChannelMapError,
+    Count,
+    Name,
+    Number,
+    Scale,
+    Zero,
+    channel_signal,
+)
+
+UNIT_CHARACTERS = 32
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class CalibratedSensor(_Part):
+    """One cable's sensor: `tension_n = scale_n_per_unit * (value - zero)`.
+
+    The rest says of what it was found and how sure it is (expanded, 95 %); it may be left out in
+    a file written by hand.
+
+    Attributes:
+        message, signal: where the DBC file has the sensor's value.
+        signal_unit, signal_factor, signal_offset: what the DBC file made of its bits then.
+        points, largest_force_n: how many known loads, up to where.
+        tension_u95_n: of a tension up to there.
+    """
+
+    message: Name
+    signal: Name
+    signal_unit: Annotated[str, Field(max_length=UNIT_CHARACTERS)]
+    signal_factor: Number
+    signal_offset: Number
+    scale_n_per_unit: Scale
+    zero: Zero
+    scale_u95_n_per_unit: Number | None = None
+    zero_u95: Number | None = None
+    tension_u95_n: Number | None = None
+    points: Count | None = None
+    largest_force_n: Number | None = None
+    nonlinearity_n: Number | None = None
+    hysteresis_n: Number | None = None
+    repeatability_n: Number | None = None
+
+    @model_validator(mode="after")
+    def _scale_is_not_zero(self) -> CalibratedSensor:
+        if self.scale_n_per_unit == 0.0:
+            raise ValueError(
+                "gives scale_n_per_unit = 0, so that every reading is 0 N; calibrate it anew"
+            )
+        return self
+
+
+class Calibration(_Part):
+    """A whole file.
+
+    Attributes:
+        map: name of the channel map it belongs to.
+        made: when.
+        gravity_m_s2: with which masses were taken for forces, if they were.
+        common_relative_u: relative standard uncertainty that all loads shared.
+        uncalibrated: cables of the map that keep its scale and zero, by name.
+        cables: the others.
+    """
+
+    map: Annotated[str, Field(max_length=64)]
+    made: datetime
+    gravity_m_s2: Number | None = None
+    common_relative_u: Number | None = None
+    uncalibrated: Annotated[list[Name], Field(max_length=MAX_CHANNELS)] = []
+    cables: Annotated[dict[Name, CalibratedSensor], Field(min_length=1, max_length=MAX_CHANNELS)]
+
+
+def calibrated(
+    channel_map: ChannelMap, database: Database, calibration: Calibration, source: str
+) -> ChannelMap:
+    """The map with the calibration's scales and zeros; `source` names the calibration in errors.
+
+    Raises:
+        ChannelMapError: it was made for another map, for other signals or units, or does not say
+            of every cable either its calibration or that it has none.
+    """
+    if calibration.map != channel_map.name:
+        raise ChannelMapError(
+            f"{source}: was made for map {calibration.map}, not for {channel_map.name}; calibrate "
+            "with the map that the driver uses"
+        )
+    _check_cables(channel_map, calibration, source)
+    channels = dict(channel_map.channels)
+    for cable, sensor in calibration.cables.items():
+        channel = channels[cable]
+        expected = channel_signal(database, channel)
+        made_of = (sensor.message, sensor.signal, sensor.signal_unit)
+        is_now = (channel.message, channel.signal, expected.unit)
+        same_bits = (sensor.signal_factor, sensor.signal_offset) == (
+            expected.factor,
+            expected.offset,
+        )
+        if made_of != is_now or not same_bits:
+            raise ChannelMapError(
+                f"{source}: {cable} was calibrated as {sensor.message}.{sensor.signal} in "
+                f"{sensor.signal_unit!r}, factor {sensor.signal_factor:g}, offset "
+                f"{sensor.signal_offset:g}; map and DBC file now give it {channel.message}."
+                f"{channel.signal} in {expected.unit!r}, factor {expected.factor:g}, offset "
+                f"{expected.offset:g}: calibrate it anew"
+            )
+        update = {"scale_n_per_unit": sensor.scale_n_per_unit, "zero": sensor.zero}
+        channels[cable] = channel.model_copy(update=update)
+    return channel_map.model_copy(update={"channels": channels})
+
+
+def _check_cables(channel_map: ChannelMap, calibration: Calibration, source: str) -> None:
+    named = [*calibration.cables, *calibration.uncalibrated]
+    unknown = [cable for cable in named if cable not in channel_map.channels]
+    twice = sorted({cable for cable in named if named.count(cable) > 1})
+    silent = [cable for cable in channel_map.channels if cable not in named]
+    if unknown:
+        raise ChannelMapError(
+            f"{source}: has {', '.join(unknown)}, which map {channel_map.name} has not"
+        )
+    if twice:
+        raise ChannelMapError(
+            f"{source}: names {', '.join(twice)} twice; a cable is calibrated or uncalibrated"
+        )
+    if silent:
+        raise ChannelMapError(
+            f"{source}: says nothing of {', '.join(silent)}; name them under uncalibrated, if "
+            "they are to keep the map's scale and zero"
+        )
+
+
+_HEAD = """\
+# Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
+# tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
+"""
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration.
+
+    Raises:
+        ChannelMapError: the file cannot be read, is not YAML, or has a key or value that
+            cannot be.
+    """
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
+    keys = ", ".join(Calibration.model_fields)
+    content = parse_plain_mapping(text, str(path), keys, ChannelMapError)
+    try:
+        return Calibration.model_validate(content)
+    except ValidationError as error:
+        raise ChannelMapError(f"{path}: {describe_problem(error, Calibration)}") from None
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write a calibration.
+
+    Raises:
+        ChannelMapError: the place cannot be written to.
+    """
+    path = Path(path)
+    content = calibration.model_dump(mode="json", exclude_none=True)
+    text = _HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    beside = path.parent / f".{path.name}.{os.getpid()}.part"
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise ChannelMapError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def calibration_status(calibration: Calibration | None) -> Status:
+    """Where scales and zeros are from; of calibrated cables also their values, for the record."""
+    if calibration is None:
+        return Status("calibration", Level.OK, "none given; those of the channel map")
+    values = {
+        cable: f"{sensor.scale_n_per_unit:.6g} N per unit from zero {sensor.zero:.6g}"
+        for cable, sensor in calibration.cables.items()
+    }
+    made = f"calibration of {calibration.made:%Y-%m-%d %H:%M}"
+    if calibration.uncalibrated:
+        left = ", ".join(calibration.uncalibrated)
+        return Status("calibration", Level.WARN, f"{made}, but the map's for {left}", values)
+    return Status("calibration", Level.OK, made, values)

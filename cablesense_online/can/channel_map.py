@@ -1,0 +1,441 @@
+"""The channel map: which signal of a DBC file is which cable, and what may be believed of it.
+
+Bounds on the numbers are those of any plausible amplifier; their purpose is to catch a wrong unit.
+
+Channel maps as files: bundled ones by name, any other by path; YAML is data and bounded.
+
+Sizes in a DBC file, looked at before cantools does.
+
+cantools takes memory for every bit of a message before it compares a signal with its message, so
+that one line of text could ask for all there is.
+
+The DBC file of a channel map, read by cantools, and whether the map fits it.
+
+The format is Vector's DBC (an open text format in practice, never published as a standard).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cantools
+from cantools.database.can import Database, Message, Signal
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_text
+from cablesense_base.installation import config_path
+from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
+
+MAX_CHANNELS = 256
+
+
+class ChannelMapError(CableSenseError):
+    """A channel map, DBC or calibration file that does not fit: says which, where, what would."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _not_a_boolean(value: Any) -> Any:
+    """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
+    if isinstance(value, bool):
+        raise ValueError(f"= {value}: must be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_not_a_boolean)]
+Count = Annotated[int, BeforeValidator(_not_a_boolean)]
+Mask = Annotated[Count, Field(ge=0, le=0xFFFF)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,127}$")]
+"""A DBC identifier."""
+Scale = Annotated[Number, Field(ge=-1e9, le=1e9)]
+Zero = Annotated[Number, Field(ge=-1e12, le=1e12)]
+
+
+class Channel(_Part):
+    """One cable's signal: `tension_n = scale_n_per_unit * (value - zero)`.
+
+    `value` and `zero` are in the unit that the DBC file gives the signal. `status` names a signal
+    of the same message, which `status_masks` of the map read.
+    """
+
+    message: Name
+    signal: Name
+    status: Name | None = None
+    scale_n_per_unit: Scale = 1.0
+    zero: Zero = 0.0
+
+    @model_validator(mode="after")
+    def _scale_is_not_zero(self) -> Channel:
+        if self.scale_n_per_unit == 0.0:
+            raise ValueError(
+                "gives scale_n_per_unit = 0, so that every reading is 0 N; it must be the newtons "
+                "of one unit of the signal (negative if it falls under tension)"
+            )
+        return self
+
+    def tension_n(self, value: float) -> float:
+        """The tension in N of a signal's value."""
+        return self.scale_n_per_unit * (value - self.zero)
+
+    def value(self, tension_n: float) -> float:
+        """The signal's value of a tension in N."""
+        return tension_n / self.scale_n_per_unit + self.zero
+
+
+class CounterSignal(_Part):
+    """The signal that counts cycles, in a message that opens each cycle."""
+
+    message: Name
+    signal: Name
+
+
+class StatusMasks(_Part):
+    """Bits of the status signals; a reading whose status has one of them set is not believed."""
+
+    invalid: Mask = 0
+    over_range: Mask = 0
+    under_range: Mask = 0
+
+
+class StuckLimits(_Part):
+    """When a reading that stays the same to the last bit counts as stuck.
+
+    Attributes:
+        after_s: for so long it must have stayed the same,
+        others_moved_n: while half of the other channels moved by more than this.
+    """
+
+    after_s: Annotated[Number, Field(ge=0.01, le=3600.0)]
+    others_moved_n: Annotated[Number, Field(gt=0.0, le=1e5)]
+
+
+class ChannelMap(_Part):
+    """The whole map; `channels` go by cable name.
+
+    Attributes:
+        dbc: file name, beside the map.
+        cycle_time_s: from one sample to the next.
+        skew_limit_s: from the first to the last frame of one sample.
+        flood_frames_s: rate of frames, of any id, from which on the bus counts as flooded.
+        range_n: lowest and highest tension; at or beyond either a reading is not believed.
+        counter: the message that opens a cycle and counts it, if the amplifier sends one.
+        nmt_start_nodes: CANopen nodes that send only after an NMT start (CiA 301).
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
+    dbc: Annotated[str, Field(max_length=128)]
+    cycle_time_s: Annotated[Number, Field(ge=1e-4, le=1.0)]
+    skew_limit_s: Annotated[Number, Field(gt=0.0, le=1.0)]
+    flood_frames_s: Annotated[Number, Field(ge=1.0, le=1e6)]
+    range_n: tuple[Number, Number]
+    stuck: StuckLimits
+    status_masks: StatusMasks = StatusMasks()
+    counter: CounterSignal | None = None
+    nmt_start_nodes: Annotated[
+        list[Annotated[Count, Field(ge=1, le=127)]], Field(max_length=127)
+    ] = []
+    channels: Annotated[dict[Name, Channel], Field(min_length=1, max_length=MAX_CHANNELS)]
+
+    @property
+    def cable_names(self) -> tuple[str, ...]:
+        """In the order of the map."""
+        return tuple(self.channels)
+
+    def arranged(self, cable_names: Sequence[str]) -> ChannelMap:
+        """The map with its channels in an arm's order.
+
+        Raises:
+            ChannelMapError: a cable has no channel, or a channel no cable.
+        """
+        missing = [name for name in cable_names if name not in self.channels]
+        unknown = [name for name in self.channels if name not in cable_names]
+        if missing or unknown:
+            said = [f"lacks {', '.join(missing)}"] if missing else []
+            said += [f"has {', '.join(unknown)}, which the arm has not"] if unknown else []
+            raise ChannelMapError(
+                f"map {self.name} {' and '.join(said)}; the cables of this arm are "
+                f"{cable_names[0]} … {cable_names[-1]}, each with one channel"
+            )
+        channels = {name: self.channels[name] for name in cable_names}
+        return self.model_copy(update={"channels": channels})
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> ChannelMap:
+        if not self.dbc.endswith(".dbc") or "/" in self.dbc or "\\" in self.dbc:
+            raise ValueError(
+                f"gives dbc = {self.dbc!r}; it must be the name of a .dbc file beside the map"
+            )
+        if self.skew_limit_s > self.cycle_time_s:
+            raise ValueError(
+                f"gives skew_limit_s = {self.skew_limit_s:g}; it must be at most cycle_time_s = "
+                f"{self.cycle_time_s:g}, or frames of two cycles would make one sample"
+            )
+        if self.range_n[0] >= self.range_n[1]:
+            raise ValueError(
+                f"gives range_n = {list(self.range_n)}; it must be [lowest, highest] in N"
+            )
+        by_signal: dict[tuple[str, str], str] = {}
+        for cable, channel in self.channels.items():
+            other = by_signal.setdefault((channel.message, channel.signal), cable)
+            if other != cable:
+                raise ValueError(
+                    f"gives {other} and {cable} the same signal {channel.message}."
+                    f"{channel.signal}; every cable has a sensor of its own"
+                )
+        return self
+
+
+MAX_MAP_BYTES = 200_000
+"""A map is a page of text."""
+
+MAX_DBC_BYTES = 2_000_000
+"""A car's whole DBC file is a megabyte."""
+
+MAP_SUFFIXES = (".yaml", ".yml")
+
+
+def bundled_maps() -> list[str]:
+    """Names of the bundled maps, for example `twelve_channel_amplifier`."""
+    return sorted(path.stem for path in config_path("can").glob("*.yaml"))
+
+
+def find_channel_map(name_or_path: str | Path) -> Path:
+    """The file that a name (`cia404_amplifier`) or a path (`my/map.yaml`) stands for.
+
+    Raises:
+        ChannelMapError: neither a bundled map nor the path of a .yaml file.
+    """
+    if str(name_or_path) in bundled_maps():
+        return config_path(f"can/{name_or_path}.yaml")
+    path = Path(name_or_path)
+    if path.suffix in MAP_SUFFIXES:
+        return path
+    raise ChannelMapError(
+        f"unknown channel map {str(name_or_path)[:80]!r}; bundled maps are "
+        f"{', '.join(bundled_maps())}, and any other is given as the path of its .yaml file"
+    )
+
+
+def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:
+    """Read a map; give it and the path of the DBC file beside it, which is not read yet.
+
+    Raises:
+        ChannelMapError: the file cannot be found or read, is not YAML, has an unknown key or a
+            value that cannot be true.
+    """
+    path = find_channel_map(name_or_path)
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
+    channel_map = parse_channel_map(text, source=str(path))
+    return channel_map, path.parent / channel_map.dbc
+
+
+def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
+    """Read a map from YAML text; `source` names it in errors.
+
+    Raises:
+        ChannelMapError: as `load_channel_map`.
+    """
+    keys = ", ".join(ChannelMap.model_fields)
+    content = parse_plain_mapping(text, source, keys, ChannelMapError)
+    try:
+        return ChannelMap.model_validate(content)
+    except ValidationError as error:
+        raise ChannelMapError(f"{source}: {describe_problem(error, ChannelMap)}") from None
+
+
+MOST_BYTES = 1785
+"""Of the longest message that travels over CAN: that of J1939's transport protocol."""
+
+MOST_SIGNAL_BITS = 64
+
+_TOKEN = re.compile(
+    r'"(?:\\"|[^"])*"|(?P<comment>//.*)|(?P<number>\d+)|(?P<sign>[:|@])|\w+|[^\s\w]'
+)
+_LIMITS = {
+    (":", None): (MOST_BYTES, "a message of bytes"),
+    (":", "|"): (8 * MOST_BYTES, "a signal from bit"),
+    ("|", "@"): (MOST_SIGNAL_BITS, "a signal of bits"),
+}
+"""The most that a number between two signs may be, and what it is; None stands for no sign."""
+
+
+def require_bounded_sizes(text: str, source: str) -> None:
+    """Refuse DBC text with messages or signals that no bus carries; `source` names it in errors.
+
+    Raises:
+        ChannelMapError: names the line, the number, and what it may be.
+    """
+    sign: str | None = None
+    number: re.Match[str] | None = None
+    for token in _TOKEN.finditer(text):
+        if token["comment"]:
+            continue
+        if number is not None and (sign, token["sign"]) in _LIMITS:
+            most, what = _LIMITS[sign or "", token["sign"]]
+            if len(number[0]) > 9 or int(number[0]) > most:
+                line = text.count("\n", 0, number.start()) + 1
+                raise ChannelMapError(
+                    f"{source}: line {line}: {what} {number[0][:20]}; it must be at most {most}"
+                )
+        if token["number"] and number is None:
+            number = token
+        else:
+            sign, number = token["sign"], None
+
+
+_SHOWN_NAMES = 8
+_LARGEST_FACTOR = 1e30
+
+
+@dataclass(frozen=True)
+class ChannelSignal:
+    """What the DBC file makes of a channel's bits: `value = factor * bits + offset`, in `unit`."""
+
+    unit: str
+    factor: float
+    offset: float
+
+
+def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
+    """Read a map and its DBC file, and check that one fits the other.
+
+    Raises:
+        ChannelMapError: either cannot be read, or they do not fit.
+    """
+    channel_map, path = load_channel_map(name_or_path)
+    text = read_bounded_text(path, MAX_DBC_BYTES, "a DBC file", ChannelMapError)
+    database = parse_database(text, source=str(path))
+    check_fit(channel_map, database, source=str(path))
+    return channel_map, database
+
+
+def parse_database(text: str, source: str = "DBC file") -> Database:
+    """Read DBC text; `source` names it in errors.
+
+    Raises:
+        ChannelMapError: not DBC, or signals that overlap or leave their message.
+    """
+    require_bounded_sizes(text, source)
+    try:
+        database = cantools.database.load_string(text, database_format="dbc", strict=True)
+    except Exception as error:  # the parser raises whatever a broken file trips it over
+        line = " ".join(str(error).split())[:300] or type(error).__name__
+        raise ChannelMapError(
+            f"{source}: not a DBC file that can be used ({line}); no signal may leave its message "
+            "or lie over another"
+        ) from error
+    if not isinstance(database, Database) or not database.messages:
+        raise ChannelMapError(f"{source}: holds no messages; a DBC file has a BO_ line for each")
+    return database
+
+
+def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC file") -> None:
+    """Check that every message and signal that the map names is there and can be read.
+
+    Raises:
+        ChannelMapError: names the cable, what it asks for, and what there is.
+    """
+    for cable, channel in channel_map.channels.items():
+        where = f"{source}: channel {cable}"
+        message = message_of(database, channel.message, where)
+        _require_credible(_signal_of(message, channel.signal, where), where)
+        if channel.status is not None:
+            status = _signal_of(message, channel.status, where)
+            _require_credible(status, where)
+            if status.is_float:
+                raise ChannelMapError(
+                    f"{where}: status {channel.status} is a floating value; it must be of whole "
+                    "bits"
+                )
+    if channel_map.counter is not None:
+        where = f"{source}: counter"
+        message = message_of(database, channel_map.counter.message, where)
+        counter = _signal_of(message, channel_map.counter.signal, where)
+        _require_credible(counter, where)
+        if counter.is_float or counter.is_signed or counter.length < 2:
+            raise ChannelMapError(
+                f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
+                "so that a lost cycle shows"
+            )
+
+
+def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
+    """Unit, factor and offset of a channel's value.
+
+    Raises:
+        ChannelMapError: the database lacks its message or signal.
+    """
+    message = message_of(database, channel.message, "DBC file")
+    signal = _signal_of(message, channel.signal, "DBC file")
+    return ChannelSignal(signal.unit or "", float(signal.scale), float(signal.offset))
+
+
+def message_of(database: Database, name: str, where: str) -> Message:
+    """The message of that name.
+
+    Raises:
+        ChannelMapError: there is none, or it is multiplexed or not of classical CAN.
+    """
+    found = [message for message in database.messages if message.name == name]
+    if not found:
+        names = [message.name for message in database.messages]
+        raise ChannelMapError(f"{where}: no message {name}; there are {_listed(names)}")
+    same = [
+        message.name
+        for message in database.messages
+        if message is not found[0]
+        and (message.name == name or _id_of(message) == _id_of(found[0]))
+    ]
+    if same:
+        raise ChannelMapError(
+            f"{where}: {name} and {same[0]} have the same name or the same id; a frame is of one "
+            "message"
+        )
+    if found[0].is_multiplexed() or found[0].is_fd or found[0].is_container:
+        raise ChannelMapError(
+            f"{where}: message {name} is multiplexed, a container or of CAN FD; only plain "
+            "messages of at most 8 bytes are read"
+        )
+    return found[0]
+
+
+def _require_credible(signal: Signal, where: str) -> None:
+    if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
+        raise ChannelMapError(
+            f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
+            f"both must be finite, at most {_LARGEST_FACTOR:g}"
+        )
+
+
+def _id_of(message: Message) -> tuple[int, bool]:
+    return message.frame_id, message.is_extended_frame
+
+
+def _signal_of(message: Message, name: str, where: str) -> Signal:
+    for signal in message.signals:
+        if signal.name == name:
+            return signal
+    names = [signal.name for signal in message.signals]
+    raise ChannelMapError(
+        f"{where}: no signal {name} in message {message.name}; there are {_listed(names)}"
+    )
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:_SHOWN_NAMES])
+    more = len(names) - _SHOWN_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown or "none"

@@ -1,0 +1,366 @@
+"""Frames to readings in N, by the channel map and its DBC file (cantools decodes).
+
+Whether a single reading can be true.
+
+Frames of one cycle to one sample; what is not whole is never filled up and never given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+
+import can
+import numpy as np
+from cantools.database.can import Database, Message
+from numpy.typing import NDArray
+
+from cablesense_online.can.channel_map import ChannelMap, StatusMasks
+from cablesense_online.can.faults import FaultKind, FaultLedger
+
+
+def reading_fault(tension_n: float, range_n: tuple[float, float]) -> FaultKind | None:
+    """What is wrong with a reading in N, if anything.
+
+    At or beyond an end of the range it says only that the tension lies there or further, so any
+    force made of it would be false.
+    """
+    if not isfinite(tension_n):
+        return FaultKind.NOT_FINITE
+    low, high = range_n
+    if tension_n >= high:
+        return FaultKind.OVER_RANGE
+    if tension_n <= low:
+        return FaultKind.UNDER_RANGE
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What one frame tells.
+
+    Attributes:
+        readings: (channel, N) pairs; the channel is its position in the map.
+        spoilt: whether one of them cannot be believed.
+        counter: of the cycle that the frame opens, if it does.
+    """
+
+    readings: Sequence[tuple[int, float]] = ()
+    spoilt: bool = False
+    counter: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    channel: int
+    cable: str
+    signal: str
+    status: str | None
+    scale_n_per_unit: float
+    zero: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    message: Message
+    places: tuple[_Place, ...]
+    counter: str | None
+
+
+class FrameDecoder:
+    """Decodes the frames of the map; notes what cannot be one of them.
+
+    Attributes:
+        counter_modulo: the counter starts again at 0 when it would reach this; 0 without one.
+        frames_per_cycle: messages that make one sample, the counter's included.
+    """
+
+    def __init__(self, channel_map: ChannelMap, database: Database, ledger: FaultLedger) -> None:
+        """`channel_map` must fit `database` (`signal_database.check_fit`)."""
+        self._ledger = ledger
+        self._range_n = channel_map.range_n
+        self._masks = channel_map.status_masks
+        self._plans: dict[tuple[int, bool], _Plan] = {}
+        self.counter_modulo = 0
+        self._described = {(m.frame_id, m.is_extended_frame) for m in database.messages}
+        counter = channel_map.counter
+        names = {channel.message for channel in channel_map.channels.values()}
+        names |= {counter.message} if counter else set()
+        self.frames_per_cycle = len(names)
+        for name in sorted(names):
+            message = database.get_message_by_name(name)
+            counts = counter.signal if counter and counter.message == name else None
+            if counts:
+                self.counter_modulo = 1 << message.get_signal_by_name(counts).length
+            key = (message.frame_id, message.is_extended_frame)
+            self._plans[key] = _Plan(message, _places(channel_map, name), counts)
+
+    def knows(self, frame: can.Message) -> bool:
+        """Whether the frame's id is one that carries readings or the counter."""
+        return (frame.arbitration_id, frame.is_extended_id) in self._plans
+
+    def decode(self, frame: can.Message) -> Decoded | None:
+        """What a frame tells; None for one that tells nothing, which is noted unless described.
+
+        A frame of the right id whose length is wrong tells nothing: what its bytes mean is open.
+        """
+        key = (frame.arbitration_id, frame.is_extended_id)
+        plan = self._plans.get(key)
+        if plan is None:
+            if key not in self._described:
+                self._ledger.note(FaultKind.UNKNOWN_ID, f"0x{frame.arbitration_id:X}")
+            return None
+        if frame.is_remote_frame or frame.is_fd:
+            self._ledger.note(
+                FaultKind.UNREADABLE,
+                plan.message.name,
+                f"{plan.message.name} came as a remote or CAN FD frame, not as a data frame",
+            )
+            return None
+        if len(frame.data) != plan.message.length:
+            self._ledger.note(
+                FaultKind.WRONG_LENGTH,
+                plan.message.name,
+                f"{plan.message.name} came with {len(frame.data)} bytes; the DBC file says "
+                f"{plan.message.length}",
+            )
+            return None
+        values = plan.message.decode(bytes(frame.data), decode_choices=False)
+        return self._readings(plan, values)  # type: ignore[arg-type]  # no container, no choices
+
+    def _readings(self, plan: _Plan, values: dict[str, float]) -> Decoded:
+        low, high = self._range_n
+        readings, spoilt = [], False
+        for place in plan.places:
+            tension_n = place.scale_n_per_unit * (values[place.signal] - place.zero)
+            status = int(values[place.status]) if place.status is not None else 0
+            if status or not low < tension_n < high:
+                fault = _fault(tension_n, status, self._range_n, self._masks)
+                if fault is not None:
+                    spoilt = True
+                    self._ledger.note(fault, place.cable, _sentence(place, tension_n, status))
+            readings.append((place.channel, tension_n))
+        counter = int(values[plan.counter]) if plan.counter is not None else None
+        return Decoded(readings, spoilt, counter)
+
+
+def _fault(
+    tension_n: float, status: int, range_n: tuple[float, float], masks: StatusMasks
+) -> FaultKind | None:
+    if status & masks.over_range:
+        return FaultKind.OVER_RANGE
+    if status & masks.under_range:
+        return FaultKind.UNDER_RANGE
+    if status & masks.invalid:
+        return FaultKind.INVALID_STATUS
+    return reading_fault(tension_n, range_n)
+
+
+def _sentence(place: _Place, tension_n: float, status: int) -> str:
+    said = f", status 0x{status:02X}" if status else ""
+    return f"{place.cable} reads {tension_n:g} N{said}"
+
+
+def _places(channel_map: ChannelMap, message: str) -> tuple[_Place, ...]:
+    return tuple(
+        _Place(
+            position, cable, channel.signal, channel.status, channel.scale_n_per_unit, channel.zero
+        )
+        for position, (cable, channel) in enumerate(channel_map.channels.items())
+        if channel.message == message
+    )
+
+
+COUNTER_PLACE = "cycle counter"
+
+
+CUT_SAMPLES = 8
+WIDER = 2.0
+"""A pause within a sample must be so much wider than that before it to count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of every channel, all within the skew limit.
+
+    Attributes:
+        time_s: bus time of its first frame: an amplifier measures before it sends.
+        skew_s: bus time from the first to the last frame.
+        tensions_n: (M,) in the order of the map.
+    """
+
+    time_s: float
+    skew_s: float
+    tensions_n: NDArray[np.float64]
+
+
+class SampleAssembler:
+    """Puts samples together.
+
+    With a cycle counter, its frame opens a sample, and only frames until the next one belong to
+    it. Without, the first frame after a sample opens the next, and a channel that comes a second
+    time, or later than the skew limit, ends an unfinished one and opens another; late and lost
+    cannot be told apart then, and a frame that is late by most of a cycle may end up beside the
+    next cycle's, still within the limit. After a lost frame every sample would be cut so, in the
+    midst of a cycle; where the widest pause lies within `CUT_SAMPLES` samples one after the other,
+    and not between them, samples begin anew at that pause. Either way a sample that is not whole
+    is dropped, and the channels that it lacks are named.
+
+    Attributes:
+        dropped: samples dropped so far because they were late, not whole, or not to be believed.
+    """
+
+    def __init__(
+        self,
+        cable_names: Sequence[str],
+        skew_limit_s: float,
+        counter_modulo: int,
+        ledger: FaultLedger,
+    ) -> None:
+        """`counter_modulo` is 0 for an amplifier without a counter."""
+        self._names = tuple(cable_names)
+        self._skew_limit_s = skew_limit_s
+        self._modulo = counter_modulo
+        self._ledger = ledger
+        self._tensions_n = [0.0] * len(self._names)
+        self._missing = set(range(len(self._names)))
+        self._open_s: float | None = None
+        self._earliest_s = self._latest_s = 0.0
+        self._spoilt = False
+        self._late = False
+        self._last_count: int | None = None
+        self._frames: list[tuple[float, Decoded]] = []
+        self._last_end_s = float("-inf")
+        self._cut = 0
+        self.dropped = 0
+
+    def take(self, decoded: Decoded, time_s: float) -> Sample | None:
+        """Put a frame in; give the sample that it completes.
+
+        Args:
+            decoded: what the frame tells.
+            time_s: its bus time, s.
+        """
+        if decoded.counter is not None:
+            self._close()
+            self._open(time_s)
+            self._count(decoded.counter)
+        if not decoded.readings:
+            return None
+        if self._open_s is None:
+            if self._modulo:
+                return None  # the rest of a cycle whose beginning was not heard
+            self._open(time_s)
+        return self._put(decoded, time_s)
+
+    def silence(self) -> None:
+        """Nothing came for longer than a cycle: what is open will not be finished."""
+        self._close()
+
+    def restart(self) -> None:
+        """The interface was opened again: what came before has no bearing on what comes."""
+        self._open_s = None
+        self._last_count = None
+        self._last_end_s, self._cut = float("-inf"), 0
+
+    def _put(self, decoded: Decoded, time_s: float) -> Sample | None:
+        earliest_s, latest_s = min(self._earliest_s, time_s), max(self._latest_s, time_s)
+        late = latest_s - earliest_s > self._skew_limit_s
+        twice = any(channel not in self._missing for channel, _ in decoded.readings)
+        if late or twice:
+            self._note_late(decoded, time_s, late)
+            if self._modulo:
+                self._late = True
+            else:
+                self._close()
+                self._open(time_s)
+        else:
+            self._earliest_s, self._latest_s = earliest_s, latest_s
+        self._fill(decoded, time_s)
+        return None if self._missing else self._finish(time_s)
+
+    def _fill(self, decoded: Decoded, time_s: float) -> None:
+        for channel, tension_n in decoded.readings:
+            self._tensions_n[channel] = tension_n
+            self._missing.discard(channel)
+        self._spoilt = self._spoilt or decoded.spoilt
+        if not self._modulo:
+            self._frames.append((time_s, decoded))
+
+    def _finish(self, time_s: float) -> Sample | None:
+        if not self._modulo and self._begins_anew():
+            return None
+        opened_s, self._open_s = self._open_s, None
+        if self._spoilt or self._late or opened_s is None:
+            self.dropped += 1
+            return None
+        return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
+
+    def _begins_anew(self) -> bool:
+        """Whether samples are cut in mid-cycle; the open one begins at the pause then."""
+        times_s = [time_s for time_s, _ in self._frames]
+        pauses_s = [after - before for before, after in pairwise(times_s)]
+        before_s, self._last_end_s = times_s[0] - self._last_end_s, times_s[-1]
+        widest_s = max(pauses_s, default=0.0)
+        self._cut = self._cut + 1 if widest_s > WIDER * before_s else 0
+        if self._cut < CUT_SAMPLES:
+            return False
+        self._cut = 0
+        of_next = self._frames[pauses_s.index(widest_s) + 1 :]
+        self._open(of_next[0][0])
+        for time_s, decoded in of_next:
+            self._fill(decoded, time_s)
+            for channel, _ in decoded.readings:
+                name = self._names[channel]
+                said = f"{name} was taken into the cycle before its own; samples begin anew"
+                self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+        self.dropped += 1
+        return True
+
+    def _open(self, time_s: float) -> None:
+        self._open_s = self._earliest_s = self._latest_s = time_s
+        self._frames.clear()
+        self._missing = set(range(len(self._names)))
+        self._spoilt = self._late = False
+
+    def _close(self) -> None:
+        if self._open_s is None:
+            return
+        for channel in sorted(self._missing):
+            self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
+        self._open_s = None
+        self.dropped += 1
+
+    def _note_late(self, decoded: Decoded, time_s: float, late: bool) -> None:
+        after_ms = (time_s - (self._open_s or 0.0)) * 1e3
+        for channel, _ in decoded.readings:
+            name = self._names[channel]
+            if late and channel in self._missing:
+                said = f"{name} came {after_ms:.2f} ms after the sample's first frame"
+                said += f"; the skew limit is {self._skew_limit_s * 1e3:g} ms"
+                self._missing.discard(channel)  # named once: as late, not as missing too
+            elif self._modulo:
+                said = f"{name} came twice in one cycle, so that the first was of the one before"
+            else:
+                continue  # of the next sample; what the open one lacks is named when it is closed
+            self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+
+    def _count(self, count: int) -> None:
+        last, self._last_count = self._last_count, count
+        if last is None:
+            return
+        steps = (count - last) % self._modulo
+        if steps == 0:
+            # the amplifier sends old values again
+            self._spoilt = True
+            self._ledger.note(
+                FaultKind.COUNTER_GAP, COUNTER_PLACE, f"the cycle counter stands still at {count}"
+            )
+        elif steps > 1:
+            self._ledger.note(
+                FaultKind.COUNTER_GAP,
+                COUNTER_PLACE,
+                f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost",
+            )

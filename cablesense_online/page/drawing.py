@@ -1,0 +1,267 @@
+"""Where the cables, the arrows and the parts of the arm lie: plain arrays in, plain arrays out.
+
+The page's colours: safe for colour-blind eyes, readable on a dark ground.
+
+Tensions use the viridis map without its darkest tenth; the two forces and the segments use the
+palette of Okabe and Ito (*Color Universal Design*, 2008).
+
+Meshes of the arm's rigid parts and of arrows, made once when the page starts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_sim.mechanism import Mechanism
+
+ARROW_METRES_PER_NEWTON = 0.002
+ARROW_LONGEST_M = 0.45
+ARROW_SHORTEST_M = 0.02
+ARROWS_APART_M = 0.022
+"""True and estimated arrow stand side by side along the segment: neither hides the other."""
+
+
+@dataclass(frozen=True)
+class CablePieces:
+    """The straight pieces of all cables, from hole to hole.
+
+    Attributes:
+        ends_m: (P, 2, 3) both ends of each piece, base frame.
+        cable: (P,) position of the cable that each piece belongs to.
+    """
+
+    ends_m: Array
+    cable: NDArray[np.int64]
+
+
+def cable_pieces(
+    mechanism: Mechanism, joint_positions_m: Array, segment_rotations: Array
+) -> CablePieces:
+    """The cables' paths through the guide holes, from the actuators to the anchors.
+
+    Args:
+        mechanism: N segments, M cables.
+        joint_positions_m: (N, 3) base frame.
+        segment_rotations: (N, 3, 3) segment to base frame.
+    """
+    ends: list[tuple[Array, Array]] = []
+    cables: list[int] = []
+    for cable, last_segment in enumerate(mechanism.cable_segment):
+        y, z = mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]
+        points = [np.array([-mechanism.run_m, y, z]), np.array([0.0, y, z])]
+        for n in range(last_segment):
+            holes_x = [mechanism.plate_offset_m]
+            if n + 1 < last_segment:
+                holes_x.append(mechanism.segment_length_m[n] - mechanism.plate_offset_m)
+            points += [
+                joint_positions_m[n] + segment_rotations[n] @ np.array([x, y, z]) for x in holes_x
+            ]
+        pairs = list(pairwise(points))
+        ends += pairs
+        cables += [cable] * len(pairs)
+    return CablePieces(np.array(ends), np.array(cables))
+
+
+def piece_lengths_m(pieces: CablePieces, cable_count: int) -> Array:
+    """(M,) length of each cable, the sum over its pieces."""
+    lengths = np.linalg.norm(pieces.ends_m[:, 1] - pieces.ends_m[:, 0], axis=-1)
+    return np.asarray(np.bincount(pieces.cable, lengths, cable_count), dtype=float)
+
+
+def unit(vector: Array) -> Array:
+    """The unit vector (3,) along a vector that is not zero."""
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def arrow_length_m(magnitude_n: float) -> float:
+    """Length of a force's arrow: 2 mm per newton, within what can be seen and fits the view."""
+    return float(np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M))
+
+
+def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[Array, Array]:
+    """Tail and tip (3,) of the arrow that pushes on a contact.
+
+    It points at the arm and ends `clearance_m` before its axis.
+    """
+    magnitude = float(np.linalg.norm(force_n))
+    direction = force_n / magnitude
+    tip = contact_m - clearance_m * direction
+    return tip - arrow_length_m(magnitude) * direction, tip
+
+
+def quaternion_z_to(direction: Array) -> Array:
+    """Quaternion (..., 4), w x y z, of the shortest turn from +z to `direction` (..., 3).
+
+    The direction need not be of unit length.
+    """
+    way = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    half = np.stack([1.0 + way[..., 2], -way[..., 1], way[..., 0], np.zeros_like(way[..., 0])], -1)
+    opposite = half[..., 0] < 1e-14
+    half[opposite] = (0.0, 1.0, 0.0, 0.0)
+    return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Quaternion (4,), w x y z, of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+
+
+Rgb = tuple[int, int, int]
+
+TRUE_RGB: Rgb = (230, 159, 0)
+ESTIMATE_RGB: Rgb = (86, 180, 233)
+SEGMENT_RGB: tuple[Rgb, ...] = ((86, 180, 233), (0, 178, 128), (240, 228, 66), (224, 140, 190))
+
+_TENSION_STOPS = np.array(
+    [
+        (72, 36, 117),
+        (65, 68, 135),
+        (53, 95, 141),
+        (42, 120, 142),
+        (33, 145, 140),
+        (34, 168, 132),
+        (68, 191, 112),
+        (122, 209, 81),
+        (189, 223, 38),
+        (253, 231, 37),
+    ],
+    dtype=float,
+)
+
+
+def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
+    """Colours (..., 3) of tensions: violet at 0 N (slack), yellow from `full_scale_n` on."""
+    share = np.clip(np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n, 0.0, 1.0)
+    place = share * (len(_TENSION_STOPS) - 1)
+    low = np.minimum(place.astype(int), len(_TENSION_STOPS) - 2)
+    blend = (place - low)[..., None]
+    return np.rint((1 - blend) * _TENSION_STOPS[low] + blend * _TENSION_STOPS[low + 1]).astype(
+        np.uint8
+    )
+
+
+def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours for vertices, which the browser's renderer takes as linear light (IEC 61966-2-1)."""
+    share = np.asarray(srgb, dtype=float) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.rint(255.0 * linear).astype(np.uint8)
+
+
+def full_scale_n(peak_n: float) -> float:
+    """The round tension, at least 100 N, that covers a peak: a scale that seldom changes."""
+    if not peak_n > 100.0:
+        return 100.0
+    power = 10.0 ** math.floor(math.log10(peak_n))
+    return next(
+        step * power
+        for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
+        if step * power >= peak_n
+    )
+
+
+def segment_rgb(segment: int) -> Rgb:
+    """The colour of a segment's traces and bars; `segment` counts from 1."""
+    return SEGMENT_RGB[(segment - 1) % len(SEGMENT_RGB)]
+
+
+def css(rgb: Rgb | NDArray[np.uint8]) -> str:
+    """A colour as `#rrggbb`."""
+    return "#{:02x}{:02x}{:02x}".format(*(int(channel) for channel in rgb))
+
+
+def tension_gradient_css() -> str:
+    """The tension map as a CSS gradient, slack on the left."""
+    stops = ", ".join(css(stop.astype(np.uint8)) for stop in _TENSION_STOPS)
+    return f"linear-gradient(90deg, {stops})"
+
+
+X_FROM_Z = trimesh.transformations.rotation_matrix(np.pi / 2, [0.0, 1.0, 0.0])
+PLATE_THICKNESS_M = 0.004
+PLATE_MARGIN = 1.18
+BODY_SHARE = 0.34
+HOLE_RADIUS_M = 0.0032
+
+
+def routing_radius_m(mechanism: Mechanism) -> float:
+    """The largest distance of a guide hole from the axis: all drawn parts follow it."""
+    return float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+
+
+def _disc(x_m: float, radius_m: float, thickness_m: float) -> trimesh.Trimesh:
+    disc = trimesh.creation.cylinder(radius_m, thickness_m, sections=48)
+    disc.apply_transform(X_FROM_Z)
+    disc.apply_translation([x_m, 0.0, 0.0])
+    return disc
+
+
+def _joined(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of many, so that the browser has one thing to draw."""
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(parts))
+
+
+def plate_positions_m(mechanism: Mechanism, segment: int) -> list[float]:
+    """Places of the guide plates of a segment (1 … N; 0 is the base) along its own x axis."""
+    if segment == 0:
+        return [0.0]
+    length = float(mechanism.segment_length_m[segment - 1])
+    return [mechanism.plate_offset_m, length - mechanism.plate_offset_m]
+
+
+def plates(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
+    """The guide plates of a segment, or the base plate for 0."""
+    radius = PLATE_MARGIN * routing_radius_m(mechanism)
+    positions = plate_positions_m(mechanism, segment)
+    return _joined([_disc(x, radius, PLATE_THICKNESS_M) for x in positions])
+
+
+def grommets(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
+    """The rims of the holes that cables pass, in the plates of a segment."""
+    rims = []
+    for cable, last in enumerate(mechanism.cable_segment):
+        for place, x in enumerate(plate_positions_m(mechanism, segment)):
+            passes = last > segment if segment == 0 or place == 1 else last >= segment
+            if passes:
+                rim = _disc(x, HOLE_RADIUS_M, PLATE_THICKNESS_M * 1.5)
+                rim.apply_translation([0, mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]])
+                rims.append(rim)
+    return _joined(rims) if rims else trimesh.Trimesh()
+
+
+def body(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
+    """A segment's spine between its plates, with the necks that lead to its joints."""
+    radius = BODY_SHARE * routing_radius_m(mechanism)
+    length = float(mechanism.segment_length_m[segment - 1])
+    offset = mechanism.plate_offset_m
+    last = segment == mechanism.segment_count
+    spine = _disc(length / 2, radius, length - 2 * offset)
+    neck_end = length if last else length - 0.2 * offset
+    neck = _disc((0.2 * offset + neck_end) / 2, 0.45 * radius, neck_end - 0.2 * offset)
+    return _joined([spine, neck])
+
+
+def joint(mechanism: Mechanism) -> trimesh.Trimesh:
+    """A universal joint's cross in its ball."""
+    radius = BODY_SHARE * routing_radius_m(mechanism)
+    return trimesh.creation.icosphere(subdivisions=3, radius=0.62 * radius)
+
+
+def unit_cylinder() -> trimesh.Trimesh:
+    """Radius 1, from the origin to +z = 1: scaled into cable pieces and shafts."""
+    cylinder = trimesh.creation.cylinder(1.0, 1.0, sections=12)
+    cylinder.apply_translation([0.0, 0.0, 0.5])
+    return cylinder
+
+
+def unit_cone() -> trimesh.Trimesh:
+    """Radius 1 at the origin, tip at +z = 1: scaled into arrow heads."""
+    return trimesh.creation.cone(1.0, 1.0, sections=32)

@@ -1,0 +1,195 @@
+"""The arm that the sim node shows: dynamics at real time, smooth commands, loads that may end.
+
+Keeping a simulation at real time: how much is due, and what is let go when it falls behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.wrenches import Load
+from cablesense_sim.arm import Sensors
+from cablesense_sim.effects.effect import Sensing
+from cablesense_sim.joint_motion import JointMotion
+from cablesense_sim.sensors import read_tensions_n
+
+
+class RealTimePacer:
+    """Says how many time steps are due; never more than `longest_lag_s` of them at once.
+
+    What lies further behind is let go and counted: catching up on it would make the simulation
+    fall behind further. Times are of one monotonic clock, s.
+    """
+
+    def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:
+        self._timestep_s = timestep_s
+        self._longest_lag_s = longest_lag_s
+        self._start_s = now_s
+        self._steps = 0
+        self._report_s = now_s
+        self._report_steps = 0
+        self.skipped_s = 0.0
+
+    def steps_due(self, now_s: float) -> int:
+        """Steps to do now; they count as done."""
+        behind_s = now_s - self._start_s - self._steps * self._timestep_s
+        if behind_s > self._longest_lag_s:
+            lost_s = behind_s - self._longest_lag_s
+            self._start_s += lost_s
+            self.skipped_s += lost_s
+            behind_s = self._longest_lag_s
+        due = max(0, int(behind_s / self._timestep_s + 1e-6))
+        self._steps += due
+        return due
+
+    def real_time_factor(self, now_s: float) -> float:
+        """Simulated time over real time since this was last asked."""
+        real_s = now_s - self._report_s
+        simulated_s = (self._steps - self._report_steps) * self._timestep_s
+        self._report_s, self._report_steps = now_s, self._steps
+        return simulated_s / real_s if real_s > 0.0 else 1.0
+
+
+LONGEST_LAG_S = 0.1
+"""A process that was held up longer than this goes on from there instead of catching up."""
+
+
+class Dynamics(Protocol):
+    """What is needed of an arm of `cablesense_sim.dynamics`."""
+
+    def command(self, joint_angles_rad: ArrayLike) -> None:
+        """Hold the cable lengths of these angles (2N,)."""
+
+    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
+        """The angles, if they can be commanded; changes nothing."""
+
+    def load(self, segment: int, force_base_n: ArrayLike) -> None:
+        """Push a segment with a force (3,), base axes, N."""
+
+    def advance(self, duration_s: float) -> None:
+        """Step time."""
+
+    def reset(self, command_rad: ArrayLike | None = None) -> None:
+        """Rest, unloaded, at a command."""
+
+    @property
+    def command_rad(self) -> Array:
+        """(2N,) commanded joint angles."""
+
+    @property
+    def tensions_n(self) -> Array:
+        """(M,) true tensions."""
+
+    @property
+    def joint_angles_rad(self) -> Array:
+        """(2N,) true joint angles."""
+
+
+class SimulatedArm:
+    """One arm in real time; times are of one monotonic clock, s.
+
+    Attributes:
+        resets: how often the dynamics had to start afresh because they lost their footing.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        timestep_s: float,
+        joint_speed_rad_s: float,
+        load_timeout_s: float,
+        now_s: float,
+        *,
+        sensings: Sequence[Sensing] = (),
+        longest_lag_s: float = LONGEST_LAG_S,
+    ) -> None:
+        """`load_timeout_s` of 0 lets loads hold until they are changed.
+
+        `sensings` are the effects of the sensors, in their order; `longest_lag_s` must be longer
+        than the time from one look at the arm to the next.
+        """
+        self._dynamics = dynamics
+        self._timestep_s = timestep_s
+        self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
+        self._load_timeout_s = load_timeout_s
+        self._loads: dict[int, tuple[Array, float]] = {}
+        self._pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
+        self._sensings = sensings
+        self._began_s = self._now_s = now_s
+        self.resets = 0
+
+    def go_to(self, joint_angles_rad: Array) -> None:
+        """Head for commanded joint angles (2N,).
+
+        Raises:
+            CableSenseError: the arm cannot take such a command; it keeps the one it has.
+        """
+        self._motion.go_to(self._dynamics.checked_command(joint_angles_rad))
+
+    def push(self, load: Load, now_s: float) -> None:
+        """Put a load on its segment in place of the one before; a zero force takes it away."""
+        self._dynamics.load(load.segment, load.force_base_n)
+        self._loads[load.segment] = (load.force_base_n, now_s)
+        if not load.force_base_n.any():
+            del self._loads[load.segment]
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the time that has passed pass in the simulation as well."""
+        self._now_s = now_s
+        self._drop_old_loads(now_s)
+        due = self._pacer.steps_due(now_s)
+        while due > 0 and self._motion.moving:
+            self._dynamics.command(self._motion.advance(self._timestep_s))
+            self._dynamics.advance(self._timestep_s)
+            due -= 1
+        if due > 0:
+            self._dynamics.advance(due * self._timestep_s)
+        if not np.isfinite(self._dynamics.tensions_n).all():
+            self._start_afresh()
+
+    def reading_n(self, sensors: Sensors, rng: np.random.Generator | None) -> Array:
+        """(M,) tensions in N as the sensors read them, without noise and step without `rng`."""
+        tensions = self._dynamics.tensions_n
+        for sensing in self._sensings:
+            tensions = sensing.step(self._now_s - self._began_s, tensions[None])[0]
+        return tensions if rng is None else read_tensions_n(tensions, sensors, rng)
+
+    @property
+    def joint_angles_rad(self) -> Array:
+        """(2N,) true joint angles."""
+        return self._dynamics.joint_angles_rad
+
+    @property
+    def loads_n(self) -> dict[int, float]:
+        """Magnitude of the load on each loaded segment, N."""
+        return {
+            segment: float(np.linalg.norm(force))
+            for segment, (force, _) in sorted(self._loads.items())
+        }
+
+    @property
+    def skipped_s(self) -> float:
+        """Time let go because the process was held up, s."""
+        return self._pacer.skipped_s
+
+    def real_time_factor(self, now_s: float) -> float:
+        """Simulated over real time since this was last asked; 1 when it keeps pace."""
+        return self._pacer.real_time_factor(now_s)
+
+    def _drop_old_loads(self, now_s: float) -> None:
+        if self._load_timeout_s <= 0.0:
+            return
+        for segment, (_, since_s) in list(self._loads.items()):
+            if now_s - since_s > self._load_timeout_s:
+                self._dynamics.load(segment, np.zeros(3))
+                del self._loads[segment]
+
+    def _start_afresh(self) -> None:
+        self._dynamics.reset(self._dynamics.command_rad)
+        self._loads.clear()
+        self.resets += 1

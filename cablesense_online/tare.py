@@ -1,0 +1,289 @@
+"""The unloaded state: tensions with nothing touching, carried over to other commands by a model.
+
+A tare is taken at one command. Elsewhere the unloaded tensions are
+
+    unloaded(c) = measured(c_tare) + [ predicted(c) - predicted(c_tare) ]
+
+with the prediction of the arm file's static equilibrium: what the sensors read beyond the model
+(offsets) stays, what gravity and geometry change is added.
+
+A tare in words: for the log, so that what was in force can be told later, and diagnostics.
+
+What the sensors of an arm read with nothing touching it, by its description.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_sim.arm import Arm
+from cablesense_sim.effects.registry import amended, entries_of
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+MOST_TARES_KEPT = 16
+"""How many times a tare can be undone."""
+
+
+class TareError(CableSenseError):
+    """No tare can be taken or undone now: says why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Tensions of the unloaded arm.
+
+    Attributes:
+        measured_n: (M,) average of the readings.
+        predicted_n: (M,) what the arm's model says at the same command.
+        command_rad: (2N,) that command.
+        sample_count: how many readings were averaged.
+        taken_ns: when it was taken, ns since the epoch.
+    """
+
+    measured_n: Array
+    predicted_n: Array
+    command_rad: Array
+    sample_count: int
+    taken_ns: int
+
+    @property
+    def offset_n(self) -> float:
+        """Largest deviation of a cable from the model, N."""
+        return float(np.abs(self.measured_n - self.predicted_n).max())
+
+
+class TareModel:
+    """Takes tares from the latest readings; knows the unloaded tensions at the present command."""
+
+    def __init__(
+        self,
+        predict_n: Callable[[Array], Array],
+        command_rad: Array,
+        sample_count: int,
+        steady_n: float,
+    ) -> None:
+        """Without a tare, at `command_rad` (2N,).
+
+        Args:
+            predict_n: unloaded tensions (M,) of the arm's model at a command (2N,).
+            command_rad: the present command.
+            sample_count: readings that a tare averages.
+            steady_n: largest standard deviation of a cable's readings, N, that still counts as
+                holding still.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at this command.
+        """
+        self._predict_n = predict_n
+        self._command_rad = command_rad
+        self._predicted_n = predict_n(command_rad)
+        self._sample_count = sample_count
+        self._steady_n = steady_n
+        self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
+        self._tares: deque[Tare] = deque(maxlen=MOST_TARES_KEPT)
+        self._unloaded_n: Array | None = None
+
+    @property
+    def present(self) -> Tare | None:
+        """The tare in use."""
+        return self._tares[-1] if self._tares else None
+
+    @property
+    def undoable(self) -> int:
+        """How many times `undo` can be called."""
+        return len(self._tares)
+
+    @property
+    def unloaded_n(self) -> Array | None:
+        """(M,) unloaded tensions at the present command; none before the first tare."""
+        return self._unloaded_n
+
+    def unloaded_where(self, predicted_n: Array) -> Array | None:
+        """(M,) unloaded tensions where the arm's model says `predicted_n`; none without a tare."""
+        tare = self.present
+        return None if tare is None else tare.measured_n + (predicted_n - tare.predicted_n)
+
+    def command(self, command_rad: Array) -> None:
+        """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at this command; nothing has changed.
+        """
+        self._predicted_n = self._predict_n(command_rad)
+        self._command_rad = command_rad
+        self._readings.clear()
+        self._carry_over()
+
+    def forget_readings(self) -> None:
+        """Readings before this moment do not belong to the next tare."""
+        self._readings.clear()
+
+    def add(self, reading_n: Sequence[float]) -> None:
+        """A reading (M,) in N at the present command, with the arm at rest."""
+        self._readings.append(reading_n)
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough readings have come for a tare, and they hold still."""
+        return len(self._readings) == self._sample_count and self._unsteady() is None
+
+    def take(self, now_ns: int) -> Tare:
+        """Take the average of the last readings as the unloaded state.
+
+        Args:
+            now_ns: the time that is noted beside it, ns since the epoch.
+
+        Raises:
+            TareError: too few readings yet, or they do not hold still.
+        """
+        if len(self._readings) < self._sample_count:
+            raise TareError(
+                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "
+                "yet; wait a moment with the arm at rest and call again"
+            )
+        unsteady = self._unsteady()
+        if unsteady is not None:
+            raise TareError(unsteady)
+        measured_n = np.mean(self._readings, axis=0)
+        tare = Tare(
+            measured_n, self._predicted_n.copy(), self._command_rad, self._sample_count, now_ns
+        )
+        self._tares.append(tare)
+        self._carry_over()
+        return tare
+
+    def undo(self) -> Tare | None:
+        """Go back to the tare before the last and give it; none when the last was the first.
+
+        Raises:
+            TareError: there is nothing to undo.
+        """
+        if not self._tares:
+            raise TareError("no tare has been taken, so there is nothing to undo")
+        self._tares.pop()
+        self._carry_over()
+        return self.present
+
+    def restore(
+        self, command_rad: Array, unloaded_n: Array | None, tared_n: Array, tare_command_rad: Array
+    ) -> None:
+        """Be at a command (2N,) with a tare from elsewhere; readings begin anew.
+
+        Args:
+            command_rad: the present command (2N,).
+            unloaded_n: (M,) at this command; none where this arm's model has to say it.
+            tared_n: (M,) measured at the tare; empty without a tare.
+            tare_command_rad: (2N,) the command then.
+
+        Raises:
+            CableSenseError: the model has no unloaded state at one of the commands.
+        """
+        self._tares.clear()
+        self.command(command_rad)
+        if tared_n.size:
+            predicted_n = self._predict_n(tare_command_rad)
+            self._tares.append(Tare(tared_n, predicted_n, tare_command_rad, 0, 0))
+            self._carry_over()
+        if unloaded_n is not None:
+            self._unloaded_n = unloaded_n if tared_n.size else None
+
+    def _carry_over(self) -> None:
+        self._unloaded_n = self.unloaded_where(self._predicted_n)
+
+    def _unsteady(self) -> str | None:
+        spread = np.std(self._readings, axis=0)
+        worst = int(np.argmax(spread))
+        if spread[worst] <= self._steady_n:
+            return None
+        return (
+            f"cable_{worst + 1} varies by {spread[worst]:.2f} N (standard deviation; at most "
+            f"{self._steady_n:g} N); let the arm rest with nothing touching it and call again"
+        )
+
+
+def tare_taken_line(tare: Tare, cable_names: Sequence[str], how: str) -> str:
+    """What was taken, when and how, cable by cable; `cable_names` (M,) in the tare's order."""
+    return f"tare taken {how} {_described(tare, cable_names)}"
+
+
+def tare_undone_line(
+    undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
+) -> str:
+    """What counts no more, and what counts again; `undoable` tares are left."""
+    line = f"tare of {time_text(undone.taken_ns)} undone; "
+    if earlier is None:
+        return line + "there is none now, so no estimate"
+    return (
+        f"{line}again in force is the one {_described(earlier, cable_names)}; {undoable} left to "
+        "undo"
+    )
+
+
+def tare_status(tares: TareModel) -> Status:
+    """Whether there is a tare, since when, and how far it lies from the arm's model."""
+    tare = tares.present
+    if tare is None:
+        return Status(
+            "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
+        )
+    since = time_text(tare.taken_ns)
+    values = {
+        "tared since": since,
+        "readings averaged": str(tare.sample_count),
+        "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
+        "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
+        "tares that can be undone": str(tares.undoable),
+    }
+    return Status("tare", Level.OK, f"tared since {since}", values)
+
+
+def time_text(time_ns: int) -> str:
+    """A time in ns since the epoch, to the second, in UTC; 0 is one that was not kept."""
+    if not time_ns:
+        return "before the estimator's start"
+    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _described(tare: Tare, cable_names: Sequence[str]) -> str:
+    deviations_n = tare.measured_n - tare.predicted_n
+    cables = ", ".join(
+        f"{name} {measured:.2f} ({deviation:+.2f})"
+        for name, measured, deviation in zip(
+            cable_names, tare.measured_n, deviations_n, strict=True
+        )
+    )
+    return (
+        f"at {time_text(tare.taken_ns)}: average of {tare.sample_count} readings, at most "
+        f"{tare.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the deviation: "
+        f"{cables}"
+    )
+
+
+class UnloadedTensions:
+    """The static equilibrium of an arm that is commanded as if its effects were unknown.
+
+    Attributes:
+        mechanism: the arm with what its effects change of it.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._nominal = Mechanism.from_arm(arm)
+        self.mechanism = amended(self._nominal, entries_of(arm))
+
+    def predict_n(self, command_rad: Array) -> Array:
+        """Tensions (M,) at rest at a command (2N,).
+
+        Raises:
+            CableSenseError: the arm has no rest at this command.
+        """
+        held = held_lengths_m(self._nominal, command_rad)
+        return solve_equilibrium(self.mechanism, command_rad, held_m=held).tensions_n

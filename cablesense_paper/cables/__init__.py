@@ -1,1 +1,0 @@
-"""One metre of cable in MuJoCo, as sections II-A to II-E study it, and its closed forms."""

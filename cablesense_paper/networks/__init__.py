@@ -1,1 +1,0 @@
-"""Networks of many shapes, trained and tested alike, as section III-C explores them."""

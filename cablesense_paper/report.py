@@ -1,0 +1,140 @@
+"""The folder of a report: `report.html`, `results.json` and the pictures.
+
+The report as a page that needs nothing beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered, write_whole
+from cablesense_paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
+
+
+def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
+    """The report as HTML text."""
+    return rendered("cablesense_paper", "paper.html", _content(outcomes, quick), {"figure": shown})
+
+
+def shown(value: float | str) -> str:
+    """A number to four digits, with a true minus sign; words as they are."""
+    if isinstance(value, str):
+        return value
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        text = f"{value:.4g}"
+    else:
+        mantissa, _, exponent = f"{value:.3e}".partition("e")
+        text = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+    return text.replace("-", "−")
+
+
+def _content(outcomes: Sequence[Outcome], quick: bool) -> dict[str, Any]:
+    comparisons = [
+        comparison
+        for outcome in outcomes
+        if outcome.result
+        for comparison in outcome.result.comparisons
+    ]
+    with_paper = Counter(c.agreement for c in comparisons if c.source == PAPER)
+    otherwise = Counter(c.agreement for c in comparisons if c.source != PAPER)
+    return {
+        "quick": quick,
+        "outcomes": [(outcome, _pictures(outcome)) for outcome in outcomes],
+        "failed": [outcome.study for outcome in outcomes if outcome.failure],
+        "seconds": sum(outcome.seconds for outcome in outcomes),
+        "agreements": list(Agreement),
+        "with_paper": with_paper,
+        "otherwise": otherwise,
+    }
+
+
+def _pictures(outcome: Outcome) -> list[tuple[Picture, str, int]]:
+    """Each with its data, and how much of the page's width it takes, in percent."""
+    if outcome.result is None:
+        return []
+    return [
+        (
+            picture,
+            image_uri(picture.png, "png"),
+            min(100, round(100.0 * _width_in(picture) / WIDTH_IN)),
+        )
+        for picture in outcome.result.pictures
+    ]
+
+
+def _width_in(picture: Picture) -> float:
+    """Width on paper; a PNG has its width in pixels after 16 bytes of signature and header."""
+    return int.from_bytes(picture.png[16:20], "big") / PRINT_DPI
+
+
+def claim_folder(folder: Path) -> None:
+    """Make the folder before anything runs, so that a wrong place costs no time.
+
+    Raises:
+        PaperError: it holds something, or cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise PaperError(f"{folder}: is not empty; give a new --out, or empty it")
+        trial = folder / ".writable"
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        reason = error.strerror or error
+        raise PaperError(
+            f"{folder}: cannot be written to ({reason}); give another --out"
+        ) from error
+
+
+def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None:
+    """Write all files.
+
+    Raises:
+        ReportError: the place cannot be written to.
+    """
+    for outcome in outcomes:
+        for picture in outcome.result.pictures if outcome.result else ():
+            path = folder / f"{picture.name}.png"
+            try:
+                path.write_bytes(picture.png)
+            except OSError as error:
+                reason = error.strerror or error
+                raise ReportError(f"{path}: cannot be written ({reason})") from error
+    write_whole(folder / "results.json", results_json(outcomes, quick))
+    write_whole(folder / "report.html", paper_page(outcomes, quick))
+
+
+def results_json(outcomes: Sequence[Outcome], quick: bool) -> str:
+    """All figures of a report as JSON text: what the page shows, pictures by file name."""
+    studies = [_as_json(outcome, quick) for outcome in outcomes]
+    return json.dumps({"quick": quick, "studies": studies}, indent=1, ensure_ascii=False) + "\n"
+
+
+def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
+    study, result = outcome.study, outcome.result
+    said: dict[str, Any] = {
+        "name": study.name,
+        "title": study.title,
+        "place": study.place,
+        "seconds": round(outcome.seconds, 2),
+        "reduced": study.quick if quick else "",
+        "failure": outcome.failure,
+    }
+    if result is None:
+        return said
+    return said | {
+        "lead": result.lead,
+        "pictures": [
+            {"file": f"{picture.name}.png", "caption": picture.caption}
+            for picture in result.pictures
+        ],
+        "tables": [asdict(table) for table in result.tables],
+        "comparisons": [asdict(comparison) for comparison in result.comparisons],
+        "notes": list(result.notes),
+    }

@@ -1,0 +1,137 @@
+"""A cable between servos in closed form: where it rests, how it starts, which steps are stable.
+
+A servo holds a mass m where it is told by a force kp (command - position) - kv speed; a cable of
+stiffness k pulls at it.
+
+The cable driven at both ends, Fig. 3 (b), in MuJoCo: brought to rest, or to burst.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_paper.cables import STIFFNESS_N_M, driven_at_both_ends
+from cablesense_sim.model import ACTUATOR_MASS_KG
+
+
+def tension_at_rest_n(unyielding_n: Any, stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:
+    """Tension where `servos` servos have given way: T = T∞ / (1 + n k / kp).
+
+    `unyielding_n` is T∞, the tension that the same commands and spring length would make between
+    ends that do not give. Each servo stands back by T / kp, and the cable is shorter by all.
+    """
+    return unyielding_n / (1.0 + servos * stiffness_n_m / np.asarray(kp_n_m))
+
+
+def steady_error_m(unyielding_n: Any, stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:
+    """How far each servo rests short of its command: e = T / kp."""
+    return tension_at_rest_n(unyielding_n, stiffness_n_m, kp_n_m, servos) / np.asarray(kp_n_m)
+
+
+def series_stiffness_n_m(stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:
+    """Stiffness from a command to the tension, cable and servos in series."""
+    return tension_at_rest_n(stiffness_n_m, stiffness_n_m, kp_n_m, servos)
+
+
+def starting_force_n(
+    time_s: Array, pretension_n: float, stiffness_n_m: float, servo: tuple[float, float, float]
+) -> Array:
+    """Force of one servo (T,) after a start at its command, with the cable tensioned at once.
+
+    With `servo` = (kp, kv, m): m q'' = -kp q - kv q' - T0 - k q from rest at q = 0. The servo
+    begins with no force and swings about T0 kp / (k + kp) up to nearly twice that.
+    """
+    kp, kv, mass = servo
+    omega = np.sqrt((kp + stiffness_n_m) / mass)
+    zeta = kv / (2.0 * mass * omega)
+    damped = omega * np.sqrt(1.0 - zeta**2)
+    decay = np.exp(-zeta * omega * time_s)
+    swing = np.cos(damped * time_s) + zeta * omega / damped * np.sin(damped * time_s)
+    rest_m = -pretension_n / (stiffness_n_m + kp)
+    position = rest_m * (1.0 - decay * swing)
+    speed = rest_m * decay * omega**2 / damped * np.sin(damped * time_s)
+    return np.asarray(-kp * position - kv * speed)
+
+
+def longest_step_s(omega_rad_s: Any, zeta: Any, integrator: str) -> Any:
+    """Longest stable time step for m q'' = -k q - c q', ω² = k / m, ζ = c / (2 m ω).
+
+    All four take the new speed for the new position. `Euler` takes spring and damper as they are
+    at the start of a step: ω h < 2 (sqrt(1 + ζ²) - ζ). `implicit` and `implicitfast` take the
+    damper, not the spring, at its end: ω h < 2 (sqrt(1 + ζ²) + ζ). `discrete` takes both at its
+    end: no limit. Each is Jury's criterion on the two roots of a step.
+    """
+    if integrator == "discrete":
+        return np.full(np.broadcast(omega_rad_s, zeta).shape, np.inf)
+    sign = -1.0 if integrator == "Euler" else 1.0
+    return 2.0 * (np.sqrt(1.0 + np.square(zeta)) + sign * zeta) / omega_rad_s
+
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+}
+"""Those of MuJoCo 4.0 that take one step at a time, by its manual's names."""
+
+_PUSHED_M = 1e-7
+_STEPS = 400
+
+
+def critical_kv_n_s_m(kp_n_m: float) -> float:
+    """Damping at which a servo alone does not swing, as in this project's arms."""
+    return float(2.0 * np.sqrt(kp_n_m * ACTUATOR_MASS_KG))
+
+
+def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
+    """Where both servos come to rest (C, 2) under commands (C, 2)."""
+    data = mujoco.MjData(model := _model(kp_n_m))
+    positions = np.empty_like(commands_m)
+    for row, command in enumerate(commands_m):
+        data.ctrl[:] = command
+        # what is left of a step shrinks by 1 + h kp / kv every time, slowest where kp is small
+        mujoco.mj_step(model, data, nstep=200)
+        positions[row] = data.qpos
+    return positions
+
+
+def stays_bounded(kp_n_m: float, timestep_s: float, integrator: str) -> bool:
+    """Whether a small push dies out, or at least does not grow, within 400 steps."""
+    model = _model(kp_n_m)
+    model.opt.timestep, model.opt.integrator = timestep_s, INTEGRATORS[integrator]
+    model.tendon_lengthspring[:] = 1.0  # no pretension: rest is at zero
+    data = mujoco.MjData(model)
+    data.qpos[:] = _PUSHED_M, 0.3 * _PUSHED_M
+    for _ in range(_STEPS):  # one by one: MuJoCo warns on the terminal of numbers that overflow
+        mujoco.mj_step(model, data)
+        if np.abs(data.qpos).max() > 3.0 * _PUSHED_M:
+            return False
+    return True
+
+
+def longest_bounded_step_s(kp_n_m: Any, integrator: str) -> Any:
+    """By closed form, for both ways in which the two servos swing: apart, or along together."""
+    kp = np.asarray(kp_n_m, dtype=float)
+    steps = []
+    for cable in (2.0 * STIFFNESS_N_M, 0.0):
+        omega = np.sqrt((kp + cable) / ACTUATOR_MASS_KG)
+        zeta = 2.0 * np.sqrt(kp * ACTUATOR_MASS_KG) / (2.0 * ACTUATOR_MASS_KG * omega)
+        steps.append(longest_step_s(omega, zeta, integrator))
+    return np.minimum(*steps)
+
+
+def _model(kp_n_m: float) -> Any:
+    """With `discrete` at 1 ms; to compile anew costs more than to step."""
+    return copy(_compiled(kp_n_m))
+
+
+@lru_cache(maxsize=128)
+def _compiled(kp_n_m: float) -> Any:
+    return driven_at_both_ends(kp_n_m, critical_kv_n_s_m(kp_n_m)).compile()

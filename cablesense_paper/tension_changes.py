@@ -1,0 +1,267 @@
+"""Changes of the tensions under loads that are hung on the arm: what a table of loads reports.
+
+A change is a loaded reading less the unloaded one just before it. What is the same in both, such
+as a sensor's zero or the arm's own weight, is not in it.
+
+Which part of a tension change balances moments, and which only other cables.
+
+On an arm at rest with taut cables, J(q)ᵀ ΔT is the change of the joint moments, whatever the
+stiffness of the cables. What lies in the range of J carries moments; what is orthogonal to it
+bends nothing. With three cables a segment that is one number a segment: all its cables tighter or
+slacker by the same.
+
+Explanations with one number, tried over its whole plausible range.
+
+A handful of readings bears no more. The range is gone through value by value, so that an effect
+that only acts from some size on, such as a cable that goes slack, is not missed for a slope of
+zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
+from cablesense_sim.arm import Arm
+from cablesense_sim.kinematics import cable_jacobian_m
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2, read_tensions_n
+
+NEED_TIME = frozenset({"cable_creep", "sensor_drift", "sensor_lag"})
+"""Effects that act by the time that passes, which a table of changes does not state."""
+
+_HOLD_S = 60.0
+
+
+@dataclass(frozen=True)
+class TensionChanges:
+    """K loads hung on the straight arm one after the other, and what each changed.
+
+    Attributes:
+        name: of the table.
+        load_segment: (K,) 1 to N.
+        load_n: (K, 3) the load, base frame, at the segment's contact point.
+        changes_n: (K, M) tensions with the load less those without.
+    """
+
+    name: str
+    load_segment: NDArray[np.int64]
+    load_n: Array
+    changes_n: Array
+
+    def course(self, joint_count: int) -> Recording:
+        """(2K rows) each load hung on the unloaded arm, and taken off for the next."""
+        count = len(self.load_segment)
+        loaded = np.tile([0, 1], count)
+        return Recording(
+            name=self.name,
+            time_s=np.arange(0.0, 2 * count) * _HOLD_S,
+            trial=np.repeat(np.arange(count), 2),
+            command_rad=np.zeros((2 * count, joint_count)),
+            load_segment=loaded * np.repeat(self.load_segment, 2),
+            load_n=loaded[:, None] * np.repeat(self.load_n, 2, axis=0),
+            tensions_n=np.zeros((2 * count, self.changes_n.shape[1])),
+        )
+
+
+class ChangeSimulator:
+    """A `Simulator` whose K rows are changes under load.
+
+    Attributes: see `Simulator`.
+    """
+
+    candidates: Sequence[Candidate]
+    tolerances: Sequence[Candidate]
+    floor: float
+
+    def __init__(
+        self, arm: Arm, changes: TensionChanges, effects: Collection[str] | None = None
+    ) -> None:
+        """Candidates are those among `effects`, or all; never those that need the time."""
+        self._sensors = arm.sensors
+        self._arm = ArmSimulator(arm, changes.course(2 * arm.segment_count))
+        self.floor = float(np.sqrt(difference_variance_n2(arm.sensors, tare_samples=1)))
+        self.candidates = tuple(
+            c
+            for c in self._arm.candidates
+            if c.effect not in NEED_TIME and (effects is None or c.effect in effects)
+        )
+        self.tolerances = self._arm.tolerances
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """Changes (P, K, M), N, without noise; NaN where the arm finds no rest."""
+        return _changes_n(self._arm.predict(variants))
+
+    def measured(
+        self, variant: Assignment, rng: np.random.Generator, beyond_n: Array | float = 0.0
+    ) -> Array:
+        """Changes (K, M) as sensors would tell them, N: each reading has its own noise and step.
+
+        `beyond_n` (K, M) is added to the loaded tensions: what no effect of the library does.
+        """
+        tensions = self._arm.predict([variant])[0]
+        tensions[1::2] += beyond_n
+        return _changes_n(read_tensions_n(tensions, self._sensors, rng))
+
+
+def _changes_n(readings_n: Array) -> Array:
+    return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
+
+
+def moments_n_m(arm: Arm, changes_n: Array) -> Array:
+    """Moments (K, 2N) about the joint axes that changes (K, M) carry on the straight arm, N·m."""
+    return np.asarray(changes_n @ _jacobian_m(arm))
+
+
+def internal_n(arm: Arm, changes_n: Array) -> Array:
+    """The part (K, M) of changes (K, M) that carries no moment on the straight arm, N."""
+    basis, _ = np.linalg.qr(_jacobian_m(arm))
+    return np.asarray(changes_n - changes_n @ basis @ basis.T)
+
+
+def _jacobian_m(arm: Arm) -> Array:
+    return np.asarray(cable_jacobian_m(Mechanism.from_arm(arm), np.zeros(2 * arm.segment_count)))
+
+
+VALUES = 81
+
+_AS_GOOD = 1.001
+"""Of values that leave no more than this times the least, the one nearest zero is taken."""
+
+
+@dataclass(frozen=True)
+class OneNumber:
+    """One value in one or several places, all else held.
+
+    Attributes:
+        terms: that take the value.
+        low, high: its plausible range; zero, which is within it, means that nothing is different.
+        held: numbers that say how the effect behaves where it is present.
+    """
+
+    terms: tuple[Term, ...]
+    low: float
+    high: float
+    held: Mapping[Term, float] = field(default_factory=dict)
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.terms[0].effect
+
+    def at(self, value: float) -> Assignment:
+        """What a simulator is told."""
+        return {**self.held, **dict.fromkeys(self.terms, value)}
+
+    def values(self) -> Array:
+        """(V,) over the range, denser about zero, with zero among them."""
+        even = np.linspace(-1.0, 1.0, VALUES)
+        return np.unique(np.where(even < 0.0, -self.low, self.high) * even * np.abs(even))
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a simulator predicts over the range of one number.
+
+    Attributes:
+        number: which.
+        values: (V,) those that can be simulated.
+        predicted: (V, R, C).
+    """
+
+    number: OneNumber
+    values: Array
+    predicted: Array
+
+
+@dataclass(frozen=True)
+class Explained:
+    """How far one number explains readings.
+
+    Attributes:
+        number: which.
+        value: that fits all rows best.
+        rmse: what it leaves of them.
+        squares: (R,) sum of squares left in each row by the value that fits the other folds best.
+        held_out_rmse: the same over all rows.
+    """
+
+    number: OneNumber
+    value: float
+    rmse: float
+    squares: Array
+    held_out_rmse: float
+
+
+def numbers_of(candidate: Candidate) -> Iterator[OneNumber]:
+    """Every size of a candidate in every place, with every shape from which a fit should begin."""
+    shapes = [p for p in candidate.parameters if p.role == "shape"]
+    trials = list(product(*(p.trials or p.starts or (p.default,) for p in shapes)))
+    for place in candidate.places:
+        for size in (p for p in candidate.parameters if p.role == "size"):
+            for shape in trials:
+                held = {Term(candidate.effect, place, p.name): 0.0 for p in candidate.parameters}
+                for parameter, value in zip(shapes, shape, strict=True):
+                    held[Term(candidate.effect, place, parameter.name)] = value
+                term = Term(candidate.effect, place, size.name)
+                yield OneNumber((term,), size.low, size.high, held)
+
+
+def scan(simulator: Simulator, number: OneNumber) -> Scan:
+    """Predict over the whole range; values that cannot be simulated are left out."""
+    values = number.values()
+    predicted = simulator.predict([number.at(float(value)) for value in values])
+    usable = np.isfinite(predicted).all(axis=(1, 2))
+    return Scan(number, values[usable], predicted[usable])
+
+
+def most_change(found: Scan, nominal: Array) -> float:
+    """Largest root mean square (over all readings) by which the number can change them."""
+    return float(np.sqrt(((found.predicted - nominal) ** 2).mean(axis=(1, 2)).max(initial=0.0)))
+
+
+def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
+    """The value that fits best, and what values leave on rows that they were not fitted to.
+
+    `fold` (R,) 0 to F - 1 says which rows are held out together.
+    """
+    squares = _squares(found, readings)
+    best = _choice(squares.sum(-1), found.values)
+    held_out = held_out_of_best([found], readings, fold)
+    return Explained(
+        number=found.number,
+        value=float(found.values[best]),
+        rmse=float(np.sqrt(squares[best].sum() / readings.size)),
+        squares=held_out,
+        held_out_rmse=float(np.sqrt(held_out.sum() / readings.size)),
+    )
+
+
+def held_out_of_best(scans: Sequence[Scan], readings: Array, fold: NDArray[np.int64]) -> Array:
+    """(R,) squares left where the number itself, not only its value, was chosen on other folds."""
+    every = [_squares(found, readings) for found in scans]
+    left = np.empty(len(readings))
+    for k in range(int(fold.max()) + 1):
+        out = fold == k
+        seen = [squares[:, ~out].sum(-1) for squares in every]
+        best = int(np.argmin([squares.min() for squares in seen]))
+        left[out] = every[best][_choice(seen[best], scans[best].values)][out]
+    return left
+
+
+def _squares(found: Scan, readings: Array) -> Array:
+    return np.asarray(((readings - found.predicted) ** 2).sum(-1))
+
+
+def _choice(squares: Array, values: Array) -> int:
+    """Where a number changes nothing, or no more from some value on, less of it is the better."""
+    good = np.flatnonzero(squares <= _AS_GOOD * squares.min())
+    return int(good[np.argmin(np.abs(values[good]))])

@@ -1,0 +1,367 @@
+"""The picture of a headless demo: the arm at its hardest push, and both forces over time.
+
+The dark style that the demo's pictures share.
+
+The picture of the controller's demo: forces and commanded angles over time, and the phases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_online.admittance.estimate_watch import Sight
+from cablesense_online.page.drawing import (
+    ARROWS_APART_M,
+    ESTIMATE_RGB,
+    PLATE_MARGIN,
+    TRUE_RGB,
+    arrow_tail_m,
+    cable_pieces,
+    css,
+    full_scale_n,
+    plate_positions_m,
+    routing_radius_m,
+    segment_rgb,
+    tension_rgb,
+    unit,
+)
+from cablesense_online.page.snapshot import Contact, Snapshot
+from cablesense_ros.demo.admittance import AdmittanceRecord
+from cablesense_ros.demo.script import PushResult, Record, summary
+from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
+from cablesense_sim.mechanism import Mechanism
+
+GROUND, INK, DIM, GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
+DPI = 110
+
+STYLE: Any = {
+    "figure.facecolor": GROUND,
+    "axes.facecolor": GROUND,
+    "savefig.facecolor": GROUND,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GRID,
+    "xtick.color": DIM,
+    "ytick.color": DIM,
+    "grid.color": GRID,
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+"""For `matplotlib.pyplot.rc_context`."""
+
+
+SIZE_IN = (14.0, 8.0)
+HEAD_M = 0.034
+
+
+def draw_picture(
+    path: Path, mechanism: Mechanism, record: Record, results: Sequence[PushResult]
+) -> None:
+    """Writes the picture as PNG, beside its place first, so that no half of one is ever seen."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=SIZE_IN)
+        grid = figure.add_gridspec(
+            3,
+            2,
+            width_ratios=(1.3, 1),
+            left=0.0,
+            right=0.985,
+            top=0.885,
+            bottom=0.075,
+            hspace=0.32,
+        )
+        moment = _hardest_moment(record, results)
+        _draw_arm(figure, grid[:, 0], mechanism, record.snapshots[moment])
+        _draw_time(figure, grid[:, 1], record, mechanism.segment_count, record.times_s[moment])
+        figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
+        figure.text(0.03, 0.912, _caption(results), size=10.5, color=DIM)
+        part = path.with_name(f".{path.name}.part")
+        figure.savefig(part, dpi=DPI, format="png")
+        plt.close(figure)
+    part.replace(path)
+
+
+def _caption(results: Sequence[PushResult]) -> str:
+    found = summary(results)
+    line = f"{found['segment_right']} of {found['pushes']} pushes on the right segment"
+    if found["direction_mae_deg"] is None:
+        return line
+    return (
+        f"{line}; mean error {found['direction_mae_deg']:.2f}° in direction, "
+        f"{found['magnitude_mae_n']:.2f} N in magnitude"
+    )
+
+
+def _hardest_moment(record: Record, results: Sequence[PushResult]) -> int:
+    """Late in the hardest push on the outer half of the arm, where the picture shows most."""
+    found = [r for r in results if r.estimate is not None] or list(results)
+    half = max(r.push.segment for r in found) / 2
+    push = max(found, key=lambda r: (r.push.segment > half, r.push.magnitude_n)).push
+    moment = int(np.searchsorted(record.times_s, push.end_s - 0.3))
+    return min(moment, len(record.times_s) - 1)
+
+
+def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
+    pose = snapshot.joint_angles_rad
+    joints, rotations = joint_positions_m(mechanism, pose), segment_rotations(mechanism, pose)
+    _draw_plates(axes, mechanism, joints, rotations)
+    tensions = snapshot.tensions_n if snapshot.tensions_n is not None else mechanism.pretension_n
+    scale_n = full_scale_n(float(tensions.max()))
+    pieces = cable_pieces(mechanism, joints, rotations)
+    colours = tension_rgb(tensions, scale_n)[pieces.cable] / 255.0
+    axes.add_collection3d(
+        Line3DCollection(pieces.ends_m, colors=colours, linewidths=1.9, zorder=4)
+    )
+    points = contact_points_m(mechanism, pose)
+    for contact, rgb, word, aside_m in (
+        (snapshot.true, TRUE_RGB, "true", -ARROWS_APART_M / 2),
+        (snapshot.estimate, ESTIMATE_RGB, "estimated", ARROWS_APART_M / 2),
+    ):
+        if contact is not None:
+            point = points[contact.segment - 1] + aside_m * rotations[contact.segment - 1][:, 0]
+            _draw_arrow(axes, point, contact, css(rgb))
+            axes.plot([], [], [], color=css(rgb), lw=4, label=_words(word, contact))
+    axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.93), frameon=False, fontsize=11)
+    _frame(axes, mechanism)
+    stops = tension_rgb(np.linspace(0.0, scale_n, 64), scale_n) / 255.0
+    colour_map = LinearSegmentedColormap.from_list("tension", list(stops))
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0.0, scale_n), colour_map),
+        cax=axes.inset_axes((0.28, 0.05, 0.46, 0.018)),
+        orientation="horizontal",
+        label="cable tension, N (0 is slack)",
+    )
+    bar.outline.set_visible(False)
+
+
+def _words(word: str, contact: Contact) -> str:
+    force = f"{contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
+    return f"{word}: segment {contact.segment}, {force}"
+
+
+def _draw_plates(
+    axes: Any,
+    mechanism: Mechanism,
+    joints: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    turn = np.linspace(0.0, 2 * np.pi, 49)
+    radius = PLATE_MARGIN * routing_radius_m(mechanism)
+    ring = np.stack([np.zeros_like(turn), radius * np.sin(turn), radius * np.cos(turn)], -1)
+    for segment in range(mechanism.segment_count + 1):
+        origin = joints[segment - 1] if segment else np.zeros(3)
+        rotation = rotations[segment - 1] if segment else np.eye(3)
+        for x in plate_positions_m(mechanism, segment):
+            rim = origin + (ring + np.array([x, 0.0, 0.0])) @ rotation.T
+            axes.add_collection3d(
+                Poly3DCollection(
+                    [rim], facecolor="#7e8a9c2e", edgecolor="#7e8a9c", lw=0.8, zorder=2
+                )
+            )
+        if segment:
+            tip = origin + rotation @ [mechanism.segment_length_m[segment - 1], 0.0, 0.0]
+            axes.plot(*np.stack([origin, tip], -1), color="#5a667a", lw=6, zorder=3)
+            axes.scatter(*origin, color="#bcc4d0", s=26, zorder=3)
+
+
+def _draw_arrow(axes: Any, point: NDArray[np.float64], contact: Contact, colour: str) -> None:
+    tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
+    neck = tip + min(HEAD_M, float(np.linalg.norm(tail - tip))) * unit(tail - tip)
+    axes.plot(*np.stack([tail, neck], -1), color=colour, lw=3.6, zorder=6)
+    axes.plot(*_cone(neck, tip), color=colour, lw=1.2, zorder=6)
+
+
+def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A zigzag (3, 2K) between a cone's rim and its tip, so dense that it looks solid."""
+    along = unit(tip - base)
+    side = unit(np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0]))
+    turn = np.linspace(0.0, 2 * np.pi, 40)[:, None]
+    radius = 0.3 * np.linalg.norm(tip - base)
+    rim = base + radius * (np.cos(turn) * side + np.sin(turn) * np.cross(along, side))
+    return np.stack([rim, np.broadcast_to(tip, rim.shape)], 1).reshape(-1, 3).T
+
+
+def _frame(axes: Any, mechanism: Mechanism) -> None:
+    """No box around the arm: a scale of 0.1 m and the directions of the base axes say all."""
+    reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
+    low, high, half = -0.28 * reach, 1.14 * reach, 0.36 * reach
+    axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
+    axes.set_box_aspect((high - low, 2 * half, 2 * half), zoom=1.3)
+    axes.set_proj_type("persp", focal_length=0.6)
+    axes.view_init(elev=22, azim=-62)
+    axes.set_axis_off()
+    corner = np.array([0.0, -half, -0.8 * half])
+    for name, way in zip("xyz", 0.1 * np.eye(3), strict=True):
+        axes.quiver(*corner, *way, color=DIM, lw=1.2, arrow_length_ratio=0.15)
+        axes.text(*(corner + 1.18 * way), name, color=DIM, ha="center", va="center")
+    axes.text(
+        *(corner + np.array([0.05, -0.03, -0.02])),
+        "0.1 m",
+        color=DIM,
+        size=9,
+        ha="center",
+        va="top",
+    )
+
+
+def _draw_time(
+    figure: Any, place: Any, record: Record, segment_count: int, moment_s: float
+) -> None:
+    rows = place.subgridspec(3, 1, hspace=0.16, height_ratios=(1.3, 1, 1))
+    force, angle, segment = (figure.add_subplot(rows[i]) for i in range(3))
+    true = [snapshot.true for snapshot in record.snapshots]
+    estimate = [
+        snapshot.estimate if heard else None
+        for snapshot, heard in zip(record.snapshots, record.heard, strict=True)
+    ]
+    for contacts, rgb, word, width in (
+        (true, TRUE_RGB, "true", 4.5),
+        (estimate, ESTIMATE_RGB, "estimated", 1.6),
+    ):
+        style = {"color": css(rgb), "lw": width, "solid_capstyle": "butt", "label": word}
+        newtons = [contact.magnitude_n if contact else 0.0 for contact in contacts]
+        force.plot(record.times_s, newtons, **style)
+        angle.plot(record.times_s, [c.angle_deg if c else np.nan for c in contacts], **style)
+        segment.plot(record.times_s, [c.segment if c else 0 for c in contacts], **style)
+    force.set_ylabel("force, N")
+    force.set_ylim(bottom=0.0)
+    force.legend(loc="upper right", frameon=False, ncols=2, bbox_to_anchor=(1.0, 1.16))
+    angle.set(ylabel="direction, °", ylim=(0, 360), yticks=(0, 90, 180, 270, 360))
+    segment.set(
+        ylabel="segment",
+        yticks=range(segment_count + 1),
+        yticklabels=["none", *map(str, range(1, segment_count + 1))],
+        xlabel="time, s",
+    )
+    for row in (force, angle, segment):
+        row.grid(visible=True, lw=0.6)
+        row.axvline(moment_s, color=DIM, lw=0.8, ls=":")
+        row.set_xlim(0.0, record.times_s[-1])
+        if row is not segment:
+            row.tick_params(labelbottom=False)
+    figure.align_ylabels((force, angle, segment))
+    for number in range(1, segment_count + 1):
+        segment.axhspan(number - 0.5, number + 0.5, color=css(segment_rgb(number)), alpha=0.06)
+
+
+SIZE_IN_ADMITTANCE_PICTURE = (12.0, 6.6)
+PHASES = {
+    Sight.CONTACT: ("#7a4a00", "contact"),
+    Sight.FREE: ("#12452f", "free"),
+    Sight.BLIND: ("#2c323c", "blind: the arm moves"),
+    Sight.STOPPED: ("#6b1f2a", "stopped"),
+}
+
+
+def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband_n: float) -> None:
+    """Write the picture as PNG, beside its place first, so that no half of one is ever seen."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        figure, (forces, phases, angles) = plt.subplots(
+            3, 1, sharex=True, figsize=SIZE_IN_ADMITTANCE_PICTURE, height_ratios=(3.0, 0.22, 2.0)
+        )
+        figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.085, hspace=0.12)
+        _draw_forces(forces, record, deadband_n)
+        _draw_phases(figure, phases, record)
+        _draw_angles(angles, record)
+        figure.text(0.07, 0.945, "CableSense: the arm yields to a contact", size=15, weight="bold")
+        figure.text(
+            0.07,
+            0.908,
+            f"an elastic wall presses on segment {segment} and leaves at "
+            f"{record.leaves_s:.0f} s; felt through the cables alone",
+            color=DIM,
+        )
+        part = path.with_name(f".{path.name}.part")
+        figure.savefig(part, dpi=DPI, format="png")
+        plt.close(figure)
+    part.replace(path)
+
+
+def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None:
+    times = record.times_s
+    axes.plot(
+        times,
+        record.unyielding_n,
+        color=DIM,
+        lw=1.4,
+        ls="--",
+        label="without controller (computed)",
+    )
+    axes.plot(times, record.true_n, color=css(TRUE_RGB), lw=2.2, label="true force of the wall")
+    touched = np.array([sight is Sight.CONTACT for sight in record.sights])
+    felt = np.where(touched & (record.estimated_n > 0.0), record.estimated_n, np.nan)
+    axes.plot(
+        times,
+        felt,
+        color=css(ESTIMATE_RGB),
+        lw=0,
+        marker="o",
+        ms=3.2,
+        label="estimated, while it can",
+    )
+    axes.axhline(deadband_n, color=INK, lw=0.8, ls=":", label=f"deadband, {deadband_n:g} N")
+    axes.set(ylabel="force, N", ylim=(-0.5, None), xlim=(0.0, times[-1]))
+    axes.grid(axis="y", lw=0.6)
+    axes.legend(loc="upper right", frameon=False, ncols=2)
+
+
+def _draw_phases(figure: Any, axes: Any, record: AdmittanceRecord) -> None:
+    from matplotlib.patches import Patch
+
+    edges = [*record.times_s, record.times_s[-1]]
+    for k, sight in enumerate(record.sights):
+        axes.axvspan(edges[k], edges[k + 1], color=PHASES[sight][0], lw=0)
+    axes.set(yticks=[], ylim=(0, 1))
+    axes.spines[:].set_visible(False)
+    axes.tick_params(bottom=False)
+    seen = [sight for sight in PHASES if sight in record.sights]
+    figure.legend(
+        handles=[Patch(color=PHASES[s][0], label=PHASES[s][1]) for s in seen],
+        loc="upper right",
+        bbox_to_anchor=(0.985, 0.985),
+        ncols=len(seen),
+        frameon=False,
+    )
+
+
+def _draw_angles(axes: Any, record: AdmittanceRecord) -> None:
+    degrees = np.rad2deg(record.commands_rad)
+    for joint in range(degrees.shape[1] // 2):
+        colour = css(segment_rgb(joint + 1))
+        axes.step(
+            record.times_s, degrees[:, 2 * joint], where="post", color=colour, lw=1.4, ls="--"
+        )
+        axes.step(
+            record.times_s,
+            degrees[:, 2 * joint + 1],
+            where="post",
+            color=colour,
+            lw=1.8,
+            label=f"joint {joint + 1}",
+        )
+    axes.set(xlabel="time, s", ylabel="commanded angle, °\n(yaw; pitch dashed)")
+    axes.grid(axis="y", lw=0.6)
+    axes.legend(loc="upper right", frameon=False, ncols=4)

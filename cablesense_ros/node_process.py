@@ -1,0 +1,281 @@
+"""How every node's process runs: one executor, clean ends, one line for what cannot start.
+
+What all lifecycle nodes have in common: files are read when configured, and faults are said.
+
+How soon nodes find each other, and again after one was killed: settings of Fast DDS.
+
+The node's health on `/diagnostics`, once a second (REP-107).
+
+Warnings about bad input, at most one a second of each kind, saying how many were held back.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from contextlib import suppress
+from typing import Any, Final
+
+import rclpy
+import rclpy.utilities
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from cablesense_base.errors import CableSenseError
+from cablesense_base.installation import config_path
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.diagnostics import Status, diagnostic_statuses
+from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_ros.parameters import overridable, qos_profile
+
+PROFILES: Final = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Where Fast DDS looks for profiles, by its older and its newer name."""
+
+TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+"""Which transports Fast DDS brings along, where neither a profile nor ROS 2 says otherwise.
+
+Shared memory is left out: a process that is killed leaves its ports in it, and others that wrote
+to them need seconds before they reach who comes back. Over UDP they need none.
+"""
+
+RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_OLDER_RANGE: Final = "ROS_LOCALHOST_ONLY"
+_MIDDLEWARE: Final = "RMW_IMPLEMENTATION"
+_DISTRIBUTION: Final = "ROS_DISTRO"
+
+
+def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Use a bundled profile and UDP, unless the user has a profile; call it before `rclpy.init`.
+
+    Who asked for this machine alone gets `dds/loopback.xml`, which keeps that promise, in place of
+    a discovery range of LOCALHOST, for which ROS 2 adds shared memory whatever else is asked for.
+    Other middleware, or another release of ROS 2, finds its settings untouched. Without the
+    bundled files everything works as well, with Fast DDS's own timing.
+    """
+    if any(environment.get(name) for name in PROFILES) or not _speaks_fast_dds(environment):
+        return
+    alone = _on_this_machine_alone(environment) and not environment.get(TRANSPORTS)
+    try:
+        path = config_path("dds/loopback.xml" if alone else "dds/quick_discovery.xml")
+    except CableSenseError:
+        return
+    for name in PROFILES:
+        environment[name] = str(path)
+    if alone:
+        environment[RANGE] = "SYSTEM_DEFAULT"
+        environment.pop(_OLDER_RANGE, None)
+    else:
+        environment.setdefault(TRANSPORTS, "UDPv4")
+
+
+def _on_this_machine_alone(environment: Mapping[str, str]) -> bool:
+    # the older variable wins where both are set, as in ROS 2
+    if older := environment.get(_OLDER_RANGE):
+        return older == "1"
+    return environment.get(RANGE) == "LOCALHOST"
+
+
+def _speaks_fast_dds(environment: Mapping[str, str]) -> bool:
+    middleware = environment.get(_MIDDLEWARE) or _default_middleware()
+    release = environment.get(_DISTRIBUTION) or "jazzy"
+    return middleware.startswith("rmw_fastrtps") and release == "jazzy"
+
+
+def _default_middleware() -> str:
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    return str(get_rmw_implementation_identifier())
+
+
+_WAKE_S = 0.2
+_RCLError = rclpy_implementation.RCLError
+
+
+def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Run one node until SIGINT, SIGTERM or shutdown; give the process's exit code.
+
+    0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
+    cannot start.
+    """
+    prefer_quick_discovery()
+    wanted_end = Future()
+    try:
+        rclpy.init(
+            args=None if args is None else list(args),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except (_RCLError, ValueError) as error:
+        return _cannot_start(error)
+    _on_end_signals(lambda *_: wanted_end.set_result(None))
+    node: Node | None = None
+    code = 0
+    try:
+        node = make_node()
+        gc.collect()
+        gc.freeze()  # what is there now stays: a collection that walks it takes milliseconds
+        _spin(node, wanted_end)
+    except CableSenseError as error:
+        code = _cannot_start(error)
+    except ExternalShutdownException:
+        pass
+    _on_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
+    if node is not None:
+        with suppress(_RCLError):
+            node.destroy_node()
+    rclpy.utilities.try_shutdown()
+    return code
+
+
+def _spin(node: Node, wanted_end: Future) -> None:
+    """Spin in the events executor, which has the least latency.
+
+    Its own `spin` does not return at shutdown. rclpy's signal handlers would invalidate the
+    context under a callback that is running; ours only note that the end is wanted, which the
+    loop sees after the callback, or when it wakes.
+    """
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        while rclpy.utilities.ok() and not wanted_end.done():
+            executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
+    finally:
+        executor.shutdown()
+
+
+def _on_end_signals(action: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, action)
+
+
+def _cannot_start(error: Exception) -> int:
+    print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)
+    return 2
+
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class ConfiguredNode(LifecycleNode, ABC):
+    """A lifecycle node with a parameter `autostart`, which its subclass declares."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read files and create what the node has; on failure say why and stay unconfigured."""
+        try:
+            self._configure()
+        except CableSenseError as error:
+            self._release()
+            self.get_logger().error(f"cannot configure: {error}")
+            return FAILURE
+        except Exception:  # rclpy would drop it without a word
+            self._release()
+            self.get_logger().error(f"cannot configure:\n{traceback.format_exc()}")
+            return FAILURE
+        return super().on_configure(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget what configuring read."""
+        result = super().on_cleanup(state)
+        self._release()
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    def autostart(self) -> None:
+        """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""
+        if self.get_parameter("autostart").value and self.trigger_configure() == SUCCESS:
+            self.trigger_activate()
+
+    @abstractmethod
+    def _configure(self) -> None:
+        """Read what the parameters name, and create publishers and services.
+
+        Raises:
+            CableSenseError: a file is missing or invalid.
+        """
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Stop, and undo whatever of `_configure` has been done; harmless when repeated."""
+
+
+def run_configured_node(make: Callable[[], ConfiguredNode], args: Sequence[str] | None) -> int:
+    """Run such a node, started as `autostart` says; the process's exit code."""
+
+    def make_node() -> ConfiguredNode:
+        node = make()
+        node.autostart()
+        return node
+
+    return run_node(make_node, args)
+
+
+PERIOD_S = 1.0
+
+
+class DiagnosticsPublisher:
+    """Asks `report` once a second for the node's statuses and publishes them."""
+
+    def __init__(
+        self,
+        node: Node,
+        report: Callable[[], Sequence[Status]],
+        hardware_id: Callable[[], str],
+    ) -> None:
+        """`hardware_id` gives the arm's identity, empty while none is loaded."""
+        self._node = node
+        self._report = report
+        self._hardware_id = hardware_id
+        self._publisher = node.create_publisher(
+            DiagnosticArray,
+            topics.DIAGNOSTICS,
+            qos_profile(PUBLISHER),
+            qos_overriding_options=overridable(),
+        )
+        node.create_timer(PERIOD_S, self._publish)
+
+    def _publish(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = diagnostic_statuses(
+            self._report(),
+            self._node.get_name(),
+            self._hardware_id(),
+            DiagnosticStatus,
+            KeyValue,
+        )
+        self._publisher.publish(message)
+
+
+class ThrottledLog:
+    """Passes on the first message of a kind and then at most one per `PERIOD_S`."""
+
+    def __init__(self, log: Callable[[str], object], now_s: Callable[[], float]) -> None:
+        """`log` takes a line; `now_s` is a monotonic clock in s."""
+        self._log = log
+        self._now_s = now_s
+        self._last_s: dict[str, float] = {}
+        self._held_back: dict[str, int] = {}
+
+    def __call__(self, kind: str, message: str) -> None:
+        """Log `message`, unless one of its `kind` was logged less than a period ago."""
+        now = self._now_s()
+        if now - self._last_s.get(kind, float("-inf")) < PERIOD_S:
+            self._held_back[kind] = self._held_back.get(kind, 0) + 1
+            return
+        self._last_s[kind] = now
+        held_back = self._held_back.pop(kind, 0)
+        self._log(f"{message} ({held_back} more like this)" if held_back else message)

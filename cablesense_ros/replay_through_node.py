@@ -1,0 +1,359 @@
+"""A recorded run through an estimator node that runs: inputs out, answers in, compared.
+
+An estimator that runs, as a replay sees it: inputs go out, answers come back.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import NamedTuple
+
+import rclpy
+import rclpy.utilities
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.journal import EventKind, JournalEntry
+from cablesense_msgs_py.serialized import restamped, stamp_ns
+from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, resolved
+from cablesense_online.recorded_run import RecordedRun, Step
+from cablesense_online.replay import Comparison
+from cablesense_ros.estimator_node import LIVE_PARAMETERS
+from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.parameters import message_class, qos_profile
+
+PATIENCE_S = 10.0
+_LOOK_S = 0.0005
+
+
+class LiveEstimator:
+    """Publishers, a subscription and service clients; another thread spins the node.
+
+    Attributes:
+        answers: serialized wrenches by their stamps, until someone takes them out.
+    """
+
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self._namespace = namespace
+        self.answers: dict[int, bytes] = {}
+        self._out: dict[str, Publisher] = {
+            topic: node.create_publisher(
+                message_class(INPUTS[topic].kind), self._name(topic), qos_profile(qos.offered)
+            )
+            for topic, qos in INPUTS.items()
+        }
+        self._wrenches = node.create_subscription(
+            WrenchStamped,
+            self._name(topics.WRENCH),
+            self._on_answer,
+            qos_profile(CONTRACT[topics.WRENCH].heard),
+            raw=True,
+        )
+        self._parameters = node.create_client(GetParameters, self._name("~/get_parameters"))
+        self._set_parameters = node.create_client(SetParameters, self._name("~/set_parameters"))
+        self._clients: dict[str, Client] = {
+            name: node.create_client(Trigger, self._name(name))
+            for name in (topics.TARE, topics.TARE_UNDO)
+        }
+
+    def wait_until_there(self) -> None:
+        """Until an estimator listens and is heard.
+
+        Raises:
+            RecordingError: none is there within `PATIENCE_S`.
+        """
+        tensions = self._out[topics.CABLE_TENSIONS]
+        commands = self._out[topics.JOINT_COMMANDS]
+        wrench = self._name(topics.WRENCH)
+        there = self._until(
+            lambda: bool(
+                tensions.get_subscription_count()
+                and commands.get_subscription_count()
+                and self._node.count_publishers(wrench)
+            ),
+            PATIENCE_S,
+        )
+        if not there:
+            raise RecordingError(
+                f"no estimator takes {self._name(topics.CABLE_TENSIONS)} and publishes {wrench}; "
+                "start one, in this ROS_DOMAIN_ID and namespace"
+            )
+
+    def publish(self, topic: str, raw: bytes) -> None:
+        """One serialized message on an input topic."""
+        self._out[topic].publish(raw)
+
+    def command(self, names: Sequence[str], angles_rad: Sequence[float]) -> None:
+        """A command, which the estimator has dealt with when this returns."""
+        self._out[topics.JOINT_COMMANDS].publish(
+            JointState(name=list(names), position=list(angles_rad))
+        )
+        # the middleware's acknowledgement takes seconds; a question that comes behind the command
+        # is answered behind it
+        answer = self._parameters.call_async(GetParameters.Request())
+        self._until(answer.done, PATIENCE_S)
+
+    def call(self, service: str) -> None:
+        """`~/tare` or `~/tare_undo`, done when this returns.
+
+        Raises:
+            RecordingError: the estimator refuses, or does not answer.
+        """
+        future = self._clients[service].call_async(Trigger.Request())
+        if not self._until(future.done, PATIENCE_S):
+            raise RecordingError(f"{self._name(service)} does not answer")
+        response = future.result()
+        if response is None or not response.success:
+            why = "" if response is None else response.message
+            raise RecordingError(
+                f"{self._name(service)} refuses what it took when recorded: {why}; was the "
+                "estimator started afresh?"
+            )
+
+    def adjust(self, settings: Mapping[str, str]) -> None:
+        """Set the parameters that may change while it runs, as a journal entry has them.
+
+        Raises:
+            RecordingError: the estimator refuses one, or does not answer.
+        """
+        future = self._set_parameters.call_async(
+            SetParameters.Request(
+                parameters=[
+                    Parameter(name, value=float(settings[name])).to_parameter_msg()
+                    for name in LIVE_PARAMETERS
+                ]
+            )
+        )
+        if not self._until(future.done, PATIENCE_S):
+            raise RecordingError(f"{self._name('~/set_parameters')} does not answer")
+        refused = [result.reason for result in future.result().results if not result.successful]
+        if refused:
+            raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
+
+    def wait_for(self, stamp: int, patience_s: float = 1.0) -> bool:
+        """Until the answer with a stamp is here; whether it is."""
+        return self._until(lambda: stamp in self.answers, patience_s)
+
+    def _on_answer(self, raw: bytes) -> None:
+        self.answers[stamp_ns(raw)] = raw
+
+    def _name(self, topic: str) -> str:
+        return resolved(topic, self._namespace)
+
+    @staticmethod
+    def _until(condition: Callable[[], bool], patience_s: float) -> bool:
+        end_s = time.monotonic() + patience_s
+        while not condition():
+            if time.monotonic() > end_s:
+                return False
+            time.sleep(_LOOK_S)
+        return True
+
+
+LONGEST_AGE_NS = 10_000_000
+"""Samples keep the age that they had when recorded, up to this: a recorder's clock may be off."""
+
+PATIENT_S = "10.0"
+MOST_OPEN = 200
+"""Samples on the way to an answer; the estimator keeps 500 in its queue."""
+
+_SETTLE_S = 0.5
+_WAKE_S = 0.2
+_SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
+_REPEATED = {EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
+
+
+def replay_through_node(
+    run: RecordedRun, rate: float, namespace: str, say: Callable[[str], object]
+) -> Comparison:
+    """Publish what the recorded estimator took, at the recorded pace, and compare the answers.
+
+    Every stamp is shifted by the same time, so that the first sample is one of now; at another
+    rate the time between stamps shrinks with it. Commands and tares go where the journal has them:
+    after the answer to the sample before, and before the next sample. The estimator must have been
+    started afresh, for it to be in the state that the recorded one was in at its start.
+
+    Args:
+        run: the recording.
+        rate: how many times as fast as recorded.
+        namespace: of the estimator.
+        say: takes a line for people.
+
+    Raises:
+        RecordingError: no estimator listens, or it refuses a tare that is in the recording.
+    """
+    with _spinning_node() as node:
+        live = LiveEstimator(node, namespace)
+        live.wait_until_there()
+        time.sleep(_SETTLE_S)  # that the estimator knows of this node as well
+        return _Player(run, rate, live, say).play()
+
+
+@contextmanager
+def _spinning_node() -> Iterator[Node]:
+    prefer_quick_discovery()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("replay")
+    executor, end = EventsExecutor(), Future()
+    executor.add_node(node)
+
+    def spin() -> None:
+        while not end.done():
+            executor.spin_until_future_complete(end, timeout_sec=_WAKE_S)
+
+    thread = threading.Thread(target=spin, name="answers")
+    thread.start()
+    try:
+        yield node
+    finally:
+        end.set_result(None)
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        with suppress(RuntimeError):
+            rclpy.utilities.try_shutdown()
+
+
+class _Open(NamedTuple):
+    """A sample that was sent and is not compared yet: its number, its stamps and its answer."""
+
+    number: int
+    stamp_ns: int
+    recorded_ns: int
+    recorded: bytes
+
+
+class _Player:
+    """Walks through the recording once."""
+
+    def __init__(
+        self, run: RecordedRun, rate: float, live: LiveEstimator, say: Callable[[str], object]
+    ) -> None:
+        self._run, self._rate, self._live, self._say = run, rate, live, say
+        self._comparison = Comparison()
+        self._others = deque(run.other_inputs)
+        self._open: deque[_Open] = deque()
+        self._begun = self._sent = False
+        self._first_log_ns = self._first_stamp_ns = 0
+        self._start_s, self._start_ns = 0.0, 0
+
+    def play(self) -> Comparison:
+        """Publish and compare everything."""
+        counts = self._comparison
+        entries: list[JournalEntry] = []
+        for step in self._run.steps():
+            counts.samples += 1
+            entries += step.entries
+            if self._run.has_answers and step.pair.answer is None:
+                counts.unanswered += 1
+                if not step.taken:
+                    continue
+            if not self._begun:
+                self._begin(step)
+            self._pace(step.pair.log_ns)
+            for entry in entries:
+                self._repeat(entry)
+            entries = []
+            stamp_ns = self._shifted(step.pair.stamp_ns)
+            self._sent = True
+            self._live.publish(topics.CABLE_TENSIONS, restamped(step.pair.sample, stamp_ns))
+            if step.pair.answer is not None:
+                self._open.append(
+                    _Open(counts.samples, stamp_ns, step.pair.stamp_ns, step.pair.answer)
+                )
+            if len(self._open) > MOST_OPEN:
+                self._live.wait_for(self._open[0].stamp_ns)
+            self._compare()
+        self._await_answers()
+        self._compare(to_the_end=True)
+        if self._run.entries:
+            self._live.adjust(self._run.entries[-1].settings)
+        pairs = self._run.pairs
+        counts.unstamped, counts.lone_contacts = pairs.unstamped, pairs.lone_contacts
+        counts.lone_zeros = pairs.lone_zeros
+        return counts
+
+    def _begin(self, step: Step) -> None:
+        self._begun = True
+        entries = self._run.entries
+        if entries:
+            self._adjust(entries[0])
+            if not any(event.kind is EventKind.START for event in entries[0].events):
+                self._say(
+                    "the recording begins after its estimator, so the tare before is not in it; "
+                    "the estimator that runs takes its own"
+                )
+                self._live.command(self._run.joint_names, entries[0].command_rad)
+        else:
+            self._say("no ~/journal in the recording: commands go as they came, tares not at all")
+        self._first_log_ns, self._first_stamp_ns = step.pair.log_ns, step.pair.stamp_ns
+        age_ns = min(max(step.pair.log_ns - step.pair.stamp_ns, 0), LONGEST_AGE_NS)
+        self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
+
+    def _adjust(self, entry: JournalEntry) -> None:
+        """As recorded, but patient: a busy machine must not make a replay's samples stale."""
+        self._live.adjust({**entry.settings, "stale_after_s": PATIENT_S})
+
+    def _pace(self, log_ns: int) -> None:
+        """Wait for a sample's turn; what else came before it goes out before it."""
+        while self._others and self._others[0].log_ns <= log_ns:
+            other = self._others.popleft()
+            self._sleep_until(other.log_ns)
+            self._live.publish(other.topic, other.data)
+        self._sleep_until(log_ns)
+
+    def _sleep_until(self, log_ns: int) -> None:
+        due_s = self._start_s + (log_ns - self._first_log_ns) * 1e-9 / self._rate
+        wait_s = due_s - time.monotonic()
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+
+    def _shifted(self, stamp_ns: int) -> int:
+        since_ns = stamp_ns - self._first_stamp_ns
+        return self._start_ns + (since_ns if self._rate == 1.0 else round(since_ns / self._rate))
+
+    def _repeat(self, entry: JournalEntry) -> None:
+        """Between the sample before and the next one, as when recorded."""
+        if any(event.kind in _REPEATED for event in entry.events):
+            self._await_answers()
+        for event in entry.events:
+            if event.kind is EventKind.COMMAND:
+                self._live.command(self._run.joint_names, event.command_rad)
+            elif event.kind in _SERVICES:
+                self._live.call(_SERVICES[event.kind])
+            elif event.kind is EventKind.SETTINGS:
+                self._adjust(entry)
+            elif event.kind is EventKind.START and self._sent:
+                self._say("the recorded estimator was started anew here; the one that runs is not")
+
+    def _await_answers(self) -> None:
+        if self._open:
+            self._live.wait_for(self._open[-1].stamp_ns)
+
+    def _compare(self, to_the_end: bool = False) -> None:
+        answers = self._live.answers
+        while self._open and (
+            to_the_end
+            or self._open[0].stamp_ns in answers
+            or len(self._open) > MOST_OPEN  # it was waited for in vain
+        ):
+            number, stamp_ns, recorded_ns, recorded = self._open.popleft()
+            answer = answers.pop(stamp_ns, None)
+            replayed = None if answer is None else restamped(answer, recorded_ns)
+            self._comparison.compare(number, recorded, replayed)

@@ -1,0 +1,223 @@
+"""Subscriptions to all that the contract says of a running arm, for who shows or records it.
+
+Readings from the topic `cable_tensions` of a running arm, for some seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+import rclpy.utilities
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py import qos, topics
+from cablesense_msgs_py.joint_states import NamedOrder
+from cablesense_msgs_py.serialized import EffortReader
+from cablesense_online.commissioning.pull_check import Pull
+from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, TimeWindow
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_ros.node_process import ThrottledLog, prefer_quick_discovery
+from cablesense_ros.parameters import overridable, qos_profile
+
+
+def of_node(node_name: str, topic: str) -> str:
+    """A private topic (`~/…`) of a node, as another node names it."""
+    return topic.replace("~", node_name, 1)
+
+
+def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
+    """Subscribes `node` to arm and estimator; every message goes to `live`.
+
+    What breaks the contract is logged.
+    """
+    warn = ThrottledLog(node.get_logger().warning, time.monotonic)
+    now = time.monotonic
+    wrench = of_node(estimator, topics.WRENCH)
+    probabilities = of_node(estimator, topics.CONTACT_PROBABILITIES)
+
+    def take(topic: str, handle: Callable[[Any], None], message: Any) -> None:
+        try:
+            handle(message)
+        except CableSenseError as error:
+            warn(topic, f"{topic}: {error}")
+
+    inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
+        (JointState, topics.CABLE_TENSIONS, qos.SENSOR, lambda m: live.on_tensions(m, now())),
+        (JointState, topics.JOINT_STATES, qos.SENSOR, live.on_joint_states),
+        (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
+        (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
+        (WrenchStamped, wrench, qos.SENSOR, lambda m: live.on_wrench(m, now())),
+        (Float64MultiArray, probabilities, qos.SENSOR, live.on_probabilities),
+        (
+            DiagnosticArray,
+            topics.DIAGNOSTICS,
+            qos.COMMAND,
+            lambda m: live.on_diagnostics(m, now()),
+        ),
+    )
+    for kind, topic, profile, handle in inputs:
+        node.create_subscription(
+            kind,
+            topic,
+            partial(take, topic, handle),
+            qos_profile(profile),
+            qos_overriding_options=overridable(),
+        )
+
+
+FIRST_SAMPLE_S = 5.0
+"""So long is waited for a publisher."""
+JOINING_S = 0.5
+"""After the first sample; some are lost while subscriber and publisher find each other."""
+LET_GO_S = 3.0
+WAKE_S = 0.1
+"""So soon Ctrl-C is heard."""
+PULLING_S = 3.0
+"""From the word to pull to the word to let go."""
+
+
+def listen_to_tensions(
+    cable_names: Sequence[str],
+    rest_s: float,
+    pulled: Sequence[str],
+    say: Callable[[str], object],
+) -> tuple[TensionSeries, list[Pull]]:
+    """Readings at rest, then while a person pulls one cable after another as `say` tells.
+
+    Args:
+        cable_names: (M,) in the order wanted.
+        rest_s: how long the arm is left alone first.
+        pulled: cables to pull, in this order.
+        say: takes a line for the person.
+
+    Raises:
+        CommissioningError: nothing comes.
+        ContractError: messages break the contract.
+    """
+    prefer_quick_discovery()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("sensor_check")
+    executor = EventsExecutor()
+    executor.add_node(node)
+    samples = _Samples(cable_names)
+    never = Future()
+
+    def wait(seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            executor.spin_until_future_complete(never, timeout_sec=min(left_s, WAKE_S))
+            if samples.error is not None:
+                raise samples.error
+
+    try:
+        node.create_subscription(
+            JointState, topics.CABLE_TENSIONS, samples.take, qos_profile(qos.SENSOR), raw=True
+        )
+        end_s = time.monotonic() + FIRST_SAMPLE_S
+        while not samples.times_s and time.monotonic() < end_s:
+            wait(0.1)
+        if not samples.times_s:
+            raise CommissioningError(
+                f"nothing on {topics.CABLE_TENSIONS} in {FIRST_SAMPLE_S:g} s: is the driver "
+                "running and active, in this ROS_DOMAIN_ID and without a namespace?"
+            )
+        wait(JOINING_S)
+        samples.forget()
+        say(f"leave the arm alone for {rest_s:g} s")
+        wait(rest_s)
+        pulls = []
+        for cable in pulled:
+            start_s = samples.latest_s
+            say(f"pull {cable} by hand and hold it, sideways, near its sensor")
+            wait(PULLING_S)
+            pulls.append(Pull(cable, TimeWindow(start_s, samples.latest_s)))
+            say("let go")
+            wait(LET_GO_S)
+        return samples.series(), pulls
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.utilities.try_shutdown()
+
+
+class _Samples:
+    """What came; times count from the first sample, by its stamp or else its arrival."""
+
+    def __init__(self, cable_names: Sequence[str]) -> None:
+        self._order = NamedOrder(cable_names, "cables")
+        self._reader = EffortReader()
+        self._start_s: float | None = None
+        self._backward = 0
+        self._broken = 0
+        self.times_s: list[float] = []
+        self.tensions_n: list[tuple[float, ...]] = []
+        self.error: Exception | None = None
+
+    @property
+    def latest_s(self) -> float:
+        self._heard()
+        return self.times_s[-1]
+
+    def forget(self) -> None:
+        self._start_s, self._backward, self._broken = None, 0, 0
+        self.times_s.clear()
+        self.tensions_n.clear()
+
+    def take(self, raw: bytes) -> None:
+        """In the executor, which would drop an exception: it is kept for the caller."""
+        try:
+            sample = self._reader.read(raw)
+            tensions_n = self._order.pick(sample.names, sample.values, "effort")
+        except Exception as error:
+            self.error = error
+            return
+        stamp_s = (sample.stamp_ns or time.time_ns()) * 1e-9
+        if self._start_s is None:
+            self._start_s = stamp_s
+        since_s = stamp_s - self._start_s
+        if not np.isfinite(tensions_n).all():
+            self._broken += 1
+        elif self.times_s and since_s <= self.times_s[-1]:
+            self._backward += 1
+        else:
+            self.times_s.append(since_s)
+            self.tensions_n.append(tensions_n)
+
+    def series(self) -> TensionSeries:
+        problems = []
+        if self._broken:
+            problems.append(f"{self._broken} samples were not finite; every reading must be")
+        if self._backward:
+            problems.append(
+                f"{self._backward} samples came with a stamp not after the last; each must be "
+                "later: is there a second publisher?"
+            )
+        self._heard()
+        count = len(self.times_s)
+        return TensionSeries(
+            self._order.names,
+            np.array(self.times_s),
+            np.zeros(count, dtype=np.int64),
+            np.ones(count, dtype=bool),
+            np.array(self.tensions_n),
+            tuple(problems),
+        )
+
+    def _heard(self) -> None:
+        if not self.times_s:
+            raise CommissioningError(
+                f"{topics.CABLE_TENSIONS} fell silent; its driver's diagnostics say why"
+            )

@@ -1,0 +1,154 @@
+"""A peer without a network: gradient-boosted trees, one model for each thing asked.
+
+The gradient-boosting peer for several contacts: trees per segment for touch and force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
+
+from cablesense_base.arrays import Array
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.metrics import NORMAL_95, ContactAnswer, angle_difference_deg
+
+_HELD_OUT = 0.1
+
+
+@dataclass(frozen=True)
+class BoostingSettings:
+    """How the trees grow.
+
+    Attributes:
+        rounds: trees per model (per class for the contact).
+        leaves: most leaves of a tree.
+        learning_rate: shrinkage of each tree.
+        pose_aware: whether the commanded joint angles join the tension differences as input.
+        seed: of the held-out share that the stated deviations are taken from.
+    """
+
+    rounds: int = 200
+    leaves: int = 63
+    learning_rate: float = 0.1
+    pose_aware: bool = False
+    seed: int = 0
+
+
+class BoostingPeer:
+    """Histogram gradient boosting: a classifier for the contact, regressors for the force.
+
+    Trees split on one input at a time and answer in steps, so a force that is linear in twelve
+    inputs is the opposite of what suits them: a yardstick for "any learner will do".
+    """
+
+    def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
+        """Fit to a single-contact dataset.
+
+        Raises:
+            TrainingError: the dataset lacks contacts, contact-free samples or enough of both.
+        """
+        self.settings = settings or BoostingSettings()
+        order = np.random.default_rng(self.settings.seed).permutation(len(dataset))
+        held_out = max(1, round(_HELD_OUT * len(dataset)))
+        validation, training = dataset.select(order[:held_out]), dataset.select(order[held_out:])
+        touched = training.segment > 0
+        if touched.sum() < 10 or len(np.unique(training.segment)) < 2:
+            raise TrainingError(
+                f"{int(touched.sum())} contacts of {len(training)} samples are too few kinds to "
+                "boost on; give samples with and without contact"
+            )
+        x = self._inputs(training)
+        angle = np.deg2rad(training.angle_deg[touched])
+        self._contact = self._classifier().fit(x, training.segment)
+        self._sine = self._regressor().fit(x[touched], np.sin(angle))
+        self._cosine = self._regressor().fit(x[touched], np.cos(angle))
+        self._magnitude = self._regressor().fit(x[touched], training.magnitude_n[touched])
+        self._magnitude_std_n, self._angle_std_deg = 1.0, 1.0
+        self._state_deviations(validation)
+
+    def answer(self, dataset: Dataset) -> ContactAnswer:
+        """Answers for a dataset; the stated deviations are the same for all samples."""
+        x = self._inputs(dataset)
+        angle = np.rad2deg(np.arctan2(self._sine.predict(x), self._cosine.predict(x)))
+        return ContactAnswer(
+            segment=np.asarray(self._contact.predict(x), dtype=np.int64),
+            angle_deg=angle % 360.0,
+            magnitude_n=np.maximum(self._magnitude.predict(x), 0.0),
+            magnitude_std_n=np.full(len(dataset), self._magnitude_std_n),
+            angle_std_deg=np.full(len(dataset), self._angle_std_deg),
+        )
+
+    def _state_deviations(self, validation: Dataset) -> None:
+        """Trees state no uncertainty; take the deviation that holds 95 % of held-out errors."""
+        answer = self.answer(validation)
+        found = (validation.segment > 0) & (answer.segment > 0)
+        if found.any():
+            force = np.abs(answer.magnitude_n - validation.magnitude_n)[found]
+            angle = np.abs(angle_difference_deg(answer.angle_deg, validation.angle_deg))[found]
+            self._magnitude_std_n = float(np.quantile(force, 0.95)) / NORMAL_95
+            self._angle_std_deg = float(np.quantile(angle, 0.95)) / NORMAL_95
+
+    def _inputs(self, dataset: Dataset) -> Array:
+        if self.settings.pose_aware:
+            return np.hstack([dataset.tension_difference_n, dataset.command_rad])
+        return dataset.tension_difference_n
+
+    def _classifier(self) -> HistGradientBoostingClassifier:
+        return HistGradientBoostingClassifier(
+            max_iter=self.settings.rounds,
+            max_leaf_nodes=self.settings.leaves,
+            learning_rate=self.settings.learning_rate,
+            early_stopping=False,
+            random_state=self.settings.seed,
+        )
+
+    def _regressor(self) -> HistGradientBoostingRegressor:
+        return HistGradientBoostingRegressor(
+            max_iter=self.settings.rounds,
+            max_leaf_nodes=self.settings.leaves,
+            learning_rate=self.settings.learning_rate,
+            early_stopping=False,
+            random_state=self.settings.seed,
+        )
+
+
+class MultiBoostingPeer:
+    """A classifier and a regressor for each segment, from the tension differences alone."""
+
+    def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
+        """Fit to a multi-contact dataset.
+
+        Raises:
+            TrainingError: a segment that is always, or never, touched.
+        """
+        settings = settings or BoostingSettings()
+        options = {
+            "max_iter": settings.rounds,
+            "max_leaf_nodes": settings.leaves,
+            "learning_rate": settings.learning_rate,
+            "early_stopping": False,
+            "random_state": settings.seed,
+        }
+        self._contacts, self._forces = [], []
+        for segment, touched in enumerate(dataset.contacts.T):
+            if touched.all() or not touched.any():
+                raise TrainingError(
+                    f"segment {segment + 1} is touched in {int(touched.sum())} of {len(dataset)} "
+                    "samples; give samples with and without a contact on every segment"
+                )
+            x, force = dataset.tension_difference_n, dataset.magnitudes_n[:, segment]
+            self._contacts.append(HistGradientBoostingClassifier(**options).fit(x, touched))
+            self._forces.append(
+                HistGradientBoostingRegressor(**options).fit(x[touched], force[touched])
+            )
+
+    def answer(self, dataset: Dataset) -> tuple[NDArray[np.bool_], Array]:
+        """Which segments are touched (B, N), and with which force (B, N)."""
+        x = dataset.tension_difference_n
+        touched = np.stack([np.asarray(c.predict(x), dtype=bool) for c in self._contacts], axis=1)
+        force = np.stack([np.asarray(f.predict(x)) for f in self._forces], axis=1)
+        return touched, np.maximum(force, 0.0)

@@ -1,0 +1,302 @@
+"""The closed-form estimator: from tensions to one candidate contact per segment, by statics alone.
+
+At rest the cables' joint torques balance weight and contact, slack or not:
+
+    J(q)' T = tau_weight(q) + B_s(q)' f,
+
+with B_s the Jacobian of segment s's contact point. Against the unloaded state (q0, T0) of the same
+command this is
+
+    tau := J(q)' dT + (J(q) - J(q0))' T0 - (tau_weight(q) - tau_weight(q0)) = B_s(q)' f,
+
+2N equations for the two components of f, solved by generalised least squares for every segment in
+turn; the segment whose misfit chi² is least is the contact. The pose q is not the commanded one:
+the arm gives way. Each taut cable's stretch T/k tells its true length, and Gauss-Newton on those
+lengths gives q.
+
+Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly
+zero for slack ones, whose tension is known; with T = k J dq this compresses the M tensions without
+loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_training.networks.compact import CompactKinematics, Pose
+
+SLACK_WEIGHT = 1e-3
+"""Variance of a slack cable's tension over that of a taut one's reading."""
+
+
+NUDGE_N = 1e-6
+"""Added to weighed forces to keep them off zero, so that they always have a direction."""
+
+MOST_POSE_CORRECTIONS = 4
+
+POSE_TOLERANCE_RAD = 1e-5
+"""Where Gauss-Newton on the pose may stop: it moves a 200 N estimate by some millinewtons."""
+
+
+def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
+    """Gauss-Newton steps that this arm's give under a force at its tip calls for.
+
+    Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
+    below the tolerance.
+    """
+    forces = np.zeros((2, mechanism.segment_count, 3))
+    forces[0, -1, 1] = forces[1, -1, 2] = force_n
+    straight = np.zeros(mechanism.joint_count)
+    give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
+    steps = 0
+    while give > POSE_TOLERANCE_RAD and steps < MOST_POSE_CORRECTIONS:
+        give, steps = give * give, steps + 1
+    return steps
+
+
+class Candidates(NamedTuple):
+    """What statics says, one hypothesis per segment, in units of newtons.
+
+    Attributes:
+        force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
+        covariance_n2: (B, N, 2, 2) of the force, N².
+        information: (B, N, 2, 2) its inverse, 1/N².
+        misfit_none: (B,) chi² of "no contact", 2N degrees of freedom.
+        taut: (B, M) one for taut cables, zero for slack ones.
+    """
+
+    force_n: Tensor
+    covariance_n2: Tensor
+    information: Tensor
+    misfit_none: Tensor
+    taut: Tensor
+
+    @property
+    def explained(self) -> Tensor:
+        """(B, N) chi² that a contact on the segment explains, of `misfit_none`."""
+        force = self.force_n[:, :, None]
+        return (force @ self.information * force).sum((2, 3))
+
+
+class Weighed(NamedTuple):
+    """Candidates with the belief in each.
+
+    Attributes:
+        force_n, covariance_n2, taut: as in `Candidates`.
+        evidence: (B, 1, N) log evidence of a contact on each segment against none.
+    """
+
+    force_n: Tensor
+    covariance_n2: Tensor
+    taut: Tensor
+    evidence: Tensor
+
+
+Weighing = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""From information and covariance (B, N, 2, 2) to matrices W (B, N, 2, 2) and constants (B, N):
+the evidence of a force f is f' W f plus the constant."""
+
+
+class Balance(NamedTuple):
+    """Statics of B samples at their true poses; joints ordered pitches, then yaws.
+
+    Attributes:
+        lever: (B, N, 2, 2N) joint torques of unit forces along the normals of each segment at the
+            commanded angles.
+        precision: (B, 2N, 2N) inverse covariance of the torques.
+        torque_n_m: (B, 2N, 1) torques of the environment on the joints.
+        taut: (B, M) one for taut cables, zero for slack ones.
+        tension_n: (B, M, 1) tensions that the torques were made of.
+        jacobian_t_m: (B, 2N, M) torques that one newton in each cable makes.
+        commanded_m: (B, M) cable lengths at the command.
+    """
+
+    lever: Tensor
+    precision: Tensor
+    torque_n_m: Tensor
+    taut: Tensor
+    tension_n: Tensor
+    jacobian_t_m: Tensor
+    commanded_m: Tensor
+
+
+class ClosedForm(nn.Module):
+    """Candidates from tension differences (B, M) and commanded joint angles (B, 2N), float64.
+
+    Args:
+        mechanism: the arm.
+        reading_variance_n2: variance of one tension difference, N².
+        pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
+            command as the pose.
+        unexplained_n2: what effects that no statics carries add to that variance; a slack cable
+            is told by the sensor's own.
+        held_by: the arm whose cable lengths the actuators hold at a command, where that is not
+            `mechanism`: an arm whose holes are elsewhere than its controller believes.
+    """
+
+    compliance_m_n: Tensor
+    pretension_n: Tensor
+    excess_straight_m: Tensor
+    spring_n_m_rad: Tensor
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        reading_variance_n2: float,
+        pose_corrections: int,
+        unexplained_n2: float = 0.0,
+        held_by: Mechanism | None = None,
+    ) -> None:
+        super().__init__()
+        self.kinematics = CompactKinematics(mechanism)
+        told_n2 = max(reading_variance_n2, 1e-12)
+        self.reading_variance_n2 = told_n2 + unexplained_n2
+        self.pose_corrections = pose_corrections
+        self.slack_below_n = 4.0 * told_n2**0.5
+        compliance = 1.0 / mechanism.stiffness_n_m
+        self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
+        self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))
+        self.held_by = None if held_by is None else CompactKinematics(held_by)
+        if self.held_by is not None:
+            straight = torch.zeros(1, mechanism.joint_count, 1, dtype=torch.float64)
+            excess = self._excess_m(straight, self.kinematics(straight))
+            self.register_buffer("excess_straight_m", excess)
+        self.springy = bool(mechanism.joint_stiffness_n_m_rad.any())
+        if self.springy:
+            spring = np.tile(mechanism.joint_stiffness_n_m_rad, 2)[:, None]
+            self.register_buffer("spring_n_m_rad", torch.as_tensor(spring))
+
+    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
+        """See `Candidates`."""
+        return self.least_squares(self.balance(tension_difference_n, joint_command_rad))
+
+    def weigh(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
+    ) -> Weighed:
+        """Candidates, and the evidence for them."""
+        found = self(tension_difference_n, joint_command_rad)
+        trusted, constant = weighing(found.information, found.covariance_n2)
+        force = found.force_n[:, :, None]
+        evidence = (force @ trusted * force).sum((2, 3)) + constant
+        return Weighed(found.force_n + NUDGE_N, found.covariance_n2, found.taut, evidence[:, None])
+
+    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
+        """What the joints feel of the environment at the true pose."""
+        n = self.kinematics.segment_count
+        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
+        commanded = self.kinematics(angles)
+        normal_cross = self.kinematics.normal_cross(commanded)
+        unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
+
+        tension = tension_difference_n[:, :, None] + unloaded_tension
+        taut = (tension > self.slack_below_n).to(tension.dtype)
+        tension = tension * taut
+        weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
+        stretch = (tension - self._at_command_n(angles, commanded)) * self.compliance_m_n
+        pose = commanded
+        inverse_gram = _gram_inverse(commanded.jacobian_t_m, weight)
+        for step in range(self.pose_corrections):
+            if step:
+                stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
+                inverse_gram = _gram_inverse(pose.jacobian_t_m, weight)
+                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
+            else:
+                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * stretch))
+            angles = angles + moved
+            pose = self.kinematics(angles)
+        lever, weight_torque = self.kinematics.levers(pose, normal_cross)
+        torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
+        if self.springy:
+            torque = torque + self.spring_n_m_rad * angles
+        return Balance(
+            lever=lever,
+            precision=inverse_gram * (1.0 / self.reading_variance_n2),
+            torque_n_m=torque,
+            taut=taut[..., 0],
+            tension_n=tension,
+            jacobian_t_m=pose.jacobian_t_m,
+            commanded_m=commanded.span_m.sum((1, 2)),
+        )
+
+    def unloaded(
+        self, angles: Tensor, commanded: Pose, normal_cross: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Tensions under the arm's own weight, and the joint torque that they leave unbalanced.
+
+        Tensions are (B, M, 1), of cables taken as taut; the torque is (B, 2N, 1), that at the pose
+        which the unloaded arm is taken to stand in: the command, without corrections.
+        """
+        pose = commanded
+        stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
+        at_command = self._at_command_n(angles, commanded)
+        tension = at_command + stretched
+        for _ in range(max(1, self.pose_corrections)):
+            _, weight_torque = self.kinematics.levers(pose, normal_cross)
+            stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
+            inverse_gram = _gram_inverse(pose.jacobian_t_m, stiffness)
+            unbalanced = weight_torque - pose.jacobian_t_m @ tension
+            if self.springy:
+                unbalanced = unbalanced - self.spring_n_m_rad * angles
+            angles = angles + inverse_gram @ unbalanced
+            pose = self.kinematics(angles)
+            stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
+            tension = at_command + stretched / self.compliance_m_n
+        taken = pose if self.pose_corrections else commanded
+        _, weight_torque = self.kinematics.levers(taken, normal_cross)
+        unbalanced = taken.jacobian_t_m @ tension - weight_torque
+        if self.springy and self.pose_corrections:
+            unbalanced = unbalanced + self.spring_n_m_rad * angles
+        return tension, unbalanced
+
+    def _at_command_n(self, angles: Tensor, commanded: Pose) -> Tensor:
+        """Tensions (M, 1) or (B, M, 1) if the arm stood where it is commanded."""
+        if self.held_by is None:
+            return self.pretension_n
+        excess = self._excess_m(angles, commanded) - self.excess_straight_m
+        return self.pretension_n + excess / self.compliance_m_n
+
+    def _excess_m(self, angles: Tensor, commanded: Pose) -> Tensor:
+        """(B, M, 1) by which cables of this arm are longer than of the one that holds them."""
+        assert self.held_by is not None
+        return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
+
+    def least_squares(self, balance: Balance) -> Candidates:
+        """Generalised least squares of the torques on every segment's two force components."""
+        n = self.kinematics.segment_count
+        lever, precision, torque, taut = balance[:4]
+        weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
+        pull = (weighted @ torque).reshape(-1, n, 2, 1)
+        information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
+        covariance = inverse(information)
+        force = covariance @ pull
+        misfit_none = (torque * (precision @ torque)).sum((1, 2))
+        return Candidates(
+            force_n=force.reshape(-1, n, 2),
+            covariance_n2=covariance,
+            information=information,
+            misfit_none=misfit_none,
+            taut=taut,
+        )
+
+
+def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+    """Inverse (B, 2N, 2N) of J' W J, with weights (B, M, 1)."""
+    return inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
+
+
+def inverse(matrix: Tensor) -> Tensor:
+    """Inverse of square matrices (..., k, k), in PyTorch and in an exported graph."""
+    if torch.onnx.is_in_onnx_export():
+        # ONNX itself has no inverse; ONNX Runtime does, as an operator of its own.
+        inverted: Tensor = torch.onnx.ops.symbolic(
+            "com.microsoft::Inverse", (matrix,), dtype=matrix.dtype, shape=matrix.shape, version=1
+        )
+        return inverted
+    return torch.linalg.inv(matrix)

@@ -1,0 +1,240 @@
+"""The closed form, weighed and corrected by a small network: the estimator that CableSense ships.
+
+Statics gives one candidate per segment with its information. What is left to learn is little: how
+strongly to believe it, what speaks for "no contact", where many slack cables bend the estimate,
+and how wide the error really is. Corrections are counted in standard deviations of the closed form
+and bounded, so that an arm unlike the training data still gets an answer by statics.
+
+The closed form of an arm file, effects included as far as statics can carry them.
+
+What effects change of the arm itself is in the closed form: masses, stiffness, holes, springs,
+contact points, while the actuators hold the lengths of the arm without them. What depends on the
+past, and what sensors and actuators do, no closed form knows; it counts as spread of the readings.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from cablesense_sim.arm import Arm
+from cablesense_sim.effects.registry import actuations, amended, entries_of, memories, sensings
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.sensors import difference_variance_n2
+from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.networks.closed_form import ClosedForm, Weighed, pose_corrections_for
+from cablesense_training.networks.layers import (
+    SingleContactOutput,
+    StatedSpread,
+    one_hot_of_argmax,
+)
+from cablesense_training.networks.second_order import SecondOrderClosedForm
+from cablesense_training.networks.single_contact import SingleContactNetwork
+
+_JUDGED_SAMPLES = 256
+_LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
+
+
+def exact_statics(
+    arm: Arm,
+    tare_samples: int,
+    pose_corrections: int | None = None,
+    unexplained_n2: float | None = None,
+) -> ClosedForm:
+    """The closed form of an arm, with as many pose corrections as it calls for, or as given.
+
+    `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
+    """
+    nominal = Mechanism.from_arm(arm)
+    mechanism = amended(nominal, entries_of(arm))
+    if pose_corrections is None:
+        pose_corrections = pose_corrections_for(mechanism)
+        if _holds_other_lengths(mechanism, nominal):
+            pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
+    return ClosedForm(
+        mechanism,
+        difference_variance_n2(arm.sensors, tare_samples),
+        pose_corrections,
+        unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
+        nominal if _holds_other_lengths(mechanism, nominal) else None,
+    )
+
+
+def statics(arm: Arm, tare_samples: int) -> ClosedForm | SecondOrderClosedForm:
+    """The closed form of an arm; to second order where that is enough, which is faster."""
+    nominal = Mechanism.from_arm(arm)
+    mechanism = amended(nominal, entries_of(arm))
+    plain = not mechanism.joint_stiffness_n_m_rad.any()
+    plain = plain and not _holds_other_lengths(mechanism, nominal)
+    if plain and pose_corrections_for(mechanism) <= 1:
+        variance = difference_variance_n2(arm.sensors, tare_samples)
+        return SecondOrderClosedForm(mechanism, variance, unexplained_variance_n2(arm))
+    return exact_statics(arm, tare_samples)
+
+
+def _holds_other_lengths(mechanism: Mechanism, nominal: Mechanism) -> bool:
+    """Whether holes are elsewhere, so that the held lengths are not the arm's own."""
+    return not (
+        mechanism.segment_hole_y_m is None
+        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
+        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
+    )
+
+
+def unexplained_variance_n2(arm: Arm) -> float:
+    """Mean square of what the arm's effects make of tension differences and statics does not."""
+    entries = entries_of(arm)
+    if not (actuations([entries]) or memories([entries]) or sensings([entries])):
+        return 0.0
+    protocol = SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False)
+    seen = Dataset.from_protocol(arm, protocol)
+    nominal = Mechanism.from_arm(arm)
+    mechanism, held = amended(nominal, entries), held_lengths_m(nominal, seen.command_rad)
+    loaded, unloaded = (
+        solve_equilibrium(mechanism, seen.command_rad, forces, held_m=held).tensions_n
+        for forces in (seen.forces_n, np.zeros_like(seen.forces_n))
+    )
+    return float(((seen.tension_difference_n - (loaded - unloaded)) ** 2).mean())
+
+
+LARGEST_CORRECTION = 1.0
+"""In standard deviations of the closed form."""
+
+
+class CorrectedClosedForm(SingleContactNetwork):
+    """Single contact from tension differences (B, M) and joint commands (B, 2N), in float64.
+
+    Args:
+        mechanism: the arm.
+        closed_form: statics of that arm.
+        force_range_n: largest force expected; the prior of a contact is uniform over the disc of
+            forces up to it.
+        width: of the hidden layer.
+    """
+
+    pose_aware: ClassVar[bool] = True
+    frame: Tensor
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        closed_form: ClosedForm | SecondOrderClosedForm,
+        force_range_n: float = 200.0,
+        width: int = 48,
+    ) -> None:
+        segments, cables = mechanism.segment_count, mechanism.cable_count
+        super().__init__(cables, segments)
+        self.closed_form = closed_form
+        self.spread = StatedSpread(2)
+        self.log_prior = -2.0 * math.log(force_range_n)
+        self.log_trust = nn.Parameter(torch.zeros(()))
+        self.segment_bias = nn.Parameter(torch.zeros(segments))
+        self.hidden = nn.Linear(cables, width)
+        self.hidden_segment = nn.Parameter(0.1 * torch.randn(segments, width))
+        self.heads = nn.Linear(width, 4, bias=False)
+        nn.init.zeros_(self.heads.weight)
+        turns = torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]])
+        self.register_buffer("frame", turns)
+        self.double()
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
+        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
+        return cls(Mechanism.from_arm(arm), statics(arm, tare_samples))
+
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
+        self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
+
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> SingleContactOutput:
+        """See the base class."""
+        return self.answer_and_taut(tension_difference_n, joint_command_rad)[0]
+
+    def answer_and_taut(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None
+    ) -> tuple[SingleContactOutput, Tensor]:
+        """The answers, and (B, M) one for each taut cable and zero for each slack one."""
+        assert joint_command_rad is not None
+        found = self.closed_form.weigh(
+            tension_difference_n.double(), joint_command_rad.double(), self._weighing
+        )
+        chosen = one_hot_of_argmax(found.evidence)
+        force = chosen @ found.force_n
+        root, shift, widen = (chosen @ self._known(found)).split([4, 2, 2], dim=-1)
+
+        axes = (force / _length(force) @ self.frame).reshape(-1, 2, 2)
+        stds = _length(axes @ root.reshape(-1, 2, 2)).transpose(1, 2)
+        force = force + shift * stds @ axes
+        magnitude = _length(force)
+        std_n, turned_n = (stds * widen).chunk(2, dim=-1)
+        output = SingleContactOutput(
+            contact_logits=functional.pad(found.evidence, (1, 0)).flatten(1),
+            direction=(force / magnitude).flatten(1),
+            magnitude_n=magnitude.flatten(),
+            magnitude_std_n=std_n.flatten(),
+            angle_std_deg=(turned_n / magnitude).flatten(),
+        )
+        return output, found.taut
+
+    def _known(self, found: Weighed) -> Tensor:
+        """(B, N, 8) per segment: root of the covariance, correction, and widening of the spread.
+
+        The network sees which cables are taut, so all this changes only when they do.
+        """
+        hidden = torch.tanh(self.hidden(found.taut)[:, None] + self.hidden_segment)
+        shift, widen = torch.tanh(self.heads(hidden)).chunk(2, dim=-1)
+        root = _square_root(found.covariance_n2).flatten(2)
+        scale = self.spread.factor * self.spread.factor.new_tensor([1.0, 180.0 / math.pi])
+        return torch.cat([root, LARGEST_CORRECTION * shift, torch.exp(widen) * scale], dim=-1)
+
+    def _weighing(self, information: Tensor, covariance_n2: Tensor) -> tuple[Tensor, Tensor]:
+        """Log evidence against no contact, as f' W f plus a constant.
+
+        Half the misfit explained, less the Occam factor of two free components: with a prior
+        density of 1 / (pi F_max²), the evidence integral over f is 2 sqrt(det C) / F_max² at the
+        best fit (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
+        chapter 28).
+        """
+        occam = 0.5 * torch.log(_determinant(covariance_n2)) + math.log(2.0) + self.log_prior
+        trust = 0.5 * torch.exp(self.log_trust)
+        return information * trust, occam + self.segment_bias
+
+
+class PlainClosedForm(CorrectedClosedForm):
+    """The peer to beat: statics at the commanded pose; nothing in it is trained."""
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
+        """The closed form of an arm that is taken to stand where it is commanded."""
+        closed_form = exact_statics(arm, tare_samples, pose_corrections=0)
+        network = cls(Mechanism.from_arm(arm), closed_form)
+        network.requires_grad_(False)
+        return network
+
+
+def _length(rows: Tensor) -> Tensor:
+    """Lengths (..., 1) of the last axis."""
+    return torch.linalg.vector_norm(rows, dim=-1, keepdim=True)
+
+
+def _determinant(matrix: Tensor) -> Tensor:
+    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+
+
+def _square_root(matrix: Tensor) -> Tensor:
+    """Symmetric square roots of symmetric positive definite 2 by 2 matrices (..., 2, 2).
+
+    `(A + sqrt(det A) I) / sqrt(tr A + 2 sqrt(det A))`, by Cayley and Hamilton.
+    """
+    root_det = torch.sqrt(_determinant(matrix))[..., None, None]
+    trace = (matrix[..., 0, 0] + matrix[..., 1, 1])[..., None, None]
+    identity = torch.eye(2, dtype=matrix.dtype)
+    return (matrix + root_det * identity) / torch.sqrt(trace + 2.0 * root_det)

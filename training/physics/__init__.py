@@ -1,1 +1,0 @@
-"""Differentiable statics: what physics alone says about a contact, as torch layers."""
