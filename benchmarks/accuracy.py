@@ -22,6 +22,7 @@ from typing import Any
 from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
@@ -31,8 +32,6 @@ from cablesense_training.evaluation.comparison import (
     multi_figures,
     multi_protocol,
     setting_figures,
-    single_contact_answer,
-    single_contact_truth,
     single_json,
 )
 from cablesense_training.evaluation.metrics import SingleContactMetrics, single_contact_metrics

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
-
 if TYPE_CHECKING:
     from cablesense_online.commissioning.known_loads import KnownLoad
     from cablesense_online.commissioning.sensor_calibration import SensorCalibration
+    from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
 
 
 def calibrate(

@@ -58,7 +58,7 @@ from cablesense_paper.study import (
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.protocols import Pose, SingleContact
-from cablesense_training.evaluation.comparison import single_contact_answer, single_contact_truth
+from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
 from cablesense_training.export import export_model
 from cablesense_training.fit import FitSettings, fit

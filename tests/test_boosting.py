@@ -10,7 +10,7 @@ from cablesense_sim.arm import load_arm
 from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data import Dataset, SingleContact
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.comparison import single_contact_truth
+from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))

@@ -8,7 +8,7 @@ import pytest
 from cablesense_sim.arm import open_arm
 from cablesense_training.data import write_dataset
 from cablesense_training.errors import DatasetError, TrainingError
-from cablesense_training.evaluation.comparison import single_contact_truth
+from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
 from cablesense_training.fit import FitSettings
 from cablesense_training.inference.estimator import Estimator, MultiEstimator

@@ -24,7 +24,7 @@ from cablesense_training.data import (
     read_dataset,
 )
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.comparison import (
+from cablesense_training.evaluation.answers import (
     multi_contact_answer,
     single_contact_answer,
     single_contact_truth,

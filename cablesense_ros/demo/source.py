@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from enum import Enum, StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cablesense_msgs_py import topics
-from cablesense_ros.demo.processes import ChildCommand, node_command
+
+if TYPE_CHECKING:
+    from cablesense_ros.demo.processes import ChildCommand
 
 DEMO_MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
@@ -30,6 +33,8 @@ def source_commands(source: Source, arm: str, seed: int, folder: Path) -> list[C
         seed: of the noise.
         folder: where the link to the emulated adapter is put.
     """
+    from cablesense_ros.demo.processes import node_command
+
     simulation: dict[str, str | int] = {"arm": arm, "seed": seed}
     if source is Source.SIM:
         return [node_command("sim", simulation)]

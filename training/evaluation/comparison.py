@@ -1,21 +1,14 @@
 """Every setting, every estimator, on fresh samples: the figures of `cablesense evaluate`.
 
 The settings that estimators are compared in: which arm, which poses, which models answer.
-
-Answers of a trained network on a dataset, as the metrics take them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
-
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
@@ -31,7 +24,6 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 
 
 @dataclass(frozen=True)
@@ -287,46 +279,3 @@ def _bins(metrics: SingleContactMetrics) -> Iterable[dict[str, float]]:
             "direction_mae_deg": force_bin.errors.direction_mae_deg,
             "magnitude_mae_n": force_bin.errors.magnitude_mae_n,
         }
-
-
-_ROWS_AT_ONCE = 8192
-
-
-def single_contact_truth(dataset: Dataset) -> ContactTruth:
-    """The labels of a single-contact dataset."""
-    return ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
-
-
-def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
-    """What a single-contact network says of a dataset; angles in [0, 360)."""
-    outputs = list(_outputs(network, dataset))
-    logits, direction, magnitude, magnitude_std, angle_std = (
-        torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)
-    )
-    return ContactAnswer(
-        segment=logits.argmax(axis=1),
-        angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
-        magnitude_n=magnitude,
-        magnitude_std_n=magnitude_std,
-        angle_std_deg=angle_std,
-    )
-
-
-def multi_contact_answer(
-    network: MultiContactNetwork, dataset: Dataset
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Touched segments (B, N) and magnitudes (B, N) that a multi-contact network says."""
-    logits, magnitude, _ = zip(*_outputs(network, dataset), strict=True)
-    touched: NDArray[np.bool_] = torch.cat(logits).numpy() > 0.0
-    return touched, torch.cat(magnitude).double().numpy()
-
-
-def _outputs(network: Network, dataset: Dataset) -> Iterator[tuple[Tensor, ...]]:
-    dtype = next(network.parameters()).dtype
-    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype)
-    command = torch.as_tensor(dataset.command_rad).to(dtype)
-    network.eval()
-    with torch.no_grad():
-        for start in range(0, len(tension), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
-            yield tuple(network(tension[rows], command[rows]))
