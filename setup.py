@@ -66,6 +66,7 @@ EXTRAS = {
         "pillow",  # looks at what the browser shows, in the page's test
         "pytest",  # the tests
         "pytest-timeout",  # a test that hangs fails instead
+        "pytest-xdist",  # the tests on all cores
         "ruff",  # style
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml

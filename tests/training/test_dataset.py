@@ -14,7 +14,7 @@ from cablesense_training.data import Dataset, MultiContact, SingleContact
 from cablesense_training.data.dataset import combine, summarise
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parent.parent / "config" / "arms"
+ARMS = Path(__file__).parents[2] / "config" / "arms"
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ pytestmark = [
 
 ARM = open_arm("cdsm_lab")
 COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def record(*arguments):

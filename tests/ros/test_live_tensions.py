@@ -29,7 +29,7 @@ HEARING = (
     "from cablesense_cli.app import main; main()"
 )
 """A shell starts what runs in its background deaf to Ctrl-C, and tests may run there."""
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def check(*arguments):

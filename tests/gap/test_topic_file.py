@@ -20,7 +20,7 @@ from cablesense_gap.recordings.mcap_writer import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import LATCHED, PUBLISHER
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 S = 1_000_000_000
 STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 

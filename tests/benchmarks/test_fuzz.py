@@ -12,7 +12,7 @@ import pytest
 
 from cablesense_base.errors import CableSenseError
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 from fuzz.watched import (  # noqa: E402

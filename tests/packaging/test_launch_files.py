@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-FOLDER = Path(__file__).parents[1] / "cablesense_ros" / "launch"
+FOLDER = Path(__file__).parents[2] / "cablesense_ros" / "launch"
 MODULES = {
     "launch": ["LaunchContext", "LaunchDescription"],
     "launch.actions": [

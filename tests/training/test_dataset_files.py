@@ -23,7 +23,7 @@ from cablesense_training.data import (
 from cablesense_training.data.dataset import ARRAY_NAMES
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parent.parent / "config" / "arms"
+ARMS = Path(__file__).parents[2] / "config" / "arms"
 
 
 @pytest.fixture(scope="module")

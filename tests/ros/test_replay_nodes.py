@@ -29,7 +29,7 @@ pytestmark = [
 ]
 
 ARM = open_arm("cdsm")
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CLI = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
 

@@ -23,7 +23,7 @@ from cablesense_training.data import (
 from cablesense_training.data.protocols import CHUNK_SAMPLES
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parent.parent / "config" / "arms"
+ARMS = Path(__file__).parents[2] / "config" / "arms"
 PROTOCOL = SingleContact(samples=2 * CHUNK_SAMPLES + 100, pose="random")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import cablesense_gap
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 PLANT = "cablesense_gap.plant"
 
 WITHOUT_PLANT = f"""
@@ -47,6 +47,7 @@ walk(cablesense_gap)
 """
 
 A_DIAGNOSIS = """
+sys.path.insert(0, "..")
 from test_gap_diagnose import COURSE, LAB, made
 from cablesense_gap.diagnose import diagnose
 from cablesense_gap.simulator import Term
@@ -59,7 +60,10 @@ assert not [name for name in sys.modules if name.startswith("cablesense_gap.plan
 
 def run(program: str) -> list[str]:
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_PLANT + program], cwd=TESTS, capture_output=True, text=True
+        [sys.executable, "-c", WITHOUT_PLANT + program],
+        cwd=TESTS / "gap",
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
