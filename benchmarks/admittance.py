@@ -11,17 +11,14 @@ noise: `cablesense demo --controller admittance --headless`.
 
 from __future__ import annotations
 
-import argparse
 import json
-import platform
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 
 from cablesense_online.admittance.controller import ControllerSettings
@@ -31,7 +28,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
-OUT = Path(__file__).parent / "results" / "admittance.json"
+RESULT = "admittance.json"
 ARMS = ("cdsm", "cdsm_lab")
 ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
 STIFFNESSES_N_M = (2_000.0, 10_000.0, 20_000.0, 40_000.0, 100_000.0)
@@ -47,8 +44,7 @@ DEMO_S = 24.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
+    parser = harness.parser(__doc__, f"results/{RESULT}")
     options = parser.parse_args(arguments)
     settings = ControllerSettings()
     cases = [
@@ -59,9 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for angle in ANGLES_DEG
     ]
     report = {
-        "command": "python benchmarks/admittance.py --write",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        **harness.origin("python benchmarks/admittance.py --write", ["mujoco"]),
         "assumed_worst_stiffness_n_m": settings.law.worst_stiffness_n_m,
         "deadband_n": settings.law.deadband_n,
         "period_s": PERIOD_S,
@@ -75,9 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.write:
         rows = ",\n".join(json.dumps(case) for case in cases)  # one a line
         text = f'{json.dumps(report, indent=1)[:-2]},\n "cases": [\n{rows}\n]}}\n'
-        partial = OUT.with_suffix(".part")
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(OUT)
+        harness.write_result(RESULT, text)
     return 0
 
 

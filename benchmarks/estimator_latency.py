@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import signal
 import struct
 import subprocess
@@ -24,10 +23,9 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
+import harness
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
@@ -51,7 +49,7 @@ BLOCK_S = 1.0
 WARM_UP_S = 2.0
 PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
 MEDIAN_BAR, P99_BAR = 1.3, 1.5
-RESULTS = Path(__file__).parent / "results" / "estimator_latency.json"
+RESULT = "estimator_latency.json"
 PATHS = ("estimator", "raw_relay", "typed_relay")
 SINK_QOS = Qos(depth=1000, reliable=True)
 
@@ -261,11 +259,10 @@ def report(result: dict[str, object], arm_name: str, seconds: float) -> dict[str
     for relay, ratio in ratios.items():
         bars[f"median at most {MEDIAN_BAR} times {relay}"] = bool(ratio["median"] <= MEDIAN_BAR)
         bars[f"p99 at most {P99_BAR} times {relay}"] = bool(ratio["p99"] <= P99_BAR)
+    command = f"python benchmarks/estimator_latency.py --seconds {seconds:g} --write"
     return {
-        "command": f"python benchmarks/estimator_latency.py --seconds {seconds:g} --write",
-        "made": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.2f}",
-        "rclpy": version("rclpy"),
+        **harness.origin(command, ["rclpy"]),
+        "load": round(os.getloadavg()[0], 2),
         "arm": arm_name,
         "rate_hz": RATE_HZ,
         **result,
@@ -289,11 +286,10 @@ def _print(result: dict[str, object]) -> None:
 
 def main() -> int:
     """Measure, or play one of the parts."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--seconds", type=float, default=30.0, help="time for each path")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name} as well")
     parser.add_argument("--role", choices=("sink", *PATHS[1:]), help=argparse.SUPPRESS)
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -309,10 +305,7 @@ def main() -> int:
     else:
         _print(result)
     if given.write:
-        RESULTS.parent.mkdir(exist_ok=True)
-        partial = RESULTS.with_suffix(".part")
-        partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-        partial.replace(RESULTS)
+        harness.write_result(RESULT, result)
     return 0
 
 

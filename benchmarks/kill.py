@@ -17,7 +17,6 @@ the load, ten times in a row.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -25,11 +24,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 import rclpy
 from kill.chain import STALE_AFTER_S, VICTIMS, Chain, kill_recorders, whole
 from kill.trials import LEASE_S, Kill, KillTrials, Watcher
-from nodes.harness import own_graph, shared_memory_mb, with_origin, write_result
+from node_processes import own_graph
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
 
@@ -53,7 +53,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
     arm = open_arm(arm_name)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        shared_mb = shared_memory_mb()
+        shared_mb = harness.shared_memory_mb()
         chain = Chain(arm_name, rate_hz, folder)
         rclpy.init()
         watcher = Watcher(arm)
@@ -80,7 +80,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
             executor.shutdown()
             watcher.destroy_node()
             try_shutdown()
-    left_mb = shared_memory_mb() - shared_mb
+    left_mb = harness.shared_memory_mb() - shared_mb
     figures = {victim: _figures(ones) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
@@ -136,19 +136,19 @@ def _bars(
 
 def main() -> int:
     """Measure."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = harness.parser(__doc__, "results/kill.json")
     parser.add_argument("--times", type=int, default=50, help="kills of each")
     parser.add_argument("--rate-hz", type=float, default=RATE_HZ, help="samples a second")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--write", action="store_true", help="write results/kill.json as well")
     given = parser.parse_args()
     own_graph()
     options = f"--times {given.times} --rate-hz {given.rate_hz:g} --write"
     measured = measure(given.arm, given.rate_hz, given.times)
-    result = with_origin(f"python benchmarks/kill.py {options}", measured)
+    origin = harness.origin(f"python benchmarks/kill.py {options}", ["rclpy"])
+    result = {**origin, **measured}
     print(json.dumps(result, indent=2))
     if given.write:
-        write_result("kill.json", result)
+        harness.write_result("kill.json", result)
     return 0
 
 

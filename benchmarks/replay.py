@@ -13,7 +13,6 @@ after the stamps' common shift is taken back).
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,17 +21,15 @@ import time
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from nodes.harness import (
+from node_processes import (
     NodeProcess,
-    cpu_s,
     node_command,
     own_graph,
     wait_until,
-    with_origin,
-    write_result,
 )
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -182,7 +179,7 @@ def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
             person.rest(2.0)
             end = time.monotonic() + seconds
             joins, dies = end - (1 - LATE_JOINS_AT) * seconds, end - (1 - LATE_DIES_AT) * seconds
-            began_s, began_cpu = time.monotonic(), cpu_s(recorder.pid)
+            began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
             second = None
             while time.monotonic() < end:
                 person.act()
@@ -190,7 +187,7 @@ def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
                     second = _recorder(late)
                 elif second is not None and second.alive and time.monotonic() > dies:
                     second.kill()
-            share = (cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
+            share = (harness.cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
             recorder.stop()
         person.leave()
     result = {
@@ -266,22 +263,21 @@ def report(result: dict[str, Any], seconds: float) -> dict[str, Any]:
         result["begun in mid-run and killed, in process"]["cut"]
     )
     command = f"python benchmarks/replay.py --seconds {seconds:g} --write"
-    return with_origin(command, {**result, "bars": bars})
+    return {**harness.origin(command, ["rclpy"]), **result, "bars": bars}
 
 
 def main() -> int:
     """Measure and say."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = harness.parser(__doc__, "results/replay.json")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the run")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--write", action="store_true", help="write results/replay.json as well")
     given = parser.parse_args()
     own_graph()
     with tempfile.TemporaryDirectory() as folder:
         result = report(measure(given.arm, given.seconds, Path(folder)), given.seconds)
     if given.write:
-        write_result("replay.json", result)
+        harness.write_result("replay.json", result)
     if given.json:
         print(json.dumps(result, indent=2))
     else:

@@ -27,15 +27,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 import rclpy
-from nodes.harness import (
+from node_processes import (
     NodeProcess,
     node_command,
     own_graph,
     wait_until,
-    with_origin,
-    write_result,
 )
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
@@ -225,10 +224,9 @@ def bars(result: dict[str, Any]) -> dict[str, bool]:
 
 def main() -> int:
     """Measure, or play the amplifiers."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = harness.parser(__doc__, "results/soak.json")
     parser.add_argument("--minutes", type=float, default=10.0, help="of the packed amplifier")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--write", action="store_true", help="write results/soak.json as well")
     parser.add_argument("--only", choices=(PACKED, CIA404), help="one map alone")
     parser.add_argument("--role", choices=("amplifiers",), help=argparse.SUPPRESS)
     parser.add_argument("--map", help=argparse.SUPPRESS)
@@ -246,10 +244,10 @@ def main() -> int:
         run = measure(given.arm, map_name, minutes[map_name])
         runs.append({**run, "bars": bars(run)})
     command = f"python benchmarks/soak.py --minutes {given.minutes:g} --write"
-    result = with_origin(command, {"arm": given.arm, "runs": runs})
+    result = {**harness.origin(command, ["rclpy"]), "arm": given.arm, "runs": runs}
     print(json.dumps(result, indent=2))
     if given.write:
-        write_result("soak.json", result)
+        harness.write_result("soak.json", result)
     return 0
 
 

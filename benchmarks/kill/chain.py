@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nodes.harness import NodeProcess, node_command
+from node_processes import NodeProcess, node_command
 from numpy.typing import NDArray
 
 from cablesense_base.errors import CableSenseError

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from nodes.harness import cpu_s, rss_mb
+from harness import cpu_s, rss_mb
 from numpy.typing import NDArray
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node

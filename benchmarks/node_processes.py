@@ -1,25 +1,15 @@
-"""One process under test: started as a user would, its output in a file, ended for sure.
-
-Memory and processor time of a process, from /proc (Linux).
-
-The file of a result: what made it, on which machine, written whole or not at all.
-"""
+"""One node process under test: started as a user would, its output in a file, always ended."""
 
 from __future__ import annotations
 
-import json
 import os
-import platform
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from cablesense_ros.node_process import prefer_quick_discovery
 
@@ -120,60 +110,3 @@ class NodeProcess:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
-
-
-_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
-_TICKS_S = os.sysconf("SC_CLK_TCK")
-_USER_TICKS, _SYSTEM_TICKS = 11, 12  # in the fields after the name, which may hold spaces
-
-
-def rss_mb(pid: int) -> float:
-    """Memory of a process that lies in RAM, MB (10^6 bytes); NaN when it has ended."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    except (OSError, IndexError):
-        return float("nan")
-    return pages * _PAGE_BYTES / 1e6
-
-
-def shared_memory_mb() -> float:
-    """What lies in /dev/shm, MB: Fast DDS's segments, also those of processes that were killed."""
-    try:
-        return sum(file.stat().st_blocks for file in Path("/dev/shm").iterdir()) * 512 / 1e6
-    except OSError:
-        return float("nan")
-
-
-def cpu_s(pid: int) -> float:
-    """Processor time that a process has taken so far, s; NaN when it has ended."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return float("nan")
-    fields = stat.rpartition(")")[2].split()
-    return (int(fields[_USER_TICKS]) + int(fields[_SYSTEM_TICKS])) / _TICKS_S
-
-
-RESULTS = Path(__file__).parents[1] / "results"
-
-
-def with_origin(command: str, result: Mapping[str, Any]) -> dict[str, Any]:
-    """The result, after the command, the time and the machine that made it."""
-    return {
-        "command": command,
-        "made": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
-        "python": platform.python_version(),
-        "rclpy": version("rclpy"),
-        **result,
-    }
-
-
-def write_result(name: str, result: Mapping[str, Any]) -> Path:
-    """Put the result into its file; gives the path."""
-    path = RESULTS / name
-    path.parent.mkdir(exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    part.replace(path)
-    return path

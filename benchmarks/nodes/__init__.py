@@ -1,1 +1,0 @@
-"""What benchmarks of running nodes share: processes, their figures, the file of a result."""
