@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.discovery import prefer_quick_discovery
 
 END_WITHIN_S = 20.0
 

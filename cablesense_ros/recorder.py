@@ -29,7 +29,8 @@ from cablesense_gap.recordings.mcap_writer import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved
-from cablesense_ros.node_process import ThrottledLog, prefer_quick_discovery
+from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.node_process import ThrottledLog
 from cablesense_ros.parameters import message_class, overridable, qos_profile
 from cablesense_sim.arm import Arm
 

@@ -29,7 +29,8 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.pull_check import Pull
 from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, TimeWindow
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_ros.node_process import ThrottledLog, prefer_quick_discovery
+from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.node_process import ThrottledLog
 from cablesense_ros.parameters import overridable, qos_profile
 
 

@@ -5,9 +5,11 @@ Nor does a test spread small matrices over threads.
 
 import os
 
+from cablesense_ros.discovery import free_domain
+
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other on a busy core
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # above 101, ports may clash
+os.environ["ROS_DOMAIN_ID"] = str(free_domain())
 
 from model_fixtures import model_files, temporal_model_file  # noqa: F401 (fixtures)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -22,50 +19,26 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from cablesense_ros.processes import Process, node_command
+
 PATIENCE_S = 20.0
 
 
-class NodeProcess:
+class NodeProcess(Process):
     """One node started as a user would start it."""
 
     def __init__(
         self,
         module: str,
-        namespace: str = "/",
+        namespace: str = "",
         remaps: dict[str, str] | None = None,
         **parameters: object,
     ) -> None:
-        arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
-        for topic, other in (remaps or {}).items():
-            arguments += ["-r", f"{topic}:={other}"]
-        for name, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
+        name = module.removeprefix("cablesense_ros.").removesuffix("_node")
+        given = {key.replace("__", "."): value for key, value in parameters.items()}
         handle, path = tempfile.mkstemp(suffix=".log")
-        self._log = Path(path)
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdout=handle,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-            cwd=Path(__file__).parents[1],
-        )
         os.close(handle)
-
-    @property
-    def log(self) -> str:
-        """What it has printed so far."""
-        return self._log.read_text(encoding="utf-8")
-
-    def wait(self) -> int:
-        """Its exit code."""
-        return self.process.wait(timeout=PATIENCE_S)
-
-    def stop(self) -> int:
-        """End it as Ctrl-C does; give its exit code."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        return self.wait()
+        super().__init__(name, node_command(name, given, remaps, namespace), Path(path))
 
 
 class Graph:

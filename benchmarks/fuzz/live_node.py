@@ -22,7 +22,7 @@ import numpy as np
 
 from cablesense_msgs_py import topics
 from cablesense_online.samples import PLAUSIBLE_N
-from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism

@@ -43,9 +43,9 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.wall import Approach
-from cablesense_ros.demo.processes import ChildCommand, Processes, demo_environment, node_command
-from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.discovery import own_graph, prefer_quick_discovery
 from cablesense_ros.parameters import qos_profile
+from cablesense_ros.processes import Processes, node_command
 from cablesense_ros.subscriptions import of_node
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
@@ -87,12 +87,12 @@ def run_controller_live(demo: ControllerDemo) -> None:
     """
     _checked_arm(demo)
     page = node_command("page", {"arm": demo.arm, "host": demo.host, "port": demo.port})
-    commands = [*_commands(demo, PRESS_M, LIVE_DELAY_S), page]
-    with Processes(commands, demo.out / "logs", demo_environment()) as processes:
+    commands = _commands(demo, PRESS_M, LIVE_DELAY_S) | {"page": page}
+    with Processes(commands, demo.out / "logs", own_graph()) as processes:
         print("Starting the simulated arm, the estimator, the controller and the page …")
         url = processes.wait_for_line("page", "page: ", START_S)
         print(f"CableSense demo: open {url} in a browser; Ctrl-C ends it.", flush=True)
-        processes.run_until_child_ends()
+        processes.run_until_one_ends()
 
 
 def run_controller_headless(demo: ControllerDemo, *, duration_s: float, as_json: bool) -> None:
@@ -103,7 +103,7 @@ def run_controller_headless(demo: ControllerDemo, *, duration_s: float, as_json:
             estimator.
     """
     arm = _checked_arm(demo)
-    environment = demo_environment()
+    environment = own_graph()
     os.environ.update(environment)  # before rclpy is imported: this process joins the same domain
     from cablesense_online.admittance.wall import Approach, compliance_m_n
     from cablesense_ros.demo.pictures import draw_admittance
@@ -119,7 +119,7 @@ def run_controller_headless(demo: ControllerDemo, *, duration_s: float, as_json:
         try:
             with console.status("Starting the simulated arm, the estimator and the controller …"):
                 processes.wait_until(
-                    lambda: observer.ready or None,
+                    lambda: observer.ready,
                     START_S,
                     f"the controller did not trust the estimator within {START_S:g} s",
                 )
@@ -165,8 +165,8 @@ def _checked_arm(demo: ControllerDemo) -> Arm:
     return arm
 
 
-def _commands(demo: ControllerDemo, depth_m: float, delay_s: float) -> list[ChildCommand]:
-    wall: dict[str, str | int | float | bool] = {
+def _commands(demo: ControllerDemo, depth_m: float, delay_s: float) -> dict[str, list[str]]:
+    wall: dict[str, object] = {
         "arm": demo.arm,
         "segment": min(SEGMENT, open_arm(demo.arm).segment_count),
         "stiffness_n_m": STIFFNESS_N_M,
@@ -175,12 +175,13 @@ def _commands(demo: ControllerDemo, depth_m: float, delay_s: float) -> list[Chil
         "depth_m": depth_m,
         "delay_s": delay_s,
     }
-    return [
-        node_command("sim", {"arm": demo.arm, "seed": demo.seed}),
-        node_command("estimator", {"arm": demo.arm, "model": demo.model}),
-        node_command("admittance", {"arm": demo.arm, "deadband_n": DEADBAND_N}),
-        node_command("obstacle", wall),
-    ]
+    parameters: dict[str, dict[str, object]] = {
+        "sim": {"arm": demo.arm, "seed": demo.seed},
+        "estimator": {"arm": demo.arm, "model": demo.model},
+        "admittance": {"arm": demo.arm, "deadband_n": DEADBAND_N},
+        "obstacle": wall,
+    }
+    return {name: node_command(name, given) for name, given in parameters.items()}
 
 
 STEADY_S = 2.0

@@ -19,8 +19,9 @@ from rich.console import Console
 
 from cablesense_base.errors import CableSenseError
 from cablesense_online.page.exposure import exposure_warning
-from cablesense_ros.demo.processes import ChildCommand, Processes, demo_environment, node_command
 from cablesense_ros.demo.source import DEMO_MAP, Source, source_commands
+from cablesense_ros.discovery import own_graph
+from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
 
 PAGE_START_S = 60.0
@@ -69,7 +70,7 @@ def run_live(options: DemoOptions) -> None:
         "page",
         {"arm": options.arm, "host": options.host, "port": options.port, "home_at_start": True},
     )
-    with _ended_by_signals(), _processes(options, [page]) as processes:
+    with _ended_by_signals(), _processes(options, {"page": page}) as processes:
         print("Starting the simulated arm, the estimator and the page …", flush=True)
         url = processes.wait_for_line("page", "page: ", PAGE_START_S)
         busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
@@ -77,7 +78,7 @@ def run_live(options: DemoOptions) -> None:
         if warning:
             print(f"Warning: {warning}.", flush=True)
         print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
-        processes.run_until_child_ends()
+        processes.run_until_one_ends()
 
 
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
@@ -91,7 +92,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
     arm = _check_files(options)
     script = make_script(arm.segment_count, duration_s, options.seed)
-    environment = demo_environment()
+    environment = own_graph()
     os.environ.update(environment)  # before rclpy is imported: this process joins the same domain
     from cablesense_online.page.snapshot import Level
     from cablesense_ros.demo.observer import Observer, play
@@ -100,7 +101,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     from cablesense_ros.demo.script import push_results, results_table
 
     console = Console(stderr=as_json)
-    with _ended_by_signals(), _processes(options, []) as processes:
+    with _ended_by_signals(), _processes(options, {}) as processes:
         observer = Observer(arm)
         try:
             with console.status("Starting the simulated arm and the estimator …"):
@@ -164,18 +165,16 @@ def _check_files(options: DemoOptions) -> Arm:
     return arm
 
 
-def _processes(options: DemoOptions, more: list[ChildCommand]) -> Processes:
-    commands = [
-        *source_commands(options.source, options.arm, options.seed, options.out),
-        node_command("estimator", {"arm": options.arm, "model": options.model}),
-        *more,
-    ]
-    return Processes(commands, options.out / "logs", demo_environment())
+def _processes(options: DemoOptions, more: dict[str, list[str]]) -> Processes:
+    commands = source_commands(options.source, options.arm, options.seed, options.out) | {
+        "estimator": node_command("estimator", {"arm": options.arm, "model": options.model})
+    }
+    return Processes(commands | more, options.out / "logs", own_graph())
 
 
 def _until(processes: Processes, true: Callable[[], bool], otherwise: str) -> None:
     processes.wait_until(
-        lambda: True if true() else None,
+        true,
         ESTIMATES_START_S,
         f"{otherwise} within {ESTIMATES_START_S:g} s",
     )

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from enum import Enum, StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cablesense_msgs_py import topics
-
-if TYPE_CHECKING:
-    from cablesense_ros.demo.processes import ChildCommand
+from cablesense_ros.processes import node_command
 
 DEMO_MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
@@ -24,7 +21,7 @@ class Source(StrEnum):
     CAN = "can"
 
 
-def source_commands(source: Source, arm: str, seed: int, folder: Path) -> list[ChildCommand]:
+def source_commands(source: Source, arm: str, seed: int, folder: Path) -> dict[str, list[str]]:
     """The nodes that publish `cable_tensions`.
 
     Args:
@@ -33,22 +30,21 @@ def source_commands(source: Source, arm: str, seed: int, folder: Path) -> list[C
         seed: of the noise.
         folder: where the link to the emulated adapter is put.
     """
-    from cablesense_ros.demo.processes import node_command
-
     simulation: dict[str, str | int] = {"arm": arm, "seed": seed}
     if source is Source.SIM:
-        return [node_command("sim", simulation)]
+        return {"sim": node_command("sim", simulation)}
     amplifier: dict[str, str | int] = {
         "arm": arm,
         "map": DEMO_MAP,
         "channel": str(folder.resolve() / "can_adapter"),
     }
     adapter: dict[str, str | int] = {"interface": "slcan", "bitrate_bit_s": _BITRATE_BIT_S}
-    return [
-        node_command("can_emulator", amplifier),
-        node_command("can_driver", {**amplifier, **adapter}),
-        node_command("sim", simulation, {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}),
-    ]
+    remaps = {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}
+    return {
+        "can_emulator": node_command("can_emulator", amplifier),
+        "can_driver": node_command("can_driver", {**amplifier, **adapter}),
+        "sim": node_command("sim", simulation, remaps),
+    }
 
 
 class Controller(Enum):

@@ -89,7 +89,7 @@ def test_the_force_falls_stays_low_and_a_killed_estimator_stops_the_arm():
         _yields_to_another_commander(loop, processes[2])
         _lets_go_at_its_end(loop, processes[1])
     finally:
-        estimator.process.kill()
+        estimator.kill()
         codes = [process.stop() for process in processes]
         loop.close()
     assert codes[:3] == [0, 0, 0], [process.log for process in processes]
@@ -115,7 +115,7 @@ def _killed_and_back(loop, estimator, processes):
     loop.advance_wall(2.0 * HELD_N / 10_000.0)
     count = len(loop.commands)
     loop.until(lambda: len(loop.commands) > count, "a step away from the advancing wall")
-    estimator.process.kill()
+    estimator.kill()
     killed_s = time.monotonic()
     loop.spin(2.0)
     late = [when for when, _ in loop.commands if when > killed_s + STALE_AFTER_S + LATENESS_S]

@@ -131,7 +131,7 @@ def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, d
 def test_an_adapter_that_is_pulled_is_reported_and_taken_again(graph, adapter, driver):
     adapter.port.close()
     graph.until(lambda: "is not open" in said(graph, "interface"), "the loss in diagnostics")
-    assert driver.process.poll() is None
+    assert driver.alive
     adapter.port = SlcanPort(adapter.link)
     plugged_s = time.monotonic()
     tensions_come(graph, adapter, count=5)

@@ -142,11 +142,11 @@ def test_either_side_may_be_killed_and_the_other_goes_on(graph, tmp_path):
     graph.until(come, "tensions")
     for victim in ("emulator", "driver"):
         if victim == "emulator":
-            emulator.process.kill()
+            emulator.kill()
             emulator.wait()
             emulator = NodeProcess(EMULATOR, **emulated)
         else:
-            driver.process.kill()
+            driver.kill()
             driver.wait()
             driver = NodeProcess(DRIVER, **driving)
         graph.spin(0.2)

@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cablesense_ros.node_process import PROFILES, RANGE, TRANSPORTS, prefer_quick_discovery
+from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, own_graph, prefer_quick_discovery
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
 PEER = """
 import sys
-from cablesense_ros.node_process import prefer_quick_discovery
+from cablesense_ros.discovery import prefer_quick_discovery
 if sys.argv[1] == "prefers":
     prefer_quick_discovery()
 import rclpy
@@ -109,13 +109,23 @@ def test_no_shared_memory_unless_the_user_wants_it():
     assert environment[TRANSPORTS] == "DEFAULT"
 
 
+def test_a_graph_of_its_own_has_a_domain_that_no_other_process_has():
+    code = "from cablesense_ros.discovery import own_graph; print(own_graph()['ROS_DOMAIN_ID'])"
+    environment = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout) != int(os.environ["ROS_DOMAIN_ID"])
+    assert own_graph()["ROS_DOMAIN_ID"] == os.environ["ROS_DOMAIN_ID"]
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize(("asker", "replier"), [("prefers", "plain"), ("plain", "prefers")])
 @pytest.mark.parametrize("given", [{RANGE: "LOCALHOST"}, {}])
 def test_who_prefers_it_and_who_does_not_hear_each_other(given, asker, replier):
     pytest.importorskip("rclpy")
     environment = {name: value for name, value in os.environ.items() if name != RANGE}
-    environment |= given | {"ROS_DOMAIN_ID": "93"}
+    environment |= given
     peer = [sys.executable, "-c", PEER]
     with subprocess.Popen([*peer, replier, "replies"], env=environment) as other:
         try:

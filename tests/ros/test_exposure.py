@@ -2,15 +2,14 @@
 
 import socket
 import struct
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 
 from cablesense_online.page.exposure import exposure_warning, is_loopback
-from cablesense_ros.demo.processes import demo_environment, node_command
-from cablesense_ros.node_process import PROFILES
+from cablesense_ros.discovery import PROFILES, own_graph
+from cablesense_ros.processes import Process, node_command, wait_until
 
 LISTENING = "0A"
 FIRST_DDS_PORT, PORTS_OF_A_DOMAIN = 7400, 250
@@ -33,10 +32,10 @@ def test_anything_else_is_said_in_one_line(host):
 
 def test_the_demo_keeps_dds_on_this_machine_unless_told_otherwise(monkeypatch):
     nothing_set(monkeypatch)
-    environment = demo_environment()
+    environment = own_graph()
     assert {Path(environment[name]).name for name in PROFILES} == {"loopback.xml"}
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    environment = demo_environment()
+    environment = own_graph()
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     assert {Path(environment[name]).name for name in PROFILES} == {"quick_discovery.xml"}
 
@@ -81,53 +80,37 @@ def bound(pid):
         ("can_driver", {"interface": "virtual", "channel": "exposure"}),
     ],
 )
-def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch):
+def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch, tmp_path):
     pytest.importorskip("rclpy")
     nothing_set(monkeypatch)
-    environment = demo_environment()
+    environment = own_graph()
     domain = int(environment["ROS_DOMAIN_ID"])
     first = FIRST_DDS_PORT + PORTS_OF_A_DOMAIN * domain
-    command = node_command(name, parameters).command
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as node:
-        try:
-            waiting = set()
-            end_s = time.monotonic() + 30.0
-            wanted = "tcp" if name == "page" else "udp"
-            while not any(kind == wanted for kind, _, _ in waiting):
-                assert node.poll() is None
-                assert time.monotonic() < end_s, f"{name} waits nowhere"
-                time.sleep(0.2)
-                waiting = set(bound(node.pid))
-            time.sleep(1.0)
-            waiting = set(bound(node.pid))
-        finally:
-            node.terminate()
-    listening = {entry for entry in waiting if entry[0].startswith("tcp")}
+    with Process(name, node_command(name, parameters), tmp_path / "log", environment) as node:
+
+        def waiting():
+            return set(bound(node.pid))
+
+        wanted = "tcp" if name == "page" else "udp"
+        wait_until(
+            lambda: any(kind == wanted for kind, _, _ in waiting()),
+            30.0,
+            f"{name} waits nowhere",
+            node.check,
+        )
+        time.sleep(1.0)
+        found = waiting()
+    listening = {entry for entry in found if entry[0].startswith("tcp")}
     assert len(listening) == (name == "page")
-    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in waiting)
-    assert {address for _, address, _ in waiting} <= set(LOOPBACK)
+    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in found)
+    assert {address for _, address, _ in found} <= set(LOOPBACK)
 
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_the_page_says_when_it_is_open_to_the_network():
+def test_the_page_says_when_it_is_open_to_the_network(tmp_path):
     pytest.importorskip("rclpy")
-    parameters = {"port": 18090, "host": "0.0.0.0"}
-    with subprocess.Popen(
-        node_command("page", parameters).command,
-        env=demo_environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as node:
-        try:
-            lines = []
-            while not lines or not lines[-1].startswith("page: "):
-                line = node.stdout.readline()
-                assert line, "".join(lines)
-                lines.append(line)
-        finally:
-            node.terminate()
-    assert sum("without a password" in line for line in lines) == 1
+    command = node_command("page", {"port": 18090, "host": "0.0.0.0"})
+    with Process("page", command, tmp_path / "log", own_graph()) as node:
+        wait_until(lambda: node.line("page: "), 30.0, "no page", node.check)
+        assert node.log.count("without a password") == 1

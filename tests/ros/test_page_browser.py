@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cablesense_ros.demo.processes import Processes, demo_environment, node_command
+from cablesense_ros.discovery import own_graph
+from cablesense_ros.processes import Processes, node_command
 
 pytest.importorskip(
     "rclpy", reason="needs rclpy: install the extra `ros`, or source a ROS 2 Jazzy"
@@ -132,13 +133,10 @@ def browser_program():
 
 @pytest.fixture(scope="module")
 def page_url(tmp_path_factory, browser_program):
-    environment = demo_environment()
+    environment = own_graph()
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    commands = [
-        node_command("sim", {"arm": "cdsm"}),
-        node_command("estimator", {"arm": "cdsm"}),
-        node_command("page", {"arm": "cdsm", "port": 18_080, "home_at_start": True}),
-    ]
+    page = node_command("page", {"port": 18_080, "home_at_start": True})
+    commands = {"sim": node_command("sim"), "estimator": node_command("estimator"), "page": page}
     with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
         yield processes.wait_for_line("page", "page: ", 40.0)
         processes.check()

@@ -1,0 +1,327 @@
+"""Nodes and other commands as child processes: started as a user would, ended for sure.
+
+Each child leads its own process group, so that Ctrl-C in the terminal reaches the parent alone
+and the parent ends the children in order. When the parent itself is killed, the kernel ends each
+child (Linux, `PR_SET_PDEATHSIG`). All that a child prints goes to a log file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+from cablesense_base.errors import CableSenseError
+
+Found = TypeVar("Found")
+
+GRACE_S = 5.0
+"""How long a child may take to end after the first signal, before SIGKILL."""
+_POLL_S = 0.02
+_PR_SET_PDEATHSIG = 1
+_LOG_LINES_SHOWN = 6
+
+
+class ProcessError(CableSenseError):
+    """A child process ended, or was not ready in time."""
+
+    exit_code = 1
+
+
+def node_command(
+    name: str,
+    parameters: Mapping[str, object] | None = None,
+    remaps: Mapping[str, str] | None = None,
+    namespace: str = "",
+) -> list[str]:
+    """The command line that runs `cablesense_ros.<name>_node` in this Python.
+
+    Args:
+        name: of the node.
+        parameters: numbers, truth values or texts; anything else as its text.
+        remaps: other names of topics.
+        namespace: of the node.
+    """
+    command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
+    for topic, other in ({"__ns": namespace} if namespace else {}).items() | (
+        remaps or {}
+    ).items():
+        command += ["-r", f"{topic}:={other}"]
+    for key, value in (parameters or {}).items():
+        command += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False, default=str)}"]
+    return command
+
+
+def wait_until(
+    found: Callable[[], Found | None],
+    within_s: float,
+    otherwise: str,
+    check: Callable[[], object] = lambda: None,
+) -> Found:
+    """The first true thing that `found` gives.
+
+    Args:
+        found: asked again and again.
+        within_s: how long.
+        otherwise: the error's text.
+        check: called before each time; may raise.
+
+    Raises:
+        ProcessError: nothing was found in time.
+    """
+    deadline_s = time.monotonic() + within_s
+    while True:
+        check()
+        if result := found():
+            return result
+        if time.monotonic() > deadline_s:
+            raise ProcessError(otherwise)
+        time.sleep(_POLL_S)
+
+
+class Process:
+    """One child process; it can be killed and started again.
+
+    Attributes:
+        name: for people.
+        started_s: when it was last started, monotonic.
+        child: the process; its stdin is a pipe.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        log: Path,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start it; its log is continued where the file exists."""
+        self.name = name
+        self._command = list(command)
+        self._log = log
+        self._environment = None if environment is None else dict(environment)
+        self.start()
+
+    def start(self) -> None:
+        """Start it, or start it again after its end."""
+        with self._log.open("ab") as sink:
+            self.started_s = time.monotonic()
+            self.child = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=sink,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=_die_with_parent(os.getpid()),
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self.child.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.child.poll() is None
+
+    @property
+    def log(self) -> str:
+        """All that it has printed so far."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def check(self) -> None:
+        """Make sure that it runs.
+
+        Raises:
+            ProcessError: it has ended; names it, its exit code and the end of its log.
+        """
+        code = self.child.poll()
+        if code is None:
+            return
+        how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with code {code}"
+        lines = self.log.strip().splitlines()[-_LOG_LINES_SHOWN:]
+        end = f" ({' | '.join(line.strip() for line in lines)})" if lines else ""
+        raise ProcessError(f"{self.name} ended {how}{end}")
+
+    def line(self, start: str) -> str | None:
+        """The first line of the log that begins with `start`; none so far."""
+        lines = self.log.splitlines()
+        return next((line for line in lines if line.startswith(start)), None)
+
+    def wait(self, within_s: float = GRACE_S) -> int:
+        """Its exit code, once it has ended by itself.
+
+        Raises:
+            subprocess.TimeoutExpired: it still runs.
+        """
+        code = self.child.wait(timeout=within_s)
+        self._close_pipe()
+        return code
+
+    def signal(self, number: int) -> None:
+        """Send a signal to it and to what it has started itself."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, number)
+
+    def kill(self) -> float:
+        """Kill it as nothing can refuse (SIGKILL); gives the monotonic time of that."""
+        killed_s = time.monotonic()
+        self.signal(signal.SIGKILL)
+        self.child.wait()
+        self._close_pipe()
+        return killed_s
+
+    def stop(self, grace_s: float = GRACE_S) -> int:
+        """End it as Ctrl-C does, or kill it where that does not help; gives its exit code."""
+        if self.alive:
+            self.signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.child.wait(grace_s)
+        self.kill()
+        return self.child.returncode
+
+    def _close_pipe(self) -> None:
+        if self.child.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self.child.stdin.close()
+
+    def __enter__(self) -> Process:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+class Processes:
+    """Starts children on entry, ends every one of them on exit, whatever happened between."""
+
+    def __init__(
+        self,
+        commands: Mapping[str, Sequence[str]],
+        log_dir: Path,
+        environment: Mapping[str, str] | None = None,
+        grace_s: float = GRACE_S,
+    ) -> None:
+        """`commands` by the children's names; each log is `<name>.log` in `log_dir`, new."""
+        self._commands = commands
+        self._log_dir = log_dir
+        self._environment = environment
+        self._grace_s = grace_s
+        self._children: dict[str, Process] = {}
+
+    def __enter__(self) -> Processes:
+        self._log_dir.mkdir(parents=True, exist_ok=True)
+        try:
+            for name, command in self._commands.items():
+                log = self._log_dir / f"{name}.log"
+                log.unlink(missing_ok=True)
+                self._children[name] = Process(name, command, log, self._environment)
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end()
+
+    def __getitem__(self, name: str) -> Process:
+        return self._children[name]
+
+    def __iter__(self) -> Iterator[Process]:
+        return iter(self._children.values())
+
+    def check(self) -> None:
+        """Make sure that all children run.
+
+        Raises:
+            ProcessError: one has ended.
+        """
+        for child in self:
+            child.check()
+
+    def wait_for_line(self, name: str, start: str, within_s: float) -> str:
+        """The rest of the first line in a child's log that begins with `start`.
+
+        Raises:
+            ProcessError: a child ended, or no such line came in time.
+        """
+        otherwise = f"{name} was not ready within {within_s:g} s"
+        line = self.wait_until(lambda: self[name].line(start), within_s, otherwise)
+        return line.removeprefix(start).strip()
+
+    def wait_until(
+        self, found: Callable[[], Found | None], within_s: float, otherwise: str
+    ) -> Found:
+        """The first true thing that `found` gives while all children run.
+
+        Raises:
+            ProcessError: a child ended, or nothing was found in time: `otherwise`.
+        """
+        text = f"{otherwise}; logs are in {self._log_dir}"
+        return wait_until(found, within_s, text, self.check)
+
+    def run_until_one_ends(self) -> None:
+        """Wait until a child ends.
+
+        Raises:
+            ProcessError: always, as soon as one has.
+        """
+        while True:
+            self.check()
+            time.sleep(_POLL_S)
+
+    def _end(self) -> None:
+        with _no_interrupts():
+            for child in reversed(self._children.values()):
+                child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
+            deadline_s = time.monotonic() + self._grace_s
+            for child in self:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.wait(max(0.0, deadline_s - time.monotonic()))
+                child.kill()
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Put off Ctrl-C and SIGTERM: the end, once begun, is carried through."""
+    ends = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ends}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:
+    if sys.platform != "linux":
+        return None
+    libc = ctypes.CDLL(None)
+
+    def arrange() -> None:
+        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent_pid:
+            os._exit(1)
+
+    return arrange
