@@ -22,6 +22,7 @@ from typing import Any
 from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
@@ -78,13 +79,13 @@ def main() -> None:
     }
     for setting in SETTINGS:
         print(f"{setting.name} …", file=sys.stderr, flush=True)
-        dataset = Dataset.from_protocol(
+        dataset = draw_dataset(
             setting.arm, setting.protocol(options.samples), TEST_SEED, workers=options.workers
         )
         figures = setting_figures(setting, dataset)
         extra = {} if options.quick else _trained_peers(setting, dataset, options.workers)
         result["single"][setting.name] = _setting_json(figures, extra)
-    multi = Dataset.from_protocol(
+    multi = draw_dataset(
         open_arm(MULTI_ARM), multi_protocol(options.samples), TEST_SEED, workers=options.workers
     )
     result["multi"] = {name: asdict(f) for name, f in multi_figures(multi).items()}
@@ -102,9 +103,7 @@ def _trained_peers(setting: Setting, test: Dataset, workers: int) -> dict[str, A
     truth, peers = single_contact_truth(test), {}
     names = TRAINED_HERE.get(setting.name, ())
     samples = max([BOOSTING_SAMPLES, *(recipe_for(name).samples for name in names)])
-    training = Dataset.from_protocol(
-        setting.arm, setting.protocol(samples), TRAIN_SEED, workers=workers
-    )
+    training = draw_dataset(setting.arm, setting.protocol(samples), TRAIN_SEED, workers=workers)
     for name in names:
         print(f"  training {name} …", file=sys.stderr, flush=True)
         recipe, network = recipe_for(name), build_network(name, setting.arm, TRAIN_SEED)

@@ -20,7 +20,7 @@ import numpy as np
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingPeer, MultiBoostingPeer
-from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
@@ -44,9 +44,9 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
     options = parser.parse_args()
     arm = open_arm(MULTI_ARM)
-    test = Dataset.from_protocol(arm, multi_protocol(options.samples), TEST_SEED)
+    test = draw_dataset(arm, multi_protocol(options.samples), TEST_SEED)
     figures = {name: asdict(metrics) for name, metrics in multi_figures(test).items()}
-    training = Dataset.from_protocol(arm, multi_protocol(TRAINING_SAMPLES), seed=0)
+    training = draw_dataset(arm, multi_protocol(TRAINING_SAMPLES), seed=0)
     answer = MultiBoostingPeer(training).answer(test)
     trees = multi_contact_metrics(test.contacts, test.magnitudes_n, *answer, WEAKEST_MULTI_N)
     figures["gradient_boosting"] = asdict(trees)
@@ -68,9 +68,9 @@ def _table2() -> list[dict[str, Any]]:
     """The physical rows as boosted trees of the three-segment arm see them."""
     arm, rows = open_arm("cdsm_table2"), [r for r in read_table2() if r.source == "physical"]
     peer = BoostingPeer(
-        Dataset.from_protocol(arm, SingleContact(samples=TRAINING_SAMPLES, pose="straight"), 0)
+        draw_dataset(arm, SingleContact(samples=TRAINING_SAMPLES, pose="straight"), 0)
     )
-    blank = Dataset.from_protocol(arm, SingleContact(samples=len(rows), pose="straight"), 1)
+    blank = draw_dataset(arm, SingleContact(samples=len(rows), pose="straight"), 1)
     measured = np.stack([row.tension_difference_n for row in rows])
     answer = peer.answer(replace(blank, tension_difference_n=measured))
     return [

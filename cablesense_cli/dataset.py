@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,11 +85,8 @@ def dataset(
     from cablesense_sim.arm import open_arm
 
     try:
-        from cablesense_training.data import (
-            dataset_command,
-            produce_dataset,
-            protocol_from_options,
-        )
+        from cablesense_training.data.parquet import produce_dataset
+        from cablesense_training.data.protocols import protocol_from_options
     except ModuleNotFoundError as error:
         raise CableSenseError(
             f"datasets need {error.name}; install it with: pip install 'cablesense_ros[train]'"
@@ -114,7 +113,7 @@ def dataset(
         description,
         drawn,
         seed,
-        command=dataset_command(arm, drawn, seed),
+        command=dataset_command(arm, drawn.options(), seed),
         workers=workers,
         dask_scheduler=dask_scheduler,
         show_progress=not json_output,
@@ -125,6 +124,31 @@ def dataset(
         typer.echo(json.dumps(figures))
     else:
         _print_table(figures)
+
+
+def dataset_command(arm: str, protocol_options: Mapping[str, Any], seed: int) -> str:
+    """The command that makes the dataset; what cannot change a byte of it is left out."""
+    options = dict(protocol_options)
+    options = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}
+    return command_line("dataset", options)
+
+
+def command_line(verb: str, options: Mapping[str, Any]) -> str:
+    """The command that makes a file again, from the verb's options by their Python names.
+
+    Options left to their default of None are left out. A folder outside the present one is left
+    out of the output's name, as it means nothing elsewhere.
+    """
+    parts = ["cablesense", verb]
+    for name, value in options.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            parts.append(f"--{option}" if value else f"--no-{option}")
+        elif name == "out" and Path(value).is_absolute():
+            parts += [f"--{option}", Path(value).name]
+        elif value is not None:
+            parts += [f"--{option}", f"{value}"]
+    return shlex.join(parts)
 
 
 def _figures(summary: Summary, out: Path, identity: str, took_s: float) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def _show_table2(model: str, json_output: bool, console: Any) -> None:
 def _show_model(
     model: str, samples: int, seed: int, workers: int, json_output: bool, console: Any
 ) -> None:
-    from cablesense_training.data.dataset import Dataset
+    from cablesense_training.data.generation import draw_dataset
     from cablesense_training.data.protocols import SingleContact
     from cablesense_training.evaluation.comparison import single_figures, single_json
     from cablesense_training.evaluation.noise_bound import noise_bound
@@ -118,7 +118,7 @@ def _show_model(
         force_high_n=said.force_range_n,
         tare_samples=said.tare_samples,
     )
-    dataset = Dataset.from_protocol(said.arm, protocol, seed, workers=workers)
+    dataset = draw_dataset(said.arm, protocol, seed, workers=workers)
     figures, bound = single_figures(estimator, dataset), noise_bound(dataset)
     if json_output:
         print(json.dumps({"single": single_json(figures), "bound": asdict(bound)}, indent=2))

@@ -18,6 +18,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from cablesense_cli.dataset import command_line
+
 if TYPE_CHECKING:
     from cablesense_sim.arm import Arm
     from cablesense_training.fit_sequences import SequenceFitSettings
@@ -103,7 +105,6 @@ def train(
     from cablesense_training.train_model import (
         draw_samples,
         read_samples,
-        train_command,
         train_model,
     )
     from cablesense_training.train_temporal import TEMPORAL_NETWORKS
@@ -154,7 +155,7 @@ def train(
         "out": out,
     }
     source = drawn if data is None else {"data": data}
-    command = train_command({"arm": arm, "network": network, **source, **training})
+    command = command_line("train", {"arm": arm, "network": network, **source, **training})
     description = open_arm(arm)
     if data is None:
         dataset = draw_samples(description, network, drawn, seed, show_progress=not as_json)
@@ -182,7 +183,6 @@ def _on_sequences(
     """Train a network with memory; refuses the options that single samples alone have."""
     from cablesense_sim.arm import open_arm
     from cablesense_training.errors import TrainingError
-    from cablesense_training.train_model import train_command
 
     for name, value in unfit.items():
         if value is not None:
@@ -192,7 +192,9 @@ def _on_sequences(
             )
     said = {**protocol_options, "samples": protocol_options["sequences"]}
     del said["sequences"]
-    command = train_command({"arm": arm, "network": network, **said, **fit_options, "out": out})
+    command = command_line(
+        "train", {"arm": arm, "network": network, **said, **fit_options, "out": out}
+    )
     train_on_sequences(
         out,
         network,

@@ -29,6 +29,7 @@ from cablesense_paper.study import (
 )
 from cablesense_training.baselines import BoostingPeer, BoostingSettings
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (
     SETTINGS,
@@ -117,12 +118,10 @@ def answered_setting(
     setting: Setting, samples: int, training_samples: int, boosting: BoostingSettings
 ) -> SettingTest:
     """All estimators of a setting; trees are grown where there are samples to train on."""
-    dataset = Dataset.from_protocol(setting.arm, setting.protocol(samples), TEST_SEED)
+    dataset = draw_dataset(setting.arm, setting.protocol(samples), TEST_SEED)
     tested = answered_models(setting, dataset)
     if training_samples:
-        training = Dataset.from_protocol(
-            setting.arm, setting.protocol(training_samples), TRAIN_SEED
-        )
+        training = draw_dataset(setting.arm, setting.protocol(training_samples), TRAIN_SEED)
         tested[TREES] = _tested(dataset, BoostingPeer(training, boosting).answer(dataset))
     truth = _truth(dataset)
     touched = np.flatnonzero(truth.segment > 0)
@@ -152,7 +151,7 @@ def as_the_paper_tests(setting: Setting, samples: int) -> dict[str, Tested]:
     protocol = SingleContact(
         samples=samples, pose=setting.pose, noise=False, no_contact_fraction=0.0
     )
-    return answered_models(setting, Dataset.from_protocol(setting.arm, protocol, TEST_SEED))
+    return answered_models(setting, draw_dataset(setting.arm, protocol, TEST_SEED))
 
 
 def _tested(dataset: Dataset, answer: ContactAnswer) -> Tested:

@@ -57,6 +57,7 @@ from cablesense_paper.study import (
 )
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import Pose, SingleContact
 from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
@@ -232,7 +233,7 @@ def explore(plan: Plan, tell: Tell) -> Findings:
 def _tried(plan: Plan, arm: Arm) -> Iterator[Trial]:
     """Trials of all shapes and seeds on the straight arm, as each is done."""
     training, test = (
-        Dataset.from_protocol(arm, SingleContact(samples=samples), seed)
+        draw_dataset(arm, SingleContact(samples=samples), seed)
         for samples, seed in ((plan.samples, _TRAIN_SEED), (plan.test_samples, _TEST_SEED))
     )
     cases = [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
@@ -243,7 +244,7 @@ def _tried(plan: Plan, arm: Arm) -> Iterator[Trial]:
 def _with_little_data(plan: Plan, arm: Arm, pose: Pose) -> Trial:
     """A two-stage network on the paper's amount of data, tested as the paper tests."""
     training, test = (
-        Dataset.from_protocol(
+        draw_dataset(
             arm,
             SingleContact(samples=samples, pose=pose, noise=False, no_contact_fraction=0.0),
             seed,

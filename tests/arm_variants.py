@@ -35,3 +35,19 @@ def variant(changes: dict[str, Any], name: str = "cdsm") -> Arm:
             without(description, key) if value is None else changed(description, key, value)
         )
     return parse_arm(yaml.safe_dump(description))
+
+
+def five_by_four() -> Arm:
+    """An arm of 5 segments with 4 cables each, all 20 holes apart."""
+    changes = {
+        "name": "five_by_four",
+        "segments.count": 5,
+        "cables.per_segment": 4,
+        "cables.angle_deg": {"first": 0, "per_segment": 18, "per_cable": -90},
+    }
+    return variant(changes)
+
+
+def five_by_four_text() -> str:
+    """The same as an arm file's content."""
+    return yaml.safe_dump(five_by_four().model_dump(), sort_keys=False)

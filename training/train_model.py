@@ -6,7 +6,6 @@ What a network is trained on: a dataset file, or fresh samples of the protocol t
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -15,14 +14,10 @@ from typing import Any
 
 from cablesense_base.progress import sample_progress
 from cablesense_sim.arm import Arm
-from cablesense_training.data import (
-    Dataset,
-    MultiContact,
-    SingleContact,
-    generate,
-    protocol_from_options,
-    read_dataset,
-)
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset, generate
+from cablesense_training.data.parquet import read_dataset
+from cablesense_training.data.protocols import MultiContact, SingleContact, protocol_from_options
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.answers import (
     multi_contact_answer,
@@ -123,7 +118,7 @@ def train_model(
     history = fit(network, dataset, settings, on_epoch)
     network.double()
     protocol = replace(dataset.protocol, samples=test_samples or TEST_SAMPLES)
-    test = Dataset.from_protocol(dataset.arm, protocol, dataset.seed + TEST_SEED_OFFSET)
+    test = draw_dataset(dataset.arm, protocol, dataset.seed + TEST_SEED_OFFSET)
     single, multi, firm = _figures(network, test)
     export_model(network, Path(path), _metadata(network_name, network, dataset, settings, command))
     return TrainingReport(
@@ -135,22 +130,6 @@ def train_model(
         multi=multi,
         multi_firm=firm,
     )
-
-
-def train_command(options: dict[str, Any]) -> str:
-    """The command line that makes the model again, from the verb's options by their Python names.
-
-    Options left to their default of None are left out. A folder outside the present one is left
-    out of the output's name, as it means nothing elsewhere.
-    """
-    words = ["cablesense", "train"]
-    for name, value in options.items():
-        if value is None:
-            continue
-        if name == "out" and Path(value).is_absolute():
-            value = Path(value).name
-        words += [f"--{name.replace('_', '-')}", f"{value}"]
-    return shlex.join(words)
 
 
 def _figures(

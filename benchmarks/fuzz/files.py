@@ -44,7 +44,9 @@ from cablesense_online.journal import EstimationSettings, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, open_arm, parse_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data import Dataset, SingleContact, read_dataset, write_dataset
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.parquet import read_dataset, write_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from fuzz.mutation import VALUES, mutated_bytes, mutated_text, mutated_yaml
@@ -376,7 +378,7 @@ def make_mcap(seed: int) -> Run:
 
 def make_parquet(seed: int) -> Run:
     """A dataset of some samples."""
-    dataset = Dataset.from_protocol(ARM, SingleContact(samples=40), seed=0)
+    dataset = draw_dataset(ARM, SingleContact(samples=40), seed=0)
     content = _content(".parquet", lambda path: write_dataset(path, dataset))
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:

@@ -53,7 +53,7 @@ class _Tested:
 def run(quick: bool, tell: Tell) -> StudyResult:
     """None to four contacts on the straight arm, answered by the bundled models and by trees."""
     from cablesense_sim.arm import open_arm
-    from cablesense_training.data.dataset import Dataset
+    from cablesense_training.data.generation import draw_dataset
     from cablesense_training.evaluation.comparison import (
         MULTI_ARM,
         WEAKEST_MULTI_N,
@@ -63,12 +63,12 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 
     arm = open_arm(MULTI_ARM)
     protocol = multi_protocol(QUICK_SAMPLES if quick else SAMPLES)
-    test = Dataset.from_protocol(arm, protocol, 20_260_002)
+    test = draw_dataset(arm, protocol, 20_260_002)
     tell(0.1)
     tested = _models(test)
     tell(0.3)
     training = multi_protocol(QUICK_TRAINING_SAMPLES if quick else TRAINING_SAMPLES)
-    tested[_TREES] = _trees(Dataset.from_protocol(arm, training, 0), test, quick)
+    tested[_TREES] = _trees(draw_dataset(arm, training, 0), test, quick)
     tell(0.9)
     bound_n = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     alone_n = _alone_mae_n(len(test))
@@ -130,13 +130,13 @@ def _tested(test: Dataset, touched: NDArray[np.bool_], magnitude_n: Array) -> _T
 
 def _alone_mae_n(samples: int) -> float:
     """Force error of the paper's network for one contact, 0 to 200 N on the straight arm."""
-    from cablesense_training.data.dataset import Dataset
+    from cablesense_training.data.generation import draw_dataset
     from cablesense_training.evaluation.comparison import SETTINGS, single_figures
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
 
     straight = SETTINGS[0]
-    test = Dataset.from_protocol(straight.arm, straight.protocol(samples), 20_260_002)
+    test = draw_dataset(straight.arm, straight.protocol(samples), 20_260_002)
     estimator = Estimator.load(find_model(straight.peers["two_stage"]), test.arm)
     return single_figures(estimator, test).errors.magnitude_mae_n
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cablesense_base.errors import CableSenseError
 from cablesense_cli.dataset import dataset
-from cablesense_training.data import dataset_command, read_dataset
+from cablesense_training.data.parquet import read_dataset
 
 app = typer.Typer()
 app.command()(dataset)
@@ -46,8 +46,6 @@ def test_the_command_in_the_file_makes_the_same_file(tmp_path):
     assert words[:2] == ["cablesense", "dataset"]
     assert runner.invoke(app, [*words[2:], "--out", str(second)]).exit_code == 0
     assert first.read_bytes() == second.read_bytes()
-    read = read_dataset(first)
-    assert dataset_command("cdsm", read.protocol, read.seed) == stored
 
 
 def test_table_without_terminal_has_no_progress_bar(tmp_path):

@@ -85,3 +85,10 @@ def test_samples_on_arms_drawn_at_random_stand_in_the_command(tmp_path):
     result = _run(*SMALL, "--randomise", "payload,sensor_gain", "--json", "--out", str(out))
     assert result.exit_code == 0, result.output
     assert "--randomise payload,sensor_gain" in Estimator.load(out).metadata.command
+
+
+def test_the_command_names_what_was_chosen_and_quotes_it():
+    options = {"arm": "my arm.yaml", "samples": 5, "data": None, "pose_range_deg": 10.0}
+    assert command_line("train", options) == (
+        "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
+    )

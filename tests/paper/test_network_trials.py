@@ -5,7 +5,7 @@ import pytest
 from cablesense_paper.network_findings import Shape
 from cablesense_paper.network_trials import trials
 from cablesense_sim.arm import open_arm
-from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.fit import FitSettings
 
@@ -13,7 +13,7 @@ from cablesense_training.fit import FitSettings
 @pytest.mark.slow  # two processes load PyTorch
 def test_a_seed_gives_the_same_figures_for_any_number_of_workers():
     protocol = SingleContact(samples=64)
-    samples = [Dataset.from_protocol(open_arm("cdsm"), protocol, seed) for seed in (0, 1)]
+    samples = [draw_dataset(open_arm("cdsm"), protocol, seed) for seed in (0, 1)]
     cases = [(Shape("shared trunk", 1, 4), seed) for seed in (0, 1)]
     here, elsewhere = (
         list(trials(cases, *samples, FitSettings(epochs=1, batch_size=64), workers))

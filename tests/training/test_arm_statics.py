@@ -12,7 +12,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.effects.registry import amended, entries_of
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
-from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.compact import CompactKinematics
 from cablesense_training.networks.corrected import exact_statics, statics, unexplained_variance_n2
@@ -47,7 +48,7 @@ def test_contacts_on_an_amended_arm_are_recovered(effects) -> None:
         samples=200, pose="random", pose_range_deg=8.0, force_low_n=5.0, force_high_n=60.0,
         noise=False, no_contact_fraction=0.0,
     )  # fmt: skip
-    data = Dataset.from_protocol(arm, protocol)
+    data = draw_dataset(arm, protocol)
     taut = data.slack_cables == 0
     closed_form, blind = exact_statics(arm, 50), exact_statics(arm.nominal, 50)
     with torch.no_grad():

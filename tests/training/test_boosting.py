@@ -8,7 +8,8 @@ import pytest
 from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
 from cablesense_training.baselines import BoostingPeer, BoostingSettings
-from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.metrics import single_contact_metrics
@@ -19,7 +20,7 @@ SMALL = BoostingSettings(rounds=20, leaves=31)
 
 @pytest.fixture(scope="module")
 def data():
-    samples = Dataset.from_protocol(ARM, SingleContact(samples=4000), seed=0)
+    samples = draw_dataset(ARM, SingleContact(samples=4000), seed=0)
     return samples.select(slice(0, 3000)), samples.select(slice(3000, 4000))
 
 

@@ -13,7 +13,8 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
-from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.noise_bound import noise_bound
 from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
 
@@ -147,7 +148,7 @@ def test_at_the_commanded_pose_it_is_generalised_least_squares():
 def test_the_error_is_close_to_the_noise_bound(arm):
     description = open_arm(arm)
     protocol = SingleContact(samples=1500, force_low_n=2.0, no_contact_fraction=0.0)
-    dataset = Dataset.from_protocol(description, protocol, seed=5)
+    dataset = draw_dataset(description, protocol, seed=5)
     variance = difference_variance_n2(description.sensors, protocol.tare_samples)
     mechanism = Mechanism.from_arm(description)
     found = _candidates(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.evaluation import comparison
 from cablesense_training.evaluation.comparison import (
     SETTINGS,
@@ -53,7 +54,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
 def test_the_same_seed_gives_the_same_figures():
     setting = SETTINGS[0]
     one, again, other = (
-        setting_figures(setting, Dataset.from_protocol(setting.arm, setting.protocol(100), seed))
+        setting_figures(setting, draw_dataset(setting.arm, setting.protocol(100), seed))
         for seed in (1, 1, 2)
     )
     assert repr(one) == repr(again)  # NaN where a bin is empty
@@ -62,7 +63,7 @@ def test_the_same_seed_gives_the_same_figures():
 
 def test_a_perfect_answer_has_no_error(monkeypatch):
     arm = open_arm("cdsm")
-    dataset = Dataset.from_protocol(arm, SingleContact(samples=100), seed=0)
+    dataset = draw_dataset(arm, SingleContact(samples=100), seed=0)
 
     class Oracle:
         def estimate_batch(self, tension, command):
@@ -97,7 +98,7 @@ def test_a_model_for_another_arm_is_refused(monkeypatch):
     path = find_model("peers/cdsm_two_stage")
     monkeypatch.setattr(comparison, "find_model", lambda name: path)
     setting = Setting("mixed", "cdsm_lab", "straight", "cdsm", {})
-    dataset = Dataset.from_protocol(setting.arm, setting.protocol(100), seed=0)
+    dataset = draw_dataset(setting.arm, setting.protocol(100), seed=0)
     with pytest.raises(ModelFileError, match="made for arm cdsm-"):
         setting_figures(setting, dataset)
 
@@ -106,7 +107,7 @@ def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):
     def refuse(*arguments, **options):
         raise AssertionError("samples were drawn for nothing")
 
-    monkeypatch.setattr(Dataset, "from_protocol", refuse)
+    monkeypatch.setattr(comparison, "draw_dataset", refuse)
     monkeypatch.setattr("cablesense_training.inference.metadata.bundled_models", list)
     with pytest.raises(ModelFileError, match="unknown model"):
         compare(0, 100)

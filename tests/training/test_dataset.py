@@ -10,8 +10,9 @@ from cablesense_sim.arm import load_arm
 from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, gravity_torques_n_m
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data import Dataset, MultiContact, SingleContact
-from cablesense_training.data.dataset import combine, summarise
+from cablesense_training.data.dataset import Dataset, combine, summarise
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -23,7 +24,7 @@ def arm():
 
 
 def ideal(arm, protocol=SingleContact, **options):
-    return Dataset.from_protocol(arm, protocol(samples=500, noise=False, **options), seed=3)
+    return draw_dataset(arm, protocol(samples=500, noise=False, **options), seed=3)
 
 
 @pytest.mark.parametrize("protocol", [SingleContact, MultiContact])
@@ -84,17 +85,17 @@ def test_straight_arm_angle_runs_from_up_to_left(arm):
 
 def test_noise_is_that_of_the_sensor(arm):
     options = {"samples": 4096, "no_contact_fraction": 1.0}
-    noisy = Dataset.from_protocol(arm, SingleContact(**options), seed=3)
+    noisy = draw_dataset(arm, SingleContact(**options), seed=3)
     sensor = arm.sensors
     one = sensor.noise_std_n**2 + sensor.step_n**2 / 12.0
     # one step's rounding is not quite uniform at this noise, hence the wide bound
     assert noisy.tension_difference_n.var() == pytest.approx(one, rel=0.35)
-    calm = Dataset.from_protocol(arm, SingleContact(noise=False, **options), seed=3)
+    calm = draw_dataset(arm, SingleContact(noise=False, **options), seed=3)
     assert np.abs(noisy.unloaded_n - calm.unloaded_n).max() < sensor.step_n
     reading = noisy.tension_difference_n + noisy.unloaded_n
     steps = reading / sensor.step_n
     assert steps == pytest.approx(np.round(steps), abs=1e-6)
-    single = Dataset.from_protocol(arm, SingleContact(tare_samples=1, **options), seed=3)
+    single = draw_dataset(arm, SingleContact(tare_samples=1, **options), seed=3)
     assert single.unloaded_n.std(axis=0).mean() > 4.0 * noisy.unloaded_n.std(axis=0).mean()
 
 
@@ -103,13 +104,13 @@ def test_a_case_beyond_the_arm_is_drawn_again_and_marked():
     protocol = SingleContact(
         samples=256, pose="random", noise=False, force_low_n=200.0, force_high_n=240.0
     )
-    dataset = Dataset.from_protocol(lab, protocol, seed=0)
+    dataset = draw_dataset(lab, protocol, seed=0)
     redrawn = dataset.redrawn > 0
     assert 0 < redrawn.sum() <= 6
     assert np.isfinite(dataset.tension_difference_n).all()
     shares = dataset.contacts.mean(axis=0)
     assert shares == pytest.approx(0.2, abs=0.01)
-    again = Dataset.from_protocol(lab, protocol, seed=0)
+    again = draw_dataset(lab, protocol, seed=0)
     assert again.tension_difference_n.tobytes() == dataset.tension_difference_n.tobytes()
 
 
@@ -117,7 +118,7 @@ def test_a_protocol_beyond_the_arm_is_refused_with_a_case():
     lab = load_arm(ARMS / "cdsm_lab.yaml")
     protocol = SingleContact(samples=64, force_low_n=500.0, force_high_n=600.0)
     with pytest.raises(DatasetError, match=r"samples 0 and following: more than 2%.*command"):
-        Dataset.from_protocol(lab, protocol)
+        draw_dataset(lab, protocol)
 
 
 def test_parts_put_together_are_the_whole(arm):

@@ -12,15 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim.arm import load_arm, parse_arm
-from cablesense_training.data import (
-    Dataset,
-    MultiContact,
-    SingleContact,
-    read_dataset,
-    write_dataset,
-    write_parts,
-)
 from cablesense_training.data.dataset import ARRAY_NAMES
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.parquet import read_dataset, write_dataset, write_parts
+from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -33,7 +28,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def dataset(arm):
-    return Dataset.from_protocol(arm, SingleContact(samples=200, pose="random"), seed=5)
+    return draw_dataset(arm, SingleContact(samples=200, pose="random"), seed=5)
 
 
 @pytest.fixture
@@ -69,7 +64,7 @@ def with_value(table, name, row, value):
 def test_comes_back_as_written(tmp_path, protocol, name):
     arm = load_arm(ARMS / f"{name}.yaml")
     options = {"samples": 50, "pose": "random", "force_high_n": 40.0}
-    written = Dataset.from_protocol(arm, protocol(**options), seed=9)
+    written = draw_dataset(arm, protocol(**options), seed=9)
     write_dataset(tmp_path / "data.parquet", written)
     read = read_dataset(tmp_path / "data.parquet", arm)
     assert (read.arm, read.protocol, read.seed) == (arm, written.protocol, 9)
@@ -83,7 +78,7 @@ def test_a_rigid_actuator_survives_the_file(tmp_path):
     text = (ARMS / "cdsm.yaml").read_text().replace("kp_n_m: 1.0e8", "kp_n_m: .inf")
     arm = parse_arm(text)
     assert arm.actuators.kp_n_m == float("inf")
-    write_dataset(tmp_path / "a", Dataset.from_protocol(arm, SingleContact(samples=5)))
+    write_dataset(tmp_path / "a", draw_dataset(arm, SingleContact(samples=5)))
     assert read_dataset(tmp_path / "a", arm).arm == arm
 
 

@@ -12,15 +12,10 @@ import distributed
 import pytest
 
 from cablesense_sim.arm import load_arm
-from cablesense_training.data import (
-    Dataset,
-    MultiContact,
-    SingleContact,
-    generate,
-    generation,
-    produce_dataset,
-)
-from cablesense_training.data.protocols import CHUNK_SAMPLES
+from cablesense_training.data import generation
+from cablesense_training.data.generation import draw_dataset, generate
+from cablesense_training.data.parquet import produce_dataset
+from cablesense_training.data.protocols import CHUNK_SAMPLES, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -58,7 +53,7 @@ def test_another_seed_writes_other_bytes(arm, one_worker, tmp_path):
 
 def test_a_longer_run_begins_like_a_shorter_one(arm):
     short, long = (
-        Dataset.from_protocol(arm, MultiContact(samples=samples), seed=1)
+        draw_dataset(arm, MultiContact(samples=samples), seed=1)
         for samples in (CHUNK_SAMPLES, CHUNK_SAMPLES + 1)
     )
     first = long.select(slice(0, CHUNK_SAMPLES))

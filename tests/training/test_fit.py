@@ -8,7 +8,8 @@ import torch
 
 from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.networks.multi_contact import TwoStageMultiContactNetwork
@@ -25,12 +26,12 @@ QUICK = FitSettings(epochs=3, batch_size=128, threads=1)
 
 @pytest.fixture(scope="module")
 def single():
-    return Dataset.from_protocol(ARM, SingleContact(samples=1500), seed=0)
+    return draw_dataset(ARM, SingleContact(samples=1500), seed=0)
 
 
 @pytest.fixture(scope="module")
 def multi():
-    return Dataset.from_protocol(ARM, MultiContact(samples=600), seed=0)
+    return draw_dataset(ARM, MultiContact(samples=600), seed=0)
 
 
 def _two_stage(seed=0):

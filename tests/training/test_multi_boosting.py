@@ -5,7 +5,8 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingSettings, MultiBoostingPeer
-from cablesense_training.data import Dataset, MultiContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact
 from cablesense_training.errors import TrainingError
 
 ARM = open_arm("cdsm")
@@ -13,8 +14,8 @@ QUICK = BoostingSettings(rounds=15, leaves=15)
 
 
 def test_it_learns_which_segments_are_touched_and_how_hard():
-    peer = MultiBoostingPeer(Dataset.from_protocol(ARM, MultiContact(samples=3000), seed=1), QUICK)
-    test = Dataset.from_protocol(ARM, MultiContact(samples=500), seed=2)
+    peer = MultiBoostingPeer(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
+    test = draw_dataset(ARM, MultiContact(samples=500), seed=2)
     touched, force = peer.answer(test)
     firm = test.magnitudes_n > 10.0
     assert touched.shape == force.shape == (500, 4)
@@ -24,6 +25,6 @@ def test_it_learns_which_segments_are_touched_and_how_hard():
 
 
 def test_a_segment_that_is_never_touched_is_refused():
-    dataset = Dataset.from_protocol(ARM, MultiContact(samples=200), seed=1)
+    dataset = draw_dataset(ARM, MultiContact(samples=200), seed=1)
     with pytest.raises(TrainingError, match="segment 4 is touched in 0 of"):
         MultiBoostingPeer(dataset.select(~dataset.contacts[:, 3]), QUICK)

@@ -8,7 +8,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.data import Dataset, MultiContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact
 from cablesense_training.networks.multi_contact import MultiContactClosedForm
 
 ARMS = ("cdsm", "cdsm_lab", "cdsm_table2")
@@ -71,7 +72,7 @@ def test_without_noise_every_touched_segment_and_its_force_are_recovered(arm):
 def noisy(request):
     """Samples with sensor noise at random poses, and what statics says of them."""
     protocol = MultiContact(samples=1000, pose="random", pose_range_deg=10.0)
-    dataset = Dataset.from_protocol(open_arm(request.param), protocol, seed=1)
+    dataset = draw_dataset(open_arm(request.param), protocol, seed=1)
     network = _network(request.param)
     return dataset, _answers(network, dataset.tension_difference_n, dataset.command_rad)
 

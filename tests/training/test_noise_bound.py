@@ -8,7 +8,8 @@ import pytest
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
-from cablesense_training.data import Dataset, MultiContact, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.evaluation.noise_bound import (
     force_covariance_n2,
     multi_contact_bound_n,
@@ -26,7 +27,7 @@ def _arm(base=CDSM, **sensors):
 
 def _dataset(arm, samples=400, **options):
     options = {"no_contact_fraction": 0.0, **options}
-    return Dataset.from_protocol(arm, SingleContact(samples=samples, **options), seed=3)
+    return draw_dataset(arm, SingleContact(samples=samples, **options), seed=3)
 
 
 def test_one_segment_of_equal_cables_has_an_analytic_bound():
@@ -97,7 +98,7 @@ def test_statics_attain_the_bound_while_all_cables_are_taut(name):
 
 def test_one_contact_at_most_has_the_bound_of_a_single_contact():
     protocol = MultiContact(samples=600, max_contacts=1, no_contact_fraction=0.0, force_low_n=20.0)
-    several = Dataset.from_protocol(CDSM, protocol, seed=4)
+    several = draw_dataset(CDSM, protocol, seed=4)
     options = {"samples": 4000, "force_low_n": 20.0, "force_high_n": 60.0}
     single = noise_bound(_dataset(CDSM, **options)).magnitude_mae_n
     per_segment = multi_contact_bound_n(several)
@@ -109,7 +110,7 @@ def test_contacts_beside_it_make_a_force_harder_to_tell():
     alone = MultiContact(samples=600, max_contacts=1, no_contact_fraction=0.0)
     among = MultiContact(samples=600, no_contact_fraction=0.0)
     bound_alone, bound_among = (
-        multi_contact_bound_n(Dataset.from_protocol(CDSM, protocol, seed=5), weakest_n=5.0)
+        multi_contact_bound_n(draw_dataset(CDSM, protocol, seed=5), weakest_n=5.0)
         for protocol in (alone, among)
     )
     assert (bound_among > bound_alone).all()

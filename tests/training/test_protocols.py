@@ -6,8 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
-from cablesense_training.data import MultiContact, SingleContact, protocol_from_options
-from cablesense_training.data.protocols import CHUNK_SAMPLES, chunk_sizes, unit_points
+from cablesense_training.data.protocols import (
+    CHUNK_SAMPLES,
+    MultiContact,
+    SingleContact,
+    chunk_sizes,
+    protocol_from_options,
+    unit_points,
+)
 from cablesense_training.errors import DatasetError
 
 SEGMENTS = 4

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.temporal import (
     LARGEST_CORRECTION,
     LARGEST_LOG_FACTOR,
@@ -43,7 +44,7 @@ def test_one_tick_at_a_time_is_the_whole_sequence(network):
 def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
     network.error.std.fill_(1e-6)
     protocol = SingleContact(samples=200, pose="random", noise=False, force_low_n=5.0)
-    dataset = Dataset.from_protocol(CDSM, protocol)
+    dataset = draw_dataset(CDSM, protocol)
     with torch.no_grad():
         output, _ = network(_ticks(dataset), torch.zeros(200, network.memory).double())
     touched = dataset.segment > 0
@@ -54,7 +55,7 @@ def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
 
 def _answered_in_any_state(network):
     """Statics of 50 samples, and what the network makes of them in states far from any it knew."""
-    dataset = Dataset.from_protocol(CDSM, SingleContact(samples=50, pose="random"))
+    dataset = draw_dataset(CDSM, SingleContact(samples=50, pose="random"))
     ticks = _ticks(dataset)
     with torch.no_grad():
         balance = network.balance(ticks)
@@ -91,7 +92,7 @@ def test_the_two_orders_of_joints_are_inverse(network):
 
 def test_the_peer_without_memory_answers_the_same_in_any_state():
     peer = TemporalNetwork.for_arm(CDSM, remembers=False).double().eval()
-    ticks = _ticks(Dataset.from_protocol(CDSM, SingleContact(samples=20, pose="random")))
+    ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=20, pose="random")))
     with torch.no_grad():
         here, _ = peer(ticks, torch.zeros(20, peer.memory).double())
         there, _ = peer(ticks, torch.ones(20, peer.memory).double())

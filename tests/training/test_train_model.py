@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.data import write_dataset
+from cablesense_training.data.parquet import write_dataset
 from cablesense_training.errors import DatasetError, TrainingError
 from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
@@ -16,7 +16,6 @@ from cablesense_training.train_model import (
     TEST_SEED_OFFSET,
     draw_samples,
     read_samples,
-    train_command,
     train_model,
 )
 
@@ -96,13 +95,6 @@ def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):
         train_model(tmp_path / "gone" / "m.onnx", "two-stage", single, QUICK, command="")
     with pytest.raises(TrainingError, match="is a folder"):
         train_model(tmp_path, "two-stage", single, QUICK, command="")
-
-
-def test_the_command_names_what_was_chosen_and_quotes_it():
-    options = {"arm": "my arm.yaml", "samples": 5, "data": None, "pose_range_deg": 10.0}
-    assert train_command(options) == (
-        "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
-    )
 
 
 def test_samples_come_back_from_a_file_of_the_same_arm_only(single, tmp_path):

@@ -155,19 +155,6 @@ class Dataset:
         }
         return replace(first, **arrays)
 
-    @classmethod
-    def from_protocol(
-        cls, arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1
-    ) -> Dataset:
-        """The dataset that arm, protocol and seed determine, generated in memory.
-
-        Raises:
-            DatasetError: the protocol does not fit the arm, or a sample has no equilibrium.
-        """
-        from cablesense_training.data.generation import generate
-
-        return cls.concatenate(list(generate(arm, protocol, seed, workers=workers)))
-
     def parts(self, rows: int) -> Iterator[Dataset]:
         """The dataset in consecutive parts of at most `rows` samples."""
         for start in range(0, len(self), rows):

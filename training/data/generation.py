@@ -3,29 +3,23 @@
 All three run the same chunks and hand them on in order, so the result does not depend on where it
 was computed (on machines whose arithmetic agrees to the last bit; a mix of processor types may
 differ there).
-
-From options to a file: generate, write as it comes, count, show progress.
 """
 
 from __future__ import annotations
 
 import multiprocessing
-import shlex
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
 from typing import Any
 from typing import Protocol as Interface
 
 from cablesense_base.installation import package_version
-from cablesense_base.progress import sample_progress
 from cablesense_sim.arm import Arm
 from cablesense_training.data.chunk import generate_chunk
-from cablesense_training.data.dataset import Dataset, Summary, combine, summarise
-from cablesense_training.data.parquet import write_parts
+from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.protocols import Protocol, chunk_sizes
 from cablesense_training.errors import DatasetError
 
@@ -73,6 +67,15 @@ def generate(
     if min(workers, chunks) == 1:
         return (generate_chunk(arm, protocol, seed, chunk) for chunk in range(chunks))
     return _run(_processes(min(workers, chunks)), arm, protocol, seed, chunks)
+
+
+def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1) -> Dataset:
+    """The dataset that arm, protocol and seed determine, in memory.
+
+    Raises:
+        DatasetError: as `generate`.
+    """
+    return Dataset.concatenate(list(generate(arm, protocol, seed, workers=workers)))
 
 
 def _run(
@@ -163,48 +166,3 @@ def _check_cluster(client: Any, address: str) -> int:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
-
-
-def produce_dataset(
-    path: str | Path,
-    arm: Arm,
-    protocol: Protocol,
-    seed: int,
-    *,
-    command: str,
-    workers: int = 1,
-    dask_scheduler: str | None = None,
-    show_progress: bool = False,
-) -> Summary:
-    """Write the dataset that arm, protocol and seed determine, and say what it holds.
-
-    Raises:
-        DatasetError: as `generate` and `write_parts`; nothing is written then.
-    """
-    parts = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
-    summaries: list[Summary] = []
-    with sample_progress(protocol.samples, shown=show_progress) as advance:
-
-        def watched() -> Iterator[Dataset]:
-            for part in parts:
-                yield part
-                summaries.append(summarise(part))
-                advance(len(part))
-
-        write_parts(path, watched(), arm, protocol, seed, command)
-    return combine(summaries)
-
-
-def dataset_command(arm: str, protocol: Protocol, seed: int) -> str:
-    """The command that makes the dataset; what cannot change a byte of it is left out.
-
-    Every option of a protocol is an option of the command, with dashes for underscores.
-    """
-    words = ["cablesense", "dataset", "--arm", arm]
-    for name, value in protocol.options().items():
-        option = "protocol" if name == "kind" else name.replace("_", "-")
-        if isinstance(value, bool):
-            words.append(f"--{option}" if value else f"--no-{option}")
-        elif value is not None:
-            words += [f"--{option}", f"{value}"]
-    return shlex.join([*words, "--seed", f"{seed}"])

@@ -26,8 +26,10 @@ import pyarrow.parquet as pq
 import yaml
 
 from cablesense_base.installation import package_version
+from cablesense_base.progress import sample_progress
 from cablesense_sim.arm import Arm, ArmFileError, parse_arm
-from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.dataset import Dataset, Summary, combine, summarise
+from cablesense_training.data.generation import generate
 from cablesense_training.data.protocols import (
     CHUNK_SAMPLES,
     Protocol,
@@ -359,3 +361,33 @@ def _values(dataset: Dataset, column: Column) -> pa.Array:
     if column.place is not None:
         values = np.ascontiguousarray(values[:, column.place])
     return pa.array(values, type=column.type)
+
+
+def produce_dataset(
+    path: str | Path,
+    arm: Arm,
+    protocol: Protocol,
+    seed: int,
+    *,
+    command: str,
+    workers: int = 1,
+    dask_scheduler: str | None = None,
+    show_progress: bool = False,
+) -> Summary:
+    """Write the dataset that arm, protocol and seed determine, and say what it holds.
+
+    Raises:
+        DatasetError: as `generate` and `write_parts`; nothing is written then.
+    """
+    parts = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
+    summaries: list[Summary] = []
+    with sample_progress(protocol.samples, shown=show_progress) as advance:
+
+        def watched() -> Iterator[Dataset]:
+            for part in parts:
+                yield part
+                summaries.append(summarise(part))
+                advance(len(part))
+
+        write_parts(path, watched(), arm, protocol, seed, command)
+    return combine(summaries)

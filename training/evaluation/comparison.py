@@ -12,6 +12,7 @@ from typing import Any
 
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, Pose, SingleContact
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -156,14 +157,12 @@ def compare(
     for setting in SETTINGS:
         if on_setting is not None:
             on_setting(setting.name)
-        dataset = Dataset.from_protocol(
-            setting.arm, setting.protocol(samples), seed, workers=workers
-        )
+        dataset = draw_dataset(setting.arm, setting.protocol(samples), seed, workers=workers)
         figures.append(setting_figures(setting, dataset))
     if on_setting is not None:
         on_setting("multi")
     arm = open_arm(MULTI_ARM)
-    dataset = Dataset.from_protocol(arm, multi_protocol(samples), seed, workers=workers)
+    dataset = draw_dataset(arm, multi_protocol(samples), seed, workers=workers)
     return Comparison(seed, samples, tuple(figures), multi_figures(dataset))
 
 

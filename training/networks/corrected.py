@@ -27,7 +27,8 @@ from cablesense_sim.effects.registry import actuations, amended, entries_of, mem
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
-from cablesense_training.data import Dataset, SingleContact
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import ClosedForm, Weighed, pose_corrections_for
 from cablesense_training.networks.layers import (
     SingleContactOutput,
@@ -93,7 +94,7 @@ def unexplained_variance_n2(arm: Arm) -> float:
     if not (actuations([entries]) or memories([entries]) or sensings([entries])):
         return 0.0
     protocol = SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False)
-    seen = Dataset.from_protocol(arm, protocol)
+    seen = draw_dataset(arm, protocol)
     nominal = Mechanism.from_arm(arm)
     mechanism, held = amended(nominal, entries), held_lengths_m(nominal, seen.command_rad)
     loaded, unloaded = (
