@@ -8,6 +8,7 @@ import yaml
 from arm_variants import variant
 from typer.testing import CliRunner
 
+from cablesense_cli.dataset import command_line
 from cablesense_cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
