@@ -40,12 +40,13 @@ EXTRAS = {
         "viser",  # the 3D page in the browser
     ],
     "gap": [
-        "backports.zstd",  # unpacks the chunks of a recording; rosbags packs with it
         "jinja2",  # the report's page
-        "lz4",  # unpacks chunks that other recorders packed so; rosbags brings it
+        "lz4",  # unpacks chunks to a bound, where mcap, which brings it, has none
         "matplotlib",  # the report's pictures
+        "mcap",  # reads recordings record by record, also one that breaks off
         "pandas",  # recordings and tables of residuals
-        "rosbags",  # reads and writes rosbag2 without a ROS installation
+        "rosbags",  # message types, folders of rosbag2 and its writer, without a ROS installation
+        "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
     "train": [
         "distributed",  # datasets made on a Dask cluster of more than one machine
@@ -60,7 +61,6 @@ EXTRAS = {
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
         "import-linter",  # the arrows between the rooms
-        "mcap",  # a second reader of recordings, beside our own and rosbags
         "mypy",  # types
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test

@@ -25,7 +25,7 @@ from rich.console import Console
 
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.recordings.mcap_file import BagRows
-from cablesense_gap.recordings.mcap_writer import CHUNK_S, TopicFile
+from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from cablesense_gap.recordings.mcap_writer import TopicFile
+from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.journal import put_journal_entry
 from cablesense_msgs_py.serialized import wrench_writers

@@ -1,13 +1,13 @@
-"""Recordings as rosbag2 MCAP with the contract's topics, read without a ROS installation.
+"""Recordings as rosbag2 MCAP: the contract's topics, read and written without a ROS installation.
 
-Rows of a recording from messages as they come: tensions, with the command and load in force.
+Each `cable_tensions` is one row, with the command and the load in force when it came.
 """
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +15,30 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
-from cablesense_gap.recordings.mcap_writer import BagWriter
+from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage, TopicFile
 from cablesense_gap.recordings.recording import Recording, RecordingError, derive_trials
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
-from cablesense_msgs_py.topic_types import INPUTS
+from cablesense_msgs_py.topic_types import INPUTS, JOINT_STATE, NUMBER, WRENCH, resolved
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import read_load
 from cablesense_sim.arm import Arm
 
+MAX_FILE_BYTES = 2_000_000_000
+"""An hour at 1 kHz."""
 MAX_ROWS = 10_800_000
 """A packed file holds any number of equal messages; rows of them take some 500 bytes each."""
 
+_LOG = logging.getLogger(__name__)
+_REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
+_START_NS = 1_000_000_000
+"""Stamp of a written recording's time 0: a stamp of 0 would mean that there is none."""
+
 
 class BagRows:
-    """Takes messages in the order they came, and gives the recording they make.
+    """The rows that messages make, taken in the order they came.
 
-    With `keep` false it only says whether messages keep the contract.
+    With `keep` false messages are only checked against the contract.
     """
 
     def __init__(self, arm: Arm, keep: bool = True) -> None:
@@ -137,22 +143,12 @@ class BagRows:
         self._trials.append(self._trial)
 
 
-MAX_FILE_BYTES = 2_000_000_000
-"""An hour at 1 kHz."""
-
-_LOG = logging.getLogger(__name__)
-
-_REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
-_START_NS = 1_000_000_000
-"""Stamp of a written recording's time 0: a stamp of 0 would mean that there is none."""
-
-
 def read_mcap(path: str | Path, arm: Arm) -> Recording:
     """Read a .mcap file, or a rosbag2 folder with its metadata.yaml.
 
     One row per `cable_tensions`; command and load are the latest that came before it. Rows before
-    the first command are left out: nobody knows the pose. Without the topic `trial`, trials are
-    derived (`trials.derive_trials`).
+    the first command are left out: their pose is unknown. Without the topic `trial`, trials are
+    derived (`recording.derive_trials`).
 
     Raises:
         RecordingError: no bag, a topic missing, twice or of another type, a message that breaks
@@ -274,3 +270,68 @@ def _check(path: Path, raw: RawMessage, topic: str, first: str) -> None:
         raise RecordingError(
             f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be {INPUTS[topic].kind}"
         )
+
+
+class BagWriter(TopicFile):
+    """A recording's topics as one .mcap file; it appears under its name when it is closed, whole.
+
+    Times are in ns: `log_ns` when a message came, `stamp_ns` of its header, 0 for none. A topic is
+    in the file once a message of it is written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open the file beside its later place.
+
+        Raises:
+            RecordingError: the name does not end in .mcap, or the place cannot be written to.
+        """
+        super().__init__(path, growing=False)
+        self._channels: dict[str, Any] = {}
+
+    def tensions(
+        self, log_ns: int, stamp_ns: int, names: Sequence[str], efforts_n: Sequence[float]
+    ) -> None:
+        """One `cable_tensions`."""
+        message = self._joint_state(stamp_ns, names, effort=efforts_n)
+        self._put(topics.CABLE_TENSIONS, log_ns, message)
+
+    def command(
+        self, log_ns: int, stamp_ns: int, names: Sequence[str], angles_rad: Sequence[float]
+    ) -> None:
+        """One `joint_commands`."""
+        message = self._joint_state(stamp_ns, names, position=angles_rad)
+        self._put(topics.JOINT_COMMANDS, log_ns, message)
+
+    def load(
+        self, log_ns: int, stamp_ns: int, frame_id: str, force_n: Sequence[float],
+        torque_n_m: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
+        """One `applied_wrench`; `force_n` (3,) in base axes."""
+        types = self.store.types
+        vector = types["geometry_msgs/msg/Vector3"]
+        force, torque = vector(*map(float, force_n)), vector(*map(float, torque_n_m))
+        wrench = types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
+        message = types[WRENCH](header=self._header(stamp_ns, frame_id), wrench=wrench)
+        self._put(topics.APPLIED_WRENCH, log_ns, message)
+
+    def trial(self, log_ns: int, number: int) -> None:
+        """One `trial`."""
+        self._put(topics.TRIAL, log_ns, self.store.types[NUMBER](data=int(number)))
+
+    def _put(self, topic: str, log_ns: int, message: Any) -> None:
+        kind = INPUTS[topic].kind
+        if topic not in self._channels:
+            self._channels[topic] = self.add(resolved(topic), kind, INPUTS[topic].offered)
+        self.write(self._channels[topic], log_ns, bytes(self.store.serialize_cdr(message, kind)))
+
+    def _joint_state(self, stamp_ns: int, names: Sequence[str], **fields: Sequence[float]) -> Any:
+        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
+        empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
+        return self.store.types[JOINT_STATE](
+            header=self._header(stamp_ns, "base_link"), name=list(names), **(empty | values)
+        )
+
+    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+        sec, nanosec = divmod(int(stamp_ns), 1_000_000_000)
+        stamp = self.store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+        return self.store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)

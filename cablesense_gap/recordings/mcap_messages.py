@@ -1,38 +1,44 @@
-"""The messages of an MCAP file from first to last, also of one that breaks off.
+"""Serialized messages in MCAP files: read from first to last, and written in chunks.
 
-Records stand one behind the other, each a byte of its kind, eight of its length and its content
-(https://mcap.dev/spec). They are read in this order, without the index at the end, which a
-recorder that was killed has not written. Lengths are looked at before anything is read or
-unpacked: a file cannot ask for more memory than `MOST_RECORD_BYTES` at a time.
-
-Recorded messages from their bytes, without a ROS installation.
+A recorder that is killed leaves a file without its end. What it had written must still be read, so
+reading goes from record to record (https://mcap.dev/spec) and not by the index at the end, and
+writing closes a chunk every `CHUNK_S`. Records are read by the library `mcap` and written by
+`rosbags`. Our own is what they lack: `mcap` does not tell a file that breaks off from a damaged
+one, believes every length and unpacks without bound; no writer closes chunks by time.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import stat
 import struct
-from binascii import crc32
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self, cast
 
 import numpy as np
 
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_msgs_py.qos import Qos
 
-MAGIC: Final = b"\x89MCAP0\r\n"
+if TYPE_CHECKING:
+    from mcap.records import Chunk, McapRecord
+    from rosbags.rosbag2.storage_mcap import McapWriter
+
 MOST_RECORD_BYTES: Final = 64 << 20
 """Of a chunk, packed and unpacked, and of any record outside; rosbag2's chunks have a megabyte."""
+CHUNK_S: Final = 0.5
+"""A chunk holds no more than this of the messages' time."""
 
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
-_READ: Final = {_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK}
-_RECORD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-_LENGTH = struct.Struct("<I")
-_IDS = struct.Struct("<HH")
+_MAGIC: Final = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_BAG_VERSION: Final = 9
+"""That of ROS 2 Jazzy."""
 
 
 class RawMessage(NamedTuple):
@@ -45,27 +51,24 @@ class RawMessage(NamedTuple):
 
 
 class McapMessages:
-    """Goes through a file.
+    """The messages of a file, whole or broken off.
 
     Attributes:
-        cut: where the file breaks off, in words, once it has been gone through; empty if whole.
+        cut: where the file breaks off, once it has been gone through; empty if it is whole.
     """
 
     def __init__(self, path: str | Path) -> None:
         """The file is opened when messages are asked for."""
         self._path = Path(path)
         self.cut = ""
-        self._kinds: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, str]] = {}
 
     def __iter__(self) -> Iterator[RawMessage]:
         """The messages; those of a chunk in the order of their times.
 
         Raises:
-            RecordingError: no such file, no MCAP, or damaged in its midst.
+            RecordingError: no such file, no MCAP, or damaged before its end.
         """
         self.cut = ""
-        self._kinds, self._channels = {}, {}
         try:
             number = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except FileNotFoundError as error:
@@ -79,106 +82,61 @@ class McapMessages:
         with open(number, "rb") as file:  # noqa: PTH123  (a number has no path)
             try:
                 yield from self._messages(file, status.st_size)
-            except (struct.error, UnicodeDecodeError, IndexError) as error:
-                raise self._damaged(file.tell(), str(error)) from error
             except OSError as error:
                 raise RecordingError(f"{self._path}: cannot be read ({error})") from error
 
     def _messages(self, file: BinaryIO, size: int) -> Iterator[RawMessage]:
-        if file.read(len(MAGIC)) != MAGIC:
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Message, Schema
+        from zstandard import ZstdError
+
+        kinds: dict[int, str] = {}
+        channels: dict[int, tuple[str, str]] = {}
+        for at, opcode, content in self._records(file, size):
+            try:
+                for record in _parsed(opcode, content):
+                    if isinstance(record, Schema):
+                        kinds[record.id] = (
+                            record.name if record.encoding.startswith("ros2") else ""
+                        )
+                    elif isinstance(record, Channel):
+                        kind = kinds.get(record.schema_id, "")
+                        kind = kind if record.message_encoding == "cdr" else ""
+                        channels[record.id] = record.topic, kind
+                    elif isinstance(record, Message):
+                        if record.channel_id not in channels:
+                            raise ValueError(f"a message of unknown channel {record.channel_id}")
+                        topic, kind = channels[record.channel_id]
+                        if kind:
+                            yield RawMessage(topic, kind, record.log_time, record.data)
+            except (McapError, ZstdError, struct.error, ValueError, RuntimeError,
+                    EOFError, OverflowError) as error:  # fmt: skip
+                why = str(error) or type(error).__name__
+                raise self._damaged(at, why) from error
+
+    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
+        """Where each record starts, its opcode and content; nothing longer than the bound."""
+        from mcap.opcode import Opcode
+
+        read = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
+        if file.read(len(_MAGIC)) != _MAGIC:
             raise RecordingError(f"{self._path}: no MCAP file; `ros2 bag info` should know it")
-        at = len(MAGIC)
+        at = len(_MAGIC)
         while True:
-            head = file.read(_RECORD.size)
-            if len(head) < _RECORD.size:
-                return self._break_off(at, size)
-            kind, length = _RECORD.unpack(head)
-            if kind in (_DATA_END, _FOOTER):
-                return None
-            if kind == 0 or length > size - at - _RECORD.size:
-                return self._break_off(at, size)
-            if kind not in _READ:
+            head = file.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            if opcode == 0 or length > size - at - _HEAD.size:
+                self.cut = f"breaks off at byte {at} of {size}: the recorder did not finish it"
+                return
+            if opcode not in read:
                 file.seek(length, os.SEEK_CUR)
             elif length > MOST_RECORD_BYTES:
                 raise self._damaged(at, f"a record of {length} bytes")
             else:
-                yield from self._take(kind, file.read(length), at)
-            at += _RECORD.size + length
-
-    def _take(self, kind: int, content: bytes, at: int) -> Iterator[RawMessage]:
-        if kind == _SCHEMA:
-            (number,) = struct.unpack_from("<H", content)
-            name, behind = _text(content, 2)
-            self._kinds[number] = name if _text(content, behind)[0].startswith("ros2") else ""
-        elif kind == _CHANNEL:
-            number, schema = _IDS.unpack_from(content)
-            topic, behind = _text(content, _IDS.size)
-            encoding = _text(content, behind)[0]
-            self._channels[number] = (
-                topic,
-                self._kinds.get(schema, "") if encoding == "cdr" else "",
-            )
-        elif kind == _MESSAGE:
-            message = self._message(content, at)
-            if message is not None:
-                yield message
-        elif kind == _CHUNK:
-            yield from sorted(self._chunk(content, at), key=lambda message: message.log_ns)
-
-    def _chunk(self, content: bytes, at: int) -> Iterator[RawMessage]:
-        _, _, unpacked_bytes, checksum = _CHUNK_HEAD.unpack_from(content)
-        packing, behind = _text(content, _CHUNK_HEAD.size)
-        (length,) = struct.unpack_from("<Q", content, behind)
-        packed = content[behind + 8 : behind + 8 + length]
-        if len(packed) != length:
-            raise self._damaged(at, f"a chunk of {length} bytes in a record of {len(content)}")
-        if unpacked_bytes > MOST_RECORD_BYTES:
-            raise self._damaged(at, f"a chunk of {unpacked_bytes} bytes")
-        records = self._unpacked(packed, packing, unpacked_bytes, at)
-        if checksum and crc32(records) != checksum:
-            raise self._damaged(at, "a chunk whose checksum does not fit")
-        inside = 0
-        while inside < len(records):
-            kind, length = _RECORD.unpack_from(records, inside)
-            inside += _RECORD.size
-            if length > len(records) - inside or kind == _CHUNK:
-                raise self._damaged(at, f"a record of {length} bytes in a chunk")
-            yield from self._take(kind, records[inside : inside + length], at)
-            inside += length
-
-    def _unpacked(self, packed: bytes, packing: str, size: int, at: int) -> bytes:
-        """No more than `size` is unpacked, whatever the packed bytes hold."""
-        if packing == "":
-            records = packed
-        elif packing == "zstd":
-            from backports.zstd import ZstdDecompressor, ZstdError
-
-            try:
-                records = ZstdDecompressor().decompress(packed, size + 1)
-            except ZstdError as error:
-                raise self._damaged(at, f"a chunk that cannot be unpacked: {error}") from error
-        elif packing == "lz4":
-            from lz4.frame import LZ4FrameDecompressor
-
-            try:
-                records = LZ4FrameDecompressor().decompress(packed, size + 1)
-            except (RuntimeError, EOFError) as error:
-                raise self._damaged(at, f"a chunk that cannot be unpacked: {error}") from error
-        else:
-            raise self._damaged(at, f"a chunk packed as {packing[:20]!r}")
-        if len(records) != size:
-            raise self._damaged(at, f"a chunk that is not of the {size} bytes it says")
-        return records
-
-    def _message(self, content: bytes, at: int) -> RawMessage | None:
-        channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(content)
-        if channel not in self._channels:
-            raise self._damaged(at, f"a message of the unknown channel {channel}")
-        topic, kind = self._channels[channel]
-        return RawMessage(topic, kind, log_ns, content[_MESSAGE_HEAD.size :]) if kind else None
-
-    def _break_off(self, at: int, size: int) -> None:
-        self.cut = f"breaks off at byte {at} of {size}: the recorder did not get to its end"
+                yield at, opcode, file.read(length)
+            at += _HEAD.size + length
 
     def _damaged(self, at: int, why: str) -> RecordingError:
         return RecordingError(
@@ -186,17 +144,51 @@ class McapMessages:
         )
 
 
-def _text(content: bytes, at: int) -> tuple[str, int]:
-    """A string, and where it ends."""
-    (length,) = _LENGTH.unpack_from(content, at)
-    end = at + _LENGTH.size + length
-    if end > len(content):
-        raise IndexError(f"a string of {length} bytes in a record of {len(content)}")
-    return content[at + _LENGTH.size : end].decode(), end
+def _parsed(opcode: int, content: bytes) -> list[McapRecord]:
+    """The record of these bytes; of a chunk all in it, messages in the order of their times."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Chunk, Message, Schema
+    from mcap.stream_reader import breakup_chunk
+
+    stream = ReadDataStream(BytesIO(content))
+    match opcode:
+        case Opcode.SCHEMA:
+            return [Schema.read(stream)]
+        case Opcode.CHANNEL:
+            return [Channel.read(stream)]
+        case Opcode.MESSAGE:
+            return [Message.read(stream, len(content))]
+    chunk = Chunk.read(stream)
+    unpacked = replace(chunk, compression="", data=_unpacked(chunk))
+    records = breakup_chunk(unpacked, validate_crc=True)
+    return sorted(records, key=lambda record: getattr(record, "log_time", -1))
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """A chunk's records; no more than it states is unpacked, whatever the packed bytes hold."""
+    size = chunk.uncompressed_size
+    if size > MOST_RECORD_BYTES:
+        raise ValueError(f"a chunk of {size} bytes")
+    if chunk.compression == "zstd":
+        from zstandard import ZstdDecompressor
+
+        records = ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        records = LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+    elif chunk.compression == "":
+        records = chunk.data
+    else:
+        raise ValueError(f"a chunk packed as {chunk.compression[:20]!r}")
+    if len(records) != size:
+        raise ValueError(f"a chunk that is not of the {size} bytes it states")
+    return records
 
 
 class BagTypes:
-    """The standard messages of ROS 2 Jazzy."""
+    """The standard messages of ROS 2 Jazzy, without a ROS installation."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -206,8 +198,7 @@ class BagTypes:
     def message(self, kind: str, data: bytes) -> Any:
         """A message of its type's full name and its bytes (CDR).
 
-        What publishers leave behind its end is not looked at. Bytes that are none raise anything
-        that a parser can.
+        What publishers leave behind its end is ignored. Other bytes raise whatever a parser can.
         """
         definition = self._store.get_msgdef(kind)
         little = bytes(data[:2]) == b"\x00\x01"
@@ -215,3 +206,149 @@ class BagTypes:
         return read(
             np.frombuffer(data, dtype=np.uint8)[4:].tobytes(), 0, definition.cls, self._store
         )[0]
+
+
+class TopicFile:
+    """One rosbag2 .mcap file being written; as a context, closed, or discarded after an error."""
+
+    def __init__(self, path: str | Path, growing: bool) -> None:
+        """Open the file.
+
+        Args:
+            path: of the file; one that is there already is replaced when this one is whole, or at
+                once if it grows.
+            growing: whether it has its name from the start, or only when it is whole.
+
+        Raises:
+            RecordingError: the name does not end in .mcap, or the place cannot be written to.
+        """
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        self._path = Path(path)
+        if self._path.suffix != ".mcap":
+            raise RecordingError(f"{self._path}: a recording of topics must be named ….mcap")
+        if self._path.is_dir():
+            raise RecordingError(f"{self._path}: is a folder; give the name of a file")
+        if not self._path.parent.is_dir():
+            raise RecordingError(f"{self._path}: there is no folder {self._path.parent}")
+        self._growing = growing
+        self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
+        self._folder = self._beside / self._path.stem  # rosbags names the file for its folder
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+        self._writer = Writer(
+            self._folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP
+        )
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._chunk_from_ns = 0
+        try:
+            self._writer.open()
+            self._storage.bio.flush()
+            if growing:
+                self._written.replace(self._path)
+                shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
+        except OSError as error:
+            self.discard()
+            raise self._cannot(error) from error
+
+    def add(self, topic: str, kind: str, qos: Qos) -> Any:
+        """A channel for a topic's full name and type, to be written to; `qos` as it is offered."""
+        return self._writer.add_connection(
+            topic, kind, typestore=self.store, offered_qos_profiles=[_profile(qos)]
+        )
+
+    def write(self, channel: Any, log_ns: int, raw: bytes) -> None:
+        """One message that came at `log_ns`.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        if not self._storage.chunk.msgs:
+            self._chunk_from_ns = log_ns
+        elif abs(log_ns - self._chunk_from_ns) >= CHUNK_S * 1e9:
+            self.flush()
+            self._chunk_from_ns = log_ns
+        try:
+            self._writer.write(channel, log_ns, raw)
+        except OSError as error:
+            raise self._cannot(error) from error
+
+    def flush(self) -> None:
+        """Close the chunk and hand it to the operating system.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        try:
+            if self._storage.chunk.msgs:
+                self._storage.close_chunk()
+            self._storage.bio.flush()
+        except OSError as error:
+            raise self._cannot(error) from error
+
+    def close(self) -> None:
+        """Finish the file, and put it in its place where it is not there yet.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)  # rosbags writes its metadata there
+            self._writer.close()
+            if not self._growing:
+                self._written.replace(self._path)
+        except OSError as error:
+            raise self._cannot(error) from error
+        finally:
+            shutil.rmtree(self._beside, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        with suppress(Exception):
+            self._writer.abort()
+        shutil.rmtree(self._beside, ignore_errors=True)
+        if self._growing:
+            self._path.unlink(missing_ok=True)
+
+    @property
+    def _storage(self) -> McapWriter:
+        return cast("McapWriter", self._writer.storage)
+
+    @property
+    def _written(self) -> Path:
+        return self._folder / f"{self._folder.name}.mcap"
+
+    def _cannot(self, error: OSError) -> RecordingError:
+        return RecordingError(f"{self._path}: cannot be written ({error.strerror or error})")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.discard()
+
+
+def _profile(qos: Qos) -> Any:
+    from rosbags import interfaces as bags
+
+    durability, reliability = bags.QosDurability, bags.QosReliability
+    without_end = bags.QosTime(9_223_372_036, 854_775_807)  # as rmw writes infinity
+    return bags.Qos(
+        history=bags.QosHistory.KEEP_LAST,
+        depth=qos.depth,
+        reliability=reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if qos.transient_local else durability.VOLATILE,
+        deadline=without_end,
+        lifespan=without_end,
+        liveliness=bags.QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=without_end,
+        avoid_ros_namespace_conventions=False,
+    )

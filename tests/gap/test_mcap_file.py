@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from cablesense_gap.recordings import mcap_file
 from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.mcap_file import read_mcap, write_mcap
+from cablesense_gap.recordings.mcap_file import BagWriter, read_mcap, write_mcap
 from cablesense_gap.recordings.mcap_messages import RawMessage
-from cablesense_gap.recordings.mcap_writer import BagWriter
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_msgs_py.topic_types import INPUTS
 from cablesense_sim.arm import open_arm
