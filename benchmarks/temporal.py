@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_base.progress import sample_progress
+from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.evaluation.sequence_figures import (
@@ -140,7 +140,7 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
 
 
 def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
-    with sample_progress(protocol.sequences, shown=True, what=f"courses of {arm}") as advance:
+    with progress_bar(protocol.sequences, shown=True, what=f"courses of {arm}") as advance:
         return draw_sequences(open_arm(arm), protocol, seed, workers=workers, on_done=advance)
 
 

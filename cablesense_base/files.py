@@ -1,9 +1,12 @@
-"""Files from outside: regular, and no larger than what they are said to be can be."""
+"""Files: read if regular and no larger than their kind can be, written whole or not at all."""
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cablesense_base.errors import CableSenseError
@@ -60,6 +63,58 @@ def read_bounded_text(
         raise refusal(
             f"{path}: cannot be read as text (byte {error.start} is no UTF-8); {what} is text"
         ) from error
+
+
+@contextmanager
+def written_whole(path: str | Path, refusal: type[CableSenseError]) -> Iterator[Path]:
+    """A new file beside `path` that takes its name when the block ends well, and else vanishes.
+
+    Errors of the block pass through, except an `OSError`.
+
+    Args:
+        path: of the file; one that is there already is replaced.
+        refusal: the error to raise.
+
+    Raises:
+        CableSenseError: of the class `refusal`: the file cannot be written.
+    """
+    path = Path(path)
+    beside = path.parent / f".{path.name}.{os.getpid()}.part"
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        beside.touch()
+        yield beside
+        beside.replace(path)
+    except OSError as error:
+        why = error.strerror or " ".join(str(error).split())
+        raise refusal(
+            f"{_shown(path)}: cannot be written ({why}); "
+            "give a file in a folder that exists and is yours"
+        ) from error
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def write_atomically(
+    path: str | Path, content: str | bytes, refusal: type[CableSenseError]
+) -> None:
+    """Write a file whole or not at all; as `written_whole`.
+
+    Raises:
+        CableSenseError: of the class `refusal`: the file cannot be written.
+    """
+    with written_whole(path, refusal) as beside:
+        beside.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether a file of this name exists; False, too, for what cannot be a name."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):  # too long, or with a null in it
+        return False
 
 
 def _shown(path: str | Path) -> str:

@@ -1,24 +1,26 @@
-"""Where the files of `config/` lie: in a checkout, a colcon workspace or a pip installation.
+"""What is installed: the files of `config/`, by path or by the name of one, and the version.
 
 A wheel or a `colcon build` copies `config/` to `share/cablesense_ros/config` under the prefix that
 the package was installed to; a checkout (and an editable installation of one) has it beside the
 packages.
-
-Which version of this package made a dataset.
 """
+
+from __future__ import annotations
 
 import importlib.metadata
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from cablesense_base.errors import CableSenseError
+from cablesense_base.files import is_file
 
 _SHARE = Path("share", "cablesense_ros", "config")
 
 
 def config_path(name: str) -> Path:
-    """Give the file or folder `name` of `config/`, for example ``config_path("arms/cdsm.yaml")``.
+    """The file or folder `name` of `config/`, for example ``config_path("arms/cdsm.yaml")``.
 
     Args:
         name: path relative to `config/`, with forward slashes.
@@ -42,6 +44,48 @@ def config_path(name: str) -> Path:
             return candidate
     sought = ", ".join(str(root) for root in roots)
     raise CableSenseError(f"no bundled file {name!r}; sought in {sought}")
+
+
+@dataclass(frozen=True)
+class BundledFiles:
+    """One kind of bundled file, each found by its name, and any other of the kind by its path."""
+
+    kind: str
+    """What a file is, for errors: `arm`."""
+    folder: str
+    """Of `config/`."""
+    suffixes: tuple[str, ...]
+    """Of a path; the first is that of the bundled files."""
+    refusal: type[CableSenseError]
+    """The error to raise."""
+
+    def names(self) -> list[str]:
+        """Names of the bundled files without suffix; with `/` where they lie in a folder."""
+        folder = config_path(self.folder)
+        paths = (path.relative_to(folder) for path in folder.rglob(f"*{self.suffixes[0]}"))
+        return sorted(path.with_suffix("").as_posix() for path in paths)
+
+    def find(self, name_or_path: str | Path) -> Path:
+        """The file that a name (`cdsm`) or a path (`my/arm.yaml`) stands for.
+
+        Raises:
+            CableSenseError: of the class `refusal`: neither a bundled name nor a file; the message
+                lists the bundled names.
+        """
+        name, names, suffix = str(name_or_path), self.names(), self.suffixes[0]
+        if name in names:
+            return config_path(f"{self.folder}/{name}{suffix}")
+        bundled = ", ".join(names)
+        if Path(name).suffix in self.suffixes:
+            if is_file(name):
+                return Path(name)
+            raise self.refusal(
+                f"no {self.kind} file {name}; give an existing {suffix} file or one of {bundled}"
+            )
+        raise self.refusal(
+            f"unknown {self.kind} {name[:80]!r}; bundled {self.kind}s are {bundled}, "
+            f"and any other is given as the path of its {suffix} file"
+        )
 
 
 def _config_roots() -> list[Path]:

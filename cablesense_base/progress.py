@@ -1,7 +1,10 @@
-"""A progress bar for long runs: samples done, rate and time left, on standard error."""
+"""A progress bar for long runs, on standard error: how many are done, how fast, time left."""
 
-from collections.abc import Callable, Iterator
+from __future__ import annotations
+
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import (
@@ -16,36 +19,42 @@ from rich.progress import (
 from rich.text import Text
 
 
-class RateColumn(ProgressColumn):
-    """Samples, or whatever they are, per second of late."""
+class Advance(Protocol):
+    """Moves a bar on by `done`; a note (losses of an epoch) stands in place of the rate."""
 
-    def __init__(self, what: str) -> None:
-        super().__init__()
-        self._what = what
+    def __call__(self, done: int, note: str = "") -> None:
+        """`done` more are done."""
 
+
+class _RateColumn(ProgressColumn):
     def render(self, task: Task) -> Text:
-        """Give the rate, or a dash until there is one."""
+        """The note if there is one, the rate of late, or a dash until there is one."""
+        if task.fields["note"]:
+            return Text(task.fields["note"])
         speed = task.finished_speed or task.speed
-        return Text(f"– {self._what}/s" if speed is None else f"{speed:,.3g} {self._what}/s")
+        rate = "–" if speed is None else f"{speed:,.3g}"
+        return Text(f"{rate} {task.description}/s")
 
 
 @contextmanager
-def sample_progress(
-    total: int, *, shown: bool, what: str = "samples"
-) -> Iterator[Callable[[int], None]]:
-    """A bar of `total` samples, or `what` they are; tell what it gives how many were just done.
+def progress_bar(total: int, *, shown: bool, what: str = "samples") -> Iterator[Advance]:
+    """A bar of `total` samples, or `what` they are; call what it gives with how many were done.
 
     Nothing is drawn unless `shown` and standard error is a terminal.
     """
     console = Console(stderr=True)
     with Progress(
         TextColumn(what),
-        BarColumn(),
+        BarColumn(bar_width=20),
         MofNCompleteColumn(),
-        RateColumn(what),
+        _RateColumn(),
         TimeRemainingColumn(),
         console=console,
         disable=not (shown and console.is_terminal),
     ) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.advance(task, done)
+        task = progress.add_task(what, total=total, note="")
+
+        def advance(done: int, note: str = "") -> None:
+            progress.update(task, advance=done, note=note)
+
+        yield advance

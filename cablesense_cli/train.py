@@ -221,7 +221,7 @@ def train_on_sequences(
     Raises:
         CableSenseError: an option out of range, or an arm without rest.
     """
-    from cablesense_base.progress import sample_progress
+    from cablesense_base.progress import progress_bar
     from cablesense_training.fit import epoch_progress
     from cablesense_training.fit_sequences import SequenceFitSettings
     from cablesense_training.motion.motion_protocol import MotionProtocol
@@ -235,7 +235,7 @@ def train_on_sequences(
     settings = replace(SequenceFitSettings(), **_given(fit_options))
     _require_positive(settings)
     count = protocol.sequences + count_of_test(protocol)
-    with sample_progress(count, shown=not as_json, what="sequences") as advance:
+    with progress_bar(count, shown=not as_json, what="sequences") as advance:
         training, test = training_and_test(
             arm, protocol, settings.seed, workers=os.cpu_count() or 1, on_done=advance
         )

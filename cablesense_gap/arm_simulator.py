@@ -16,9 +16,10 @@ import yaml
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_base.files import write_atomically
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_sim.arm import Arm, ListedEffect, parse_arm
+from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, parse_arm
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect
 from cablesense_sim.effects.registry import EffectEntry, entries_of, known_effects
 from cablesense_sim.effects.transmission import Transmission
@@ -135,7 +136,11 @@ def _listed(
 
 
 def write_arm(path: Path, arm: Arm, heading: str) -> None:
-    """Write an arm file that reads back as this very arm, `heading` as comment lines above."""
+    """Write an arm file that reads back as this very arm, `heading` as comment lines above.
+
+    Raises:
+        ArmFileError: the place cannot be written to.
+    """
     content = arm.model_dump(mode="python", exclude_none=True)
     for effect in content["effects"]:
         if effect["at"] == WHOLE_ARM:
@@ -143,7 +148,7 @@ def write_arm(path: Path, arm: Arm, heading: str) -> None:
     lines = "".join(f"# {line}\n" for line in heading.splitlines())
     text = lines + yaml.safe_dump(_plain(content), sort_keys=False, width=99)
     parse_arm(text, source=str(path))
-    path.write_text(text, encoding="utf-8")
+    write_atomically(path, text, ArmFileError)
 
 
 def _plain(value: object) -> object:

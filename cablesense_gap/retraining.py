@@ -29,11 +29,8 @@ The loads of a recording as a force estimator gets them: what tensions differ by
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +39,7 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
 from cablesense_gap.diagnose import course_of
 from cablesense_gap.diagnosis.gauss_newton import refine
@@ -307,20 +305,12 @@ def estimator_errors(
     fold_of_row = course.fold[loads.trial]
     folds = [int(fold) for fold in np.unique(fold_of_row)]
     answers = np.zeros_like(plain)
-    answered = partial(_answered, course, recording, nominal, amended)
-    for done, (fold, own) in enumerate(zip(folds, _each(answered, folds, workers), strict=True)):
-        tell("training for the amended arm", (2 + done) / (2 + len(folds)))
-        answers[fold_of_row == fold] = own[fold_of_row == fold]
+    with WorkerPool(workers, course, recording, nominal, amended) as pool:
+        for done, (fold, own) in enumerate(zip(folds, pool.map(_answered, folds), strict=True)):
+            tell("training for the amended arm", (2 + done) / (2 + len(folds)))
+            answers[fold_of_row == fold] = own[fold_of_row == fold]
     tell("trained", 1.0)
     return Errors(before=before, after=estimator_figures(mechanism, loads, answers))
-
-
-def _each(answered: Callable[[int], Array], folds: list[int], workers: int) -> Iterator[Array]:
-    if workers == 1:
-        yield from map(answered, folds)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(answered, folds)
 
 
 def _answered(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cablesense_base.errors import CableSenseError
-from cablesense_base.files import read_bounded_text
+from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import describe_problem
 
 NONE: Final = "none"
@@ -196,17 +195,8 @@ def write_verdict(path: str | Path, verdict: Verdict) -> None:
     Raises:
         VerdictError: the place cannot be written to.
     """
-    path = Path(path)
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
-        beside.write_text(
-            verdict.model_dump_json(indent=2, exclude_none=True) + "\n", encoding="utf-8"
-        )
-        beside.replace(path)
-    except OSError as error:
-        raise VerdictError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    text = verdict.model_dump_json(indent=2, exclude_none=True) + "\n"
+    write_atomically(path, text, VerdictError)
 
 
 def read_verdict(path: str | Path) -> Verdict:

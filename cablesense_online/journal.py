@@ -16,7 +16,6 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +24,7 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_base.files import read_bounded_text
+from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_msgs_py.journal import MOST_NUMBERS, Event, EventKind, JournalEntry
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answers import Answers
@@ -262,14 +261,7 @@ class StateFile:
 def _write(path: Path, entry: JournalEntry) -> None:
     values = asdict(entry)
     del values["events"]
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(json.dumps({"format": FORMAT, **values}, indent=1), encoding="utf-8")
-        beside.replace(path)
-    except OSError:
-        with suppress(OSError):
-            beside.unlink()
-        raise
+    write_atomically(path, json.dumps({"format": FORMAT, **values}, indent=1), StateFileError)
 
 
 def _entry(text: str) -> JournalEntry | None:

@@ -20,6 +20,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, TextIO, get_type_hints
 
+from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.journal import JournalEntry
 from cablesense_msgs_py.serialized import WrenchWriter, stamp_ns, wrench_writers
@@ -235,15 +236,11 @@ def estimate_table(path: Path) -> Iterator[EstimateTable]:
     Raises:
         RecordingError: it cannot be written there.
     """
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with beside.open("w", encoding="utf-8", newline="") as file:
-            yield EstimateTable(file)
-        beside.replace(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    with (
+        written_whole(path, RecordingError) as beside,
+        beside.open("w", encoding="utf-8", newline="") as file,
+    ):
+        yield EstimateTable(file)
 
 
 def replay_in_process(

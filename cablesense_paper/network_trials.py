@@ -17,11 +17,9 @@ Errors of networks against depth, width, parameters and time, as pictures.
 
 from __future__ import annotations
 
-import multiprocessing
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.report.style import WIDTH_IN, plain_log_ticks
 from cablesense_paper.network_findings import (
     DECOUPLED,
@@ -145,26 +144,13 @@ def trials(
     workers: int,
 ) -> Iterator[Trial]:
     """A trial for every shape and seed, in order; the same for any number of workers."""
-    if workers == 1:
-        yield from (trial(shape, seed, training, test, settings) for shape, seed in cases)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, context, initializer=_share, initargs=(training, test, settings)
-    ) as pool:
-        yield from pool.map(_shared_trial, cases)
+    with WorkerPool(workers, training, test, settings) as pool:
+        yield from pool.map(_trial_of_case, cases)
 
 
-_SHARED: dict[str, tuple[Dataset, Dataset, FitSettings]] = {}
-
-
-def _share(training: Dataset, test: Dataset, settings: FitSettings) -> None:
-    """Samples are sent to a worker once, not with every case."""
-    _SHARED["samples"] = (training, test, settings)
-
-
-def _shared_trial(case: tuple[Shape, int]) -> Trial:
-    training, test, settings = _SHARED["samples"]
+def _trial_of_case(
+    training: Dataset, test: Dataset, settings: FitSettings, case: tuple[Shape, int]
+) -> Trial:
     return trial(*case, training, test, settings)
 
 

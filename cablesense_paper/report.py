@@ -12,7 +12,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered, write_whole
+from cablesense_base.files import write_atomically
+from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
 from cablesense_paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
 
 
@@ -100,14 +101,9 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None
     """
     for outcome in outcomes:
         for picture in outcome.result.pictures if outcome.result else ():
-            path = folder / f"{picture.name}.png"
-            try:
-                path.write_bytes(picture.png)
-            except OSError as error:
-                reason = error.strerror or error
-                raise ReportError(f"{path}: cannot be written ({reason})") from error
-    write_whole(folder / "results.json", results_json(outcomes, quick))
-    write_whole(folder / "report.html", paper_page(outcomes, quick))
+            write_atomically(folder / f"{picture.name}.png", picture.png, ReportError)
+    write_atomically(folder / "results.json", results_json(outcomes, quick), ReportError)
+    write_atomically(folder / "report.html", paper_page(outcomes, quick), ReportError)
 
 
 def results_json(outcomes: Sequence[Outcome], quick: bool) -> str:

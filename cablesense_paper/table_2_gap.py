@@ -17,11 +17,9 @@ that goes slack shows in one row or two, which no other row tells of.
 from __future__ import annotations
 
 import json
-import multiprocessing
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,11 +29,14 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
+from cablesense_base.files import write_atomically
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnose import gap_size, rmse_interval_n
 from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import UNKNOWN, Candidate, Verdict, Where
+from cablesense_paper.study import PaperError
 from cablesense_paper.tension_changes import (
     ChangeSimulator,
     Explained,
@@ -139,14 +140,15 @@ def rehearse(
     mistaken: Counter[tuple[str, str]] = Counter()
     named = 0
     cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
-    for done, found in enumerate(_each(simulator, scans, cases, workers), start=1):
-        unexplained[found.kind] += found.least_left >= measured.least_left
-        if found.kind == KINDS[0]:
-            (effect,) = found.effects
-            named += found.best == effect
-            if found.best != effect:
-                mistaken[effect, found.best] += 1
-        tell(done / len(cases))
+    with WorkerPool(workers, simulator, scans) as pool:
+        for done, found in enumerate(pool.map(_told, cases), start=1):
+            unexplained[found.kind] += found.least_left >= measured.least_left
+            if found.kind == KINDS[0]:
+                (effect,) = found.effects
+                named += found.best == effect
+                if found.best != effect:
+                    mistaken[effect, found.best] += 1
+            tell(done / len(cases))
     return Rehearsal(count, unexplained, named, dict(mistaken))
 
 
@@ -160,28 +162,6 @@ class _Told(NamedTuple):
 
 
 _Case = tuple[int, str, int]
-_shared: list[tuple[ChangeSimulator, Sequence[Scan]]] = []
-
-
-def _each(
-    simulator: ChangeSimulator, scans: Sequence[Scan], cases: Sequence[_Case], workers: int
-) -> Iterator[_Told]:
-    if workers == 1:
-        yield from (_told(simulator, scans, case) for case in cases)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, context, initializer=_share, initargs=(simulator, scans)
-    ) as pool:
-        yield from pool.map(_told_by_worker, cases)
-
-
-def _share(simulator: ChangeSimulator, scans: Sequence[Scan]) -> None:
-    _shared.append((simulator, scans))
-
-
-def _told_by_worker(case: _Case) -> _Told:
-    return _told(*_shared[0], case)
 
 
 def _told(simulator: ChangeSimulator, scans: Sequence[Scan], case: _Case) -> _Told:
@@ -206,7 +186,7 @@ def write_rehearsal(path: Path, rehearsal: Rehearsal) -> None:
     """Write counts, so that who wants the verdict need not rehearse."""
     said = asdict(rehearsal)
     said["mistaken"] = [[*names, count] for names, count in sorted(rehearsal.mistaken.items())]
-    path.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+    write_atomically(path, json.dumps(said, indent=1) + "\n", PaperError)
 
 
 def _rate(hits: int, count: int) -> float:

@@ -26,7 +26,7 @@ from pydantic import (
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
-from cablesense_base.installation import config_path
+from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 
 MAX_FILE_BYTES = 200_000
@@ -289,12 +289,12 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
         raise ArmFileError(f"{source}: {describe_problem(error, Arm)}") from None
 
 
-ARM_SUFFIXES = (".yaml", ".yml")
+_BUNDLED = BundledFiles("arm", "arms", (".yaml", ".yml"), ArmFileError)
 
 
 def bundled_arms() -> list[str]:
     """Names of the bundled arms, for example `cdsm`."""
-    return sorted(path.stem for path in config_path("arms").glob("*.yaml"))
+    return _BUNDLED.names()
 
 
 def find_arm(name_or_path: str | Path) -> Path:
@@ -303,27 +303,7 @@ def find_arm(name_or_path: str | Path) -> Path:
     Raises:
         ArmFileError: neither a bundled arm nor a file; the message lists the bundled names.
     """
-    path = Path(name_or_path)
-    if path.suffix in ARM_SUFFIXES:
-        if _is_file(path):
-            return path
-        raise ArmFileError(
-            f"no arm file {path}; give an existing .yaml file or one of "
-            f"{', '.join(bundled_arms())}"
-        )
-    if str(name_or_path) in bundled_arms():
-        return config_path(f"arms/{name_or_path}.yaml")
-    raise ArmFileError(
-        f"unknown arm {str(name_or_path)!r}; bundled arms are {', '.join(bundled_arms())}, "
-        "and any other is given as the path of its .yaml file"
-    )
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name too long to be one
-        return False
+    return _BUNDLED.find(name_or_path)
 
 
 def open_arm(name_or_path: str | Path) -> Arm:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import os
 import warnings
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
 from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
@@ -52,7 +52,7 @@ def export_model(network: Network | TemporalNetwork, path: Path, metadata: Model
     onnx.checker.check_model(model, full_check=False)
     content = model.SerializeToString()
     _require_agreement(answers, content, dict(zip(inputs, trial, strict=True)))
-    _write_whole(path, content)
+    write_atomically(path, content, TrainingError)
 
 
 def _outputs(network: Network | TemporalNetwork) -> list[str]:
@@ -190,14 +190,3 @@ def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Ten
                 f"output {entry.name} differs by {difference:.2g} between PyTorch and ONNX "
                 f"Runtime; at most {AGREEMENT:g} is allowed"
             )
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_bytes(content)
-        beside.replace(path)
-    except OSError as error:
-        raise TrainingError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        beside.unlink(missing_ok=True)

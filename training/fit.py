@@ -12,10 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
+from cablesense_base.progress import progress_bar
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.losses import (
@@ -319,22 +318,8 @@ def epoch_progress(epochs: int, *, shown: bool) -> Iterator[Callable[[EpochRecor
 
     Nothing is drawn unless `shown` and standard error is a terminal.
     """
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("epochs"),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[losses]}"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not (shown and console.is_terminal),
-    ) as progress:
-        task = progress.add_task("epochs", total=epochs, losses="")
-
-        def advance(record: EpochRecord) -> None:
-            progress.update(task, completed=record.epoch, losses=losses_line(record))
-
-        yield advance
+    with progress_bar(epochs, shown=shown, what="epochs") as advance:
+        yield lambda record: advance(1, losses_line(record))
 
 
 def losses_line(record: EpochRecord) -> str:

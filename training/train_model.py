@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cablesense_base.progress import sample_progress
+from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
@@ -232,7 +232,7 @@ def draw_samples(
     given = {name: value for name, value in options.items() if value is not None}
     protocol = protocol_from_options({"kind": protocol_kind(network_name), **given})
     parts = []
-    with sample_progress(protocol.samples, shown=show_progress) as advance:
+    with progress_bar(protocol.samples, shown=show_progress) as advance:
         for part in generate(arm, protocol, seed, workers=workers):
             parts.append(part)
             advance(len(part))

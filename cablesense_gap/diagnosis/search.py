@@ -5,11 +5,9 @@ Work on one course, shared among processes.
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from typing import Self, TypeVar
+from collections.abc import Callable, Iterable, Sequence
 
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.fitting import fit, polish, rethink, singled_out
 from cablesense_gap.diagnosis.gauss_newton import refine
 from cablesense_gap.diagnosis.places import WORTH, blocks
@@ -23,57 +21,6 @@ from cablesense_gap.diagnosis.screening import (
     single_looks,
 )
 from cablesense_gap.simulator import Candidate
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-
-_course: Course | None = None
-
-
-class Crew:
-    """Does tasks on a course in order, in this process or in some workers."""
-
-    def __init__(self, course: Course, workers: int) -> None:
-        self._course, self._workers = course, workers
-        self._pool: Executor | None = None
-
-    def __enter__(self) -> Self:
-        """Starts the workers, each with its own course."""
-        if self._workers > 1:
-            self._pool = ProcessPoolExecutor(
-                self._workers,
-                mp_context=multiprocessing.get_context("spawn"),
-                initializer=_take,
-                initargs=(self._course,),
-            )
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Ends them; what has not begun is dropped."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-
-    def map(
-        self, work: Callable[[Course, Task], Result], tasks: Iterable[Task]
-    ) -> Iterator[Result]:
-        """Results in the order of the tasks."""
-        if self._pool is None:
-            yield from (work(self._course, task) for task in tasks)
-            return
-        futures = [self._pool.submit(_do, work, task) for task in tasks]
-        for future in futures:
-            yield future.result()
-
-
-def _take(course: Course) -> None:
-    global _course
-    _course = course
-
-
-def _do(work: Callable[[Course, Task], Result], task: Task) -> Result:
-    assert _course is not None
-    return work(_course, task)
-
 
 Tell = Callable[[str, float], None]
 
@@ -95,13 +42,13 @@ def search(course: Course, tell: Tell = lambda *_: None, workers: int = 1) -> li
     """
     none = refine(course, {}, [[]])
     assert none is not None
-    with Crew(course, workers) as crew:
-        return [none, *_Search(course, crew, tell, none).run()]
+    with WorkerPool(workers, course) as pool:
+        return [none, *_Search(course, pool, tell, none).run()]
 
 
 class _Search:
-    def __init__(self, course: Course, crew: Crew, tell: Tell, none: Hypothesis) -> None:
-        self._course, self._crew, self._tell, self._none = course, crew, tell, none
+    def __init__(self, course: Course, pool: WorkerPool, tell: Tell, none: Hypothesis) -> None:
+        self._course, self._pool, self._tell, self._none = course, pool, tell, none
         self._found: dict[tuple[str, ...], Hypothesis] = {}
         self._polished: list[Hypothesis] = []
 
@@ -143,7 +90,7 @@ class _Search:
             best.setdefault(len(hypothesis.effects), hypothesis)
         done = {id(hypothesis) for hypothesis in self._polished}
         rough = [h for count, h in best.items() if count <= most and id(h) not in done]
-        for fitted in self._crew.map(polish, rough):
+        for fitted in self._pool.map(polish, rough):
             self._found[fitted.effects] = fitted
             self._polished.append(fitted)
 
@@ -155,7 +102,7 @@ class _Search:
 
     def _offer(self, candidates: Sequence[Candidate], behind: float) -> Offered:
         offered = {}
-        looked = self._crew.map(blocks, candidates)
+        looked = self._pool.map(blocks, candidates)
         for k, (candidate, every) in enumerate(zip(candidates, looked, strict=True)):
             self._tell(candidate.effect, behind + 0.1 * k / len(candidates))
             offered[candidate.effect] = candidate, every
@@ -199,7 +146,7 @@ class _Search:
     def _fit(self, looks: Iterable[Look], what: str, behind: float) -> None:
         """Fits them; of the same effects the better is kept, among equals the less far-fetched."""
         looks = list(looks)
-        for k, fitted in enumerate(self._crew.map(fit, looks)):
+        for k, fitted in enumerate(self._pool.map(fit, looks)):
             self._tell(f"fitting {what}", behind + 0.2 * k / len(looks))
             if fitted is not None:
                 self._keep(fitted)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import fields
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
+from cablesense_base.files import written_whole
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.plant.body import Nominal, PlantError
 from cablesense_gap.plant.case import Answer, CaseRecording, draw_case, draw_kinds, record_case
 
@@ -53,16 +53,15 @@ def write_answers(path: Path, answers: Iterable[Answer]) -> None:
 
 
 def _write(path: Path, header: list[str], rows: Iterable[list[str]]) -> None:
-    beside = path.with_name(f".{path.name}.part")
-    try:
+    with suppress(OSError):  # what is wrong is found on writing
         path.parent.mkdir(parents=True, exist_ok=True)
-        with beside.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows)
-        beside.replace(path)
-    except OSError as error:
-        raise PlantError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with (
+        written_whole(path, PlantError) as beside,
+        beside.open("w", encoding="utf-8", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
 
 
 def _texts(values: np.ndarray, decimals: int) -> list[list[str]]:
@@ -77,7 +76,7 @@ def _text(value: object) -> str:
 _REDRAWS = 5
 
 
-def make_case(index: int, kind: str, nominal: Nominal, seed: int) -> CaseRecording:
+def make_case(nominal: Nominal, seed: int, index: int, kind: str) -> CaseRecording:
     """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
@@ -107,20 +106,10 @@ def withhold(
     """
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     numbers = range(1, count + 1)
-    make = partial(make_case, nominal=nominal, seed=seed)
     answers = []
-    for recorded in _made(make, numbers, kinds, workers):
-        write_recording(folder / f"{recorded.answer.recording}.csv", recorded)
-        answers.append(recorded.answer)
-        yield recorded.answer
+    with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
+        for recorded in pool.map(make_case, numbers, kinds):
+            write_recording(folder / f"{recorded.answer.recording}.csv", recorded)
+            answers.append(recorded.answer)
+            yield recorded.answer
     write_answers(answers_file, answers)
-
-
-def _made(
-    make: partial[CaseRecording], numbers: range, kinds: list[str], workers: int
-) -> Iterator[CaseRecording]:
-    if workers == 1:
-        yield from map(make, numbers, kinds)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(make, numbers, kinds)

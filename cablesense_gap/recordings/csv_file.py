@@ -6,7 +6,6 @@ The columns of a recording as a table: their names, and how many decimals each i
 from __future__ import annotations
 
 import csv
-import os
 import re
 import warnings
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import Arm
 
@@ -111,15 +111,8 @@ def write_csv(path: str | Path, recording: Recording) -> None:
         **_texts(LOAD, recording.load_n, LOAD_DECIMALS),
         **_texts(cables, recording.tensions_n, TENSION_DECIMALS),
     }
-    path = Path(path)
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
+    with written_whole(path, RecordingError) as beside:
         pd.DataFrame(table).to_csv(beside, index=False, lineterminator="\n")
-        beside.replace(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import write_arm
 from cablesense_gap.diagnose import Diagnosis
 from cablesense_gap.recordings.recording import Recording
@@ -23,12 +24,12 @@ from cablesense_gap.report.pictures import (
     time_figure,
 )
 from cablesense_gap.report.style import (
+    ReportError,
     newtons,
     percent,
     rendered,
     style,
     with_interval,
-    write_whole,
 )
 from cablesense_gap.report.text import (
     all_places,
@@ -54,7 +55,7 @@ def write_report(path: str | Path, inputs: ReportInputs) -> None:
     Raises:
         ReportError: the place cannot be written to.
     """
-    write_whole(Path(path), report_page(inputs))
+    write_atomically(path, report_page(inputs), ReportError)
 
 
 def report_page(inputs: ReportInputs) -> str:

@@ -15,11 +15,9 @@ from __future__ import annotations
 import base64
 import io
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from cablesense_base.errors import CableSenseError
@@ -116,22 +114,6 @@ def rendered(
 def page_css() -> str:
     """The style sheet that all pages share."""
     return resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-
-
-def write_whole(path: Path, page: str) -> None:
-    """Write a page; whole or not at all.
-
-    Raises:
-        ReportError: the place cannot be written to.
-    """
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
-        beside.write_text(page, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise ReportError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def newtons(value: float) -> str:

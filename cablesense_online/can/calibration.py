@@ -9,7 +9,6 @@ Which calibration the driver's tensions rest on, for log and diagnostics.
 
 from __future__ import annotations
 
-import os
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +17,7 @@ import yaml
 from cantools.database.can import Database
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cablesense_base.files import read_bounded_text
+from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_online.can.channel_map import (
@@ -185,17 +184,9 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
     Raises:
         ChannelMapError: the place cannot be written to.
     """
-    path = Path(path)
     content = calibration.model_dump(mode="json", exclude_none=True)
     text = _HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise ChannelMapError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    write_atomically(path, text, ChannelMapError)
 
 
 def calibration_status(calibration: Calibration | None) -> Status:

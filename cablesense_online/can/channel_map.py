@@ -35,7 +35,7 @@ from pydantic import (
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
-from cablesense_base.installation import config_path
+from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 
 MAX_CHANNELS = 256
@@ -205,29 +205,21 @@ MAX_MAP_BYTES = 200_000
 MAX_DBC_BYTES = 2_000_000
 """A car's whole DBC file is a megabyte."""
 
-MAP_SUFFIXES = (".yaml", ".yml")
+_BUNDLED = BundledFiles("channel map", "can", (".yaml", ".yml"), ChannelMapError)
 
 
 def bundled_maps() -> list[str]:
     """Names of the bundled maps, for example `twelve_channel_amplifier`."""
-    return sorted(path.stem for path in config_path("can").glob("*.yaml"))
+    return _BUNDLED.names()
 
 
 def find_channel_map(name_or_path: str | Path) -> Path:
     """The file that a name (`cia404_amplifier`) or a path (`my/map.yaml`) stands for.
 
     Raises:
-        ChannelMapError: neither a bundled map nor the path of a .yaml file.
+        ChannelMapError: neither a bundled map nor a file; the message lists the bundled names.
     """
-    if str(name_or_path) in bundled_maps():
-        return config_path(f"can/{name_or_path}.yaml")
-    path = Path(name_or_path)
-    if path.suffix in MAP_SUFFIXES:
-        return path
-    raise ChannelMapError(
-        f"unknown channel map {str(name_or_path)[:80]!r}; bundled maps are "
-        f"{', '.join(bundled_maps())}, and any other is given as the path of its .yaml file"
-    )
+    return _BUNDLED.find(name_or_path)
 
 
 def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import written_whole
 from cablesense_online.admittance.estimate_watch import Sight
 from cablesense_online.page.drawing import (
     ARROWS_APART_M,
@@ -86,10 +88,9 @@ def draw_picture(
         _draw_time(figure, grid[:, 1], record, mechanism.segment_count, record.times_s[moment])
         figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
         figure.text(0.03, 0.912, _caption(results), size=10.5, color=DIM)
-        part = path.with_name(f".{path.name}.part")
-        figure.savefig(part, dpi=DPI, format="png")
+        with written_whole(path, CableSenseError) as beside:
+            figure.savefig(beside, dpi=DPI, format="png")
         plt.close(figure)
-    part.replace(path)
 
 
 def _caption(results: Sequence[PushResult]) -> str:
@@ -294,10 +295,9 @@ def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband
             f"{record.leaves_s:.0f} s; felt through the cables alone",
             color=DIM,
         )
-        part = path.with_name(f".{path.name}.part")
-        figure.savefig(part, dpi=DPI, format="png")
+        with written_whole(path, CableSenseError) as beside:
+            figure.savefig(beside, dpi=DPI, format="png")
         plt.close(figure)
-    part.replace(path)
 
 
 def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None:

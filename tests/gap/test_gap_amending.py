@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from arm_variants import variant
 from gap_recordings import LAB, small_recording
@@ -11,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, write_arm
 from cablesense_gap.simulator import Term
-from cablesense_sim.arm import load_arm
+from cablesense_sim.arm import ArmFileError, load_arm
 from cablesense_sim.replay import replay_arm
 
 MASS_KG = Term("payload", "segment_3", "mass_kg")
@@ -89,3 +91,13 @@ def test_the_file_predicts_what_the_diagnosis_did(tmp_path):
     write_arm(path, amended_arm(LAB, values, {}), "x")
     replayed = replay_arm(load_arm(path), course.time_s, course.command_rad, course.forces_n)
     assert_allclose(replayed, ArmSimulator(LAB, course).predict([values])[0], atol=1e-6)
+
+
+def test_an_arm_file_is_replaced_and_never_written_over(tmp_path):
+    path, former = tmp_path / "arm.yaml", tmp_path / "former.yaml"
+    write_arm(path, LAB, "former")
+    os.link(path, former)
+    write_arm(path, amended_arm(LAB, {ROLL_RAD: 0.02}, {}), "amended")
+    assert load_arm(former) == LAB
+    with pytest.raises(ArmFileError, match="cannot be written"):
+        write_arm(tmp_path / "none" / "arm.yaml", LAB, "")

@@ -1,6 +1,7 @@
 """The folder of a report: claimed before anything runs, and whole at the end."""
 
 import json
+import os
 
 import pytest
 from paper_studies import DOT, ignore, study
@@ -49,3 +50,12 @@ def test_it_holds_page_pictures_and_figures(tmp_path):
     assert first["comparisons"][1]["agreement"] == "partly"
     assert "ZeroDivisionError" in second["failure"]
     assert "comparisons" not in second
+
+
+def test_its_files_are_replaced_and_never_written_over(tmp_path):
+    outcomes = [run_study(study(), True, ignore)]
+    (tmp_path / "former.png").write_bytes(b"former")
+    os.link(tmp_path / "former.png", tmp_path / "dot.png")
+    write_report(tmp_path, outcomes, quick=True)
+    assert (tmp_path / "dot.png").read_bytes() == DOT
+    assert (tmp_path / "former.png").read_bytes() == b"former"

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import cablesense_gap.plant
 from cablesense_cli.app import app
 from cablesense_gap.plant.body import PlantError, read_nominal
-from cablesense_gap.plant.withhold import make_case, withhold
+from cablesense_gap.plant.withhold import make_case, withhold, write_answers
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_sim.arm import open_arm
 
@@ -41,7 +41,7 @@ def test_the_plant_knows_nothing_of_the_rest() -> None:
 
 def test_any_reader_of_recordings_reads_them(folder: Path) -> None:
     for number, kind in enumerate(QUICK, start=1):
-        recorded = make_case(number, kind, NOMINAL, 7)
+        recorded = make_case(NOMINAL, 7, number, kind)
         found = read_csv(folder / f"case_00{number}.csv", open_arm("cdsm_lab"))
         schedule = recorded.schedule
         np.testing.assert_allclose(found.time_s, schedule.time_s, atol=1e-9)
@@ -97,6 +97,13 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(PlantError, match="cannot be written"):
         list(withhold(tmp_path / "file", tmp_path / "a.csv", NOMINAL, 1, 0, ("none",)))
+
+
+def test_nothing_remains_of_a_file_that_cannot_take_its_place(tmp_path: Path) -> None:
+    (tmp_path / "answers.csv").mkdir()
+    with pytest.raises(PlantError, match="is a folder"):
+        write_answers(tmp_path / "answers.csv", [])
+    assert [path.name for path in tmp_path.iterdir()] == ["answers.csv"]
 
 
 @pytest.mark.parametrize(

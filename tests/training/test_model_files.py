@@ -29,7 +29,7 @@ def test_models_in_a_folder_have_its_name(tmp_path, monkeypatch):
     for name in ("arm.onnx", "peers/arm.onnx", "peers/notes.txt"):
         (tmp_path / name).touch()
     monkeypatch.setattr(
-        "cablesense_training.inference.metadata.config_path",
+        "cablesense_base.installation.config_path",
         lambda name: tmp_path / name.removeprefix("models").lstrip("/"),
     )
     assert bundled_models() == ["arm", "peers/arm"]

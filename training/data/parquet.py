@@ -14,9 +14,7 @@ Datasets to Parquet files: streamed, whole or not at all.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,8 +23,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
+from cablesense_base.files import written_whole
 from cablesense_base.installation import package_version
-from cablesense_base.progress import sample_progress
+from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm, ArmFileError, parse_arm
 from cablesense_training.data.dataset import Dataset, Summary, combine, summarise
 from cablesense_training.data.generation import generate
@@ -303,7 +302,7 @@ def write_parts(
     layout = columns(arm, protocol)
     described = schema(arm, protocol, seed, command)
     with (
-        _beside(Path(path)) as beside,
+        written_whole(path, DatasetError) as beside,
         pq.ParquetWriter(
             beside, described, compression="zstd", write_page_checksum=True
         ) as writer,
@@ -333,29 +332,6 @@ def _groups(parts: Iterable[Dataset]) -> Iterator[Dataset]:
         yield Dataset.concatenate(held)
 
 
-@contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A new file in the same folder that becomes `path` if the block ends well, else vanishes."""
-    beside = path.parent / f".{path.name}.{os.getpid()}.part"
-    try:
-        if path.is_dir():
-            raise DatasetError(
-                f"{path}: is a folder; give a file, such as {path / 'data.parquet'}"
-            )
-        beside.touch()
-        try:
-            yield beside
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        reason = error.strerror or " ".join(str(error).split())
-        raise DatasetError(
-            f"{path}: cannot be written ({reason}); "
-            "give a file in a folder that exists and is yours"
-        ) from error
-
-
 def _values(dataset: Dataset, column: Column) -> pa.Array:
     values = getattr(dataset, column.array)
     if column.place is not None:
@@ -381,7 +357,7 @@ def produce_dataset(
     """
     parts = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
     summaries: list[Summary] = []
-    with sample_progress(protocol.samples, shown=show_progress) as advance:
+    with progress_bar(protocol.samples, shown=show_progress) as advance:
 
         def watched() -> Iterator[Dataset]:
             for part in parts:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cablesense_base.errors import CableSenseError
-from cablesense_base.installation import config_path
+from cablesense_base.installation import BundledFiles
 from cablesense_sim.arm import Arm
 
 FORMAT = "cablesense-model/1"
@@ -157,12 +157,12 @@ def _with_infinities(content: object) -> object:
     return content
 
 
+_BUNDLED = BundledFiles("model", "models", (".onnx",), ModelFileError)
+
+
 def bundled_models() -> list[str]:
     """Names of the bundled models, for example `cdsm`; peers to compare with are in `peers/`."""
-    folder = config_path("models")
-    return sorted(
-        path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.onnx")
-    )
+    return _BUNDLED.names()
 
 
 def find_model(name_or_path: str | Path) -> Path:
@@ -171,23 +171,4 @@ def find_model(name_or_path: str | Path) -> Path:
     Raises:
         ModelFileError: neither a bundled model nor a file; the message lists the bundled names.
     """
-    name, bundled = str(name_or_path), bundled_models()
-    if Path(name).suffix == ".onnx":
-        if _is_file(Path(name)):
-            return Path(name)
-        raise ModelFileError(
-            f"no model file {name}; give an existing .onnx file or one of {', '.join(bundled)}"
-        )
-    if name in bundled:
-        return config_path(f"models/{name}.onnx")
-    raise ModelFileError(
-        f"unknown model {name!r}; bundled models are {', '.join(bundled)}, "
-        "and any other is given as the path of its .onnx file"
-    )
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name too long, or with a null in it
-        return False
+    return _BUNDLED.find(name_or_path)

@@ -7,17 +7,15 @@ True tensions along a course: in time by MuJoCo, or from rest to rest where the 
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.effects.registry import actuations, amended, entries_of, memories, sensings
@@ -184,19 +182,12 @@ def draw_sequences(
         DatasetError: none is left.
     """
     counts = _block_sizes(protocol.sequences)
-    draw = partial(draw_block, arm, protocol, seed)
     parts: list[Sequences] = []
-    if min(workers, len(counts)) == 1:
-        for block, count in enumerate(counts):
-            parts.append(draw(block, count))
+    with WorkerPool(min(workers, len(counts)), arm, protocol, seed, refusal=DatasetError) as pool:
+        results = pool.map(draw_block, range(len(counts)), counts)
+        for part, count in zip(results, counts, strict=True):
+            parts.append(part)
             _tell(on_done, count)
-    else:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            results = pool.map(draw, range(len(counts)), counts)
-            for part, count in zip(results, counts, strict=True):
-                parts.append(part)
-                _tell(on_done, count)
     return Sequences.concatenate([part for part in parts if len(part)])
 
 

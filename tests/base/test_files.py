@@ -1,0 +1,75 @@
+"""Files are read if regular and bounded, written whole or not at all, or refused in one line."""
+
+import os
+
+import pytest
+
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import (
+    read_bounded_bytes,
+    read_bounded_text,
+    write_atomically,
+    written_whole,
+)
+
+
+class RefusedError(CableSenseError):
+    pass
+
+
+def test_a_file_within_its_bound_is_read(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xef\xbb\xbfabc")
+    assert read_bounded_text(path, 6, "text", RefusedError) == "abc"
+    assert read_bounded_bytes(path, 6, "text", RefusedError) == b"\xef\xbb\xbfabc"
+    with pytest.raises(RefusedError, match="larger than 5 bytes, so not a page"):
+        read_bounded_text(path, 5, "a page", RefusedError)
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    binary = tmp_path / "binary"
+    binary.write_bytes(b"a\xff")
+    for path in (pipe, tmp_path, tmp_path / "absent", "/dev/zero", "a\0b", "x" * 5000, binary):
+        with pytest.raises(RefusedError) as caught:
+            read_bounded_text(path, 100, "a page", RefusedError)
+        assert len(str(caught.value)) < 300
+        assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("content", ["<p>µ</p>", b"\xff\x00"])
+def test_a_file_is_replaced_and_never_written_over(tmp_path, content):
+    path, former = tmp_path / "page.html", tmp_path / "former"
+    write_atomically(path, "former", RefusedError)
+    os.link(path, former)
+    write_atomically(str(path), content, RefusedError)
+    assert path.read_bytes() == (content if isinstance(content, bytes) else content.encode())
+    assert former.read_text() == "former"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def half_written(path, error):
+    path.write_text("half")
+    raise error
+
+
+def test_nothing_remains_of_a_file_that_was_not_finished(tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text("former")
+    for error, raised in ((KeyError("x"), KeyError), (OSError(28, "No space"), RefusedError)):
+        with pytest.raises(raised), written_whole(path, RefusedError) as beside:
+            half_written(beside, error)
+    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
+    assert path.read_text() == "former"
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    for name, reason in (
+        ("", "is a folder"),
+        ("none/a", "No such"),
+        ("file/a", "Not a directory"),
+    ):
+        with pytest.raises(RefusedError, match=reason):
+            write_atomically(tmp_path / name, "", RefusedError)
