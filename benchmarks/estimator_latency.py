@@ -37,8 +37,8 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
 from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import run_node
-from cablesense_ros.parameters import qos_profile
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n

@@ -43,7 +43,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_online.recorded_run import RecordedRun
-from cablesense_ros.parameters import qos_profile
+from cablesense_ros.endpoints import qos_profile
 from cablesense_sim.arm import open_arm
 
 RATE_HZ = 1000.0

@@ -40,20 +40,14 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.law import AdmittanceSettings
+from cablesense_ros.endpoints import of_node, overridable
 from cablesense_ros.node_process import (
+    WARN_EVERY_S,
     ConfiguredNode,
     DiagnosticsPublisher,
-    ThrottledLog,
     run_configured_node,
 )
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
-from cablesense_ros.subscriptions import of_node
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.dynamics import checked_command
 from cablesense_sim.mechanism import Mechanism
@@ -185,7 +179,6 @@ class AdmittanceNode(ConfiguredNode):
     def __init__(self) -> None:
         super().__init__("admittance")
         declare_parameters(self, ADMITTANCE_PARAMETERS, read_only=False)
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._arm: Arm | None = None
         self._mechanism: Mechanism | None = None
         self._controller: AdmittanceController | None = None
@@ -224,13 +217,10 @@ class AdmittanceNode(ConfiguredNode):
         self._commands_out = self.create_publisher(
             JointState,
             topics.JOINT_COMMANDS,
-            qos_profile(PUBLISHER),
-            qos_overriding_options=overridable(),
+            **overridable(PUBLISHER),
         )
         self._inputs = [
-            self.create_subscription(
-                kind, topic, handle, qos_profile(COMMAND), qos_overriding_options=overridable()
-            )
+            self.create_subscription(kind, topic, handle, **overridable(COMMAND))
             for kind, topic, handle in (
                 (WrenchStamped, of_node(self._estimator, topics.WRENCH), self._on_wrench),
                 (
@@ -264,7 +254,10 @@ class AdmittanceNode(ConfiguredNode):
             felt = read_wrench(message, self._frames)
         except CableSenseError as error:
             self._controller.watch.refused(f"a wrench was refused: {error}")
-            self._warn("wrench", f"{self._estimator}/wrench: message refused: {error}")
+            self.get_logger().warning(
+                f"{self._estimator}/wrench: message refused: {error}",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
             return
         if not self._active:
             return
@@ -285,7 +278,9 @@ class AdmittanceNode(ConfiguredNode):
             check_probabilities(message, self._arm.segment_count)
         except CableSenseError as error:
             self._controller.watch.refused(f"probabilities were refused: {error}")
-            self._warn("probabilities", f"message refused: {error}")
+            self.get_logger().warning(
+                f"message refused: {error}", throttle_duration_sec=WARN_EVERY_S
+            )
             return
         self._controller.watch.heard_probabilities(time.monotonic())
 
@@ -297,10 +292,16 @@ class AdmittanceNode(ConfiguredNode):
                 self._mechanism, joint_command_rad(message, self._joint_order)
             )
         except CableSenseError as error:  # arm and estimator refuse it as well
-            self._warn("command", f"{topics.JOINT_COMMANDS}: message refused: {error}")
+            self.get_logger().warning(
+                f"{topics.JOINT_COMMANDS}: message refused: {error}",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
             return
         if self._controller.heard_command(command, time.monotonic()):
-            self._warn("yield", "another node commands: that pose is home from now on")
+            self.get_logger().warning(
+                "another node commands: that pose is home from now on",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         if self._controller is None:

@@ -6,7 +6,6 @@ The CAN driver node's parameters.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from typing import Final
 
@@ -29,19 +28,13 @@ from cablesense_online.can.calibration import (
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
+from cablesense_ros.endpoints import overridable
 from cablesense_ros.node_process import (
     ConfiguredNode,
     DiagnosticsPublisher,
-    ThrottledLog,
     run_configured_node,
 )
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import open_arm
 
 CAN_DRIVER_PARAMETERS: Final = (
@@ -97,7 +90,6 @@ class CanDriverNode(ConfiguredNode):
     def __init__(self) -> None:
         super().__init__("can_driver")
         declare_parameters(self, CAN_DRIVER_PARAMETERS, read_only=False)
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._tensions = JointState()
         self._tensions_out: Publisher | None = None
         self._driver: CanDriver | None = None
@@ -140,8 +132,7 @@ class CanDriverNode(ConfiguredNode):
         self._tensions_out = self.create_publisher(
             JointState,
             topics.CABLE_TENSIONS,
-            qos_profile(PUBLISHER),
-            qos_overriding_options=overridable(),
+            **overridable(PUBLISHER),
         )
         self._driver = CanDriver(channel_map, database, interface, self._publish)
         self._arm_identity = arm.identity
@@ -180,7 +171,7 @@ class CanDriverNode(ConfiguredNode):
             return [Status("interface", Level.OK, "configured, not active: the bus is not read")]
         statuses, faults = self._driver.report(self.get_parameter("stale_after_s").value)
         for kind in faults.recent:
-            self._warn(kind.name, f"{kind.value}: {faults.last[kind]}")
+            self.get_logger().warning(f"{kind.value}: {faults.last[kind]}")
         return [*statuses, calibration_status(self._calibration)]
 
 

@@ -24,14 +24,9 @@ from cablesense_msgs_py.qos import PUBLISHER, SENSOR
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer, SlcanPort
-from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
+from cablesense_ros.endpoints import overridable, qos_profile
+from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import Arm, open_arm
 
 SLCAN_PORT: Final = "slcan_port"
@@ -96,7 +91,6 @@ class CanEmulatorNode(Node):
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(self._arm.cable_names)
         self._order = NamedOrder(self._arm.cable_names, "cables")
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._refused = 0
         self._reported_cycles = 0
         self._player: RecordingPlayer | None = None
@@ -117,8 +111,7 @@ class CanEmulatorNode(Node):
                 JointState,
                 topics.SIMULATED_TENSIONS,
                 self._on_tensions,
-                qos_profile(SENSOR),
-                qos_overriding_options=overridable(),
+                **overridable(SENSOR),
             )
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -163,7 +156,10 @@ class CanEmulatorNode(Node):
 
     def _refuse(self, error: CableSenseError) -> None:
         self._refused += 1
-        self._warn("sample", f"sample refused, no frames are sent for it: {error}")
+        self.get_logger().warning(
+            f"sample refused, no frames are sent for it: {error}",
+            throttle_duration_sec=WARN_EVERY_S,
+        )
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -29,20 +29,15 @@ from cablesense_online.answers import LoadedModel, Outcome, load_model
 from cablesense_online.estimation import Estimation, cable_status, model_status, pose_status
 from cablesense_online.journal import EstimationSettings, StateFile
 from cablesense_online.tare import tare_status
+from cablesense_ros.endpoints import overridable
 from cablesense_ros.estimator_outputs import EstimatorOutputs, TareServices
 from cablesense_ros.node_process import (
+    WARN_EVERY_S,
     ConfiguredNode,
     DiagnosticsPublisher,
-    ThrottledLog,
     run_configured_node,
 )
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 
 ESTIMATOR_PARAMETERS: Final = (
     NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
@@ -142,7 +137,6 @@ class EstimatorNode(ConfiguredNode):
     def __init__(self) -> None:
         super().__init__("estimator")
         declare_parameters(self, ESTIMATOR_PARAMETERS, read_only=False)
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._loaded: LoadedModel | None = None
         self._estimation: Estimation | None = None
         self._state = StateFile("", 0.0)
@@ -168,17 +162,15 @@ class EstimatorNode(ConfiguredNode):
                 JointState,
                 topics.CABLE_TENSIONS,
                 self._on_sample,
-                qos_profile(SENSOR),
+                **overridable(SENSOR),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
-                qos_overriding_options=overridable(),
             ),
             self.create_subscription(
                 JointState,
                 topics.JOINT_COMMANDS,
                 self._on_command,
-                qos_profile(COMMAND),
-                qos_overriding_options=overridable(),
+                **overridable(COMMAND),
             ),
         ]
         self._stale_timer = self.create_timer(STALE_CHECK_S, self._check_stale)
@@ -256,9 +248,9 @@ class EstimatorNode(ConfiguredNode):
         outcome = self._estimation.sample(raw, now_ns, now_s)
         self._outputs.publish(outcome, outcome.stamp_ns or now_ns, now_s)
         if outcome.problem is not None:
-            self._warn(
-                outcome.problem.kind.name,
+            self.get_logger().warning(
                 f"{topics.CABLE_TENSIONS}: sample refused: {outcome.problem}",
+                throttle_duration_sec=WARN_EVERY_S,
             )
         if outcome.new_tare is not None and self._tares is not None:
             self._tares.log(outcome.new_tare, "by itself at start (auto_tare)")
@@ -272,7 +264,10 @@ class EstimatorNode(ConfiguredNode):
             self._estimation.command(message)
         except CableSenseError as error:
             self._refused_commands += 1
-            self._warn(topics.JOINT_COMMANDS, f"{topics.JOINT_COMMANDS}: message refused: {error}")
+            self.get_logger().warning(
+                f"{topics.JOINT_COMMANDS}: message refused: {error}",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
 
     def _now_ns(self) -> int:
         """The clock that stamps are of; the system's is asked directly, as that costs less."""
@@ -286,16 +281,19 @@ class EstimatorNode(ConfiguredNode):
             return
         self._publish_zero()
         silence_s = self._estimation.health.silence_s(now_s)
-        self._warn(
-            "silence",
+        self.get_logger().warning(
             f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; the wrench is zero",
+            throttle_duration_sec=WARN_EVERY_S,
         )
 
     def _keep_state(self) -> None:
         try:
             self._state.flush()
         except CableSenseError as error:
-            self._warn("state", f"what the answers rest on is not kept: {error}")
+            self.get_logger().warning(
+                f"what the answers rest on is not kept: {error}",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
 
     def _publish_zero(self) -> None:
         if self._outputs is not None:

@@ -34,7 +34,7 @@ from cablesense_msgs_py.wrenches import (
 from cablesense_online.answers import Outcome
 from cablesense_online.estimation import Estimation
 from cablesense_online.tare import Tare, tare_taken_line, tare_undone_line
-from cablesense_ros.parameters import overridable, qos_profile
+from cablesense_ros.endpoints import overridable
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities come no faster than this: they are for eyes."""
@@ -98,9 +98,7 @@ class EstimatorOutputs:
                 self._node.destroy_lifecycle_publisher(publisher)
 
     def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> LifecyclePublisher:
-        return self._node.create_lifecycle_publisher(
-            kind, topic, qos_profile(qos), qos_overriding_options=overridable()
-        )
+        return self._node.create_lifecycle_publisher(kind, topic, **overridable(qos))
 
     def _publish_entry(self, entry: JournalEntry) -> None:
         message = DiagnosticArray()

@@ -3,8 +3,6 @@
 What all lifecycle nodes have in common: files are read when configured, and faults are said.
 
 The node's health on `/diagnostics`, once a second (REP-107).
-
-Warnings about bad input, at most one a second of each kind, saying how many were held back.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.parameters import overridable, qos_profile
+from cablesense_ros.endpoints import overridable
 
 _WAKE_S = 0.2
 _RCLError = rclpy_implementation.RCLError
@@ -161,7 +159,9 @@ def run_configured_node(make: Callable[[], ConfiguredNode], args: Sequence[str] 
     return run_node(make_node, args)
 
 
-PERIOD_S = 1.0
+WARN_EVERY_S = 1.0
+"""At most one warning of a kind in this time; diagnostics count what was not logged."""
+_PERIOD_S = 1.0
 
 
 class DiagnosticsPublisher:
@@ -180,10 +180,9 @@ class DiagnosticsPublisher:
         self._publisher = node.create_publisher(
             DiagnosticArray,
             topics.DIAGNOSTICS,
-            qos_profile(PUBLISHER),
-            qos_overriding_options=overridable(),
+            **overridable(PUBLISHER),
         )
-        node.create_timer(PERIOD_S, self._publish)
+        node.create_timer(_PERIOD_S, self._publish)
 
     def _publish(self) -> None:
         message = DiagnosticArray()
@@ -196,24 +195,3 @@ class DiagnosticsPublisher:
             KeyValue,
         )
         self._publisher.publish(message)
-
-
-class ThrottledLog:
-    """Passes on the first message of a kind and then at most one per `PERIOD_S`."""
-
-    def __init__(self, log: Callable[[str], object], now_s: Callable[[], float]) -> None:
-        """`log` takes a line; `now_s` is a monotonic clock in s."""
-        self._log = log
-        self._now_s = now_s
-        self._last_s: dict[str, float] = {}
-        self._held_back: dict[str, int] = {}
-
-    def __call__(self, kind: str, message: str) -> None:
-        """Log `message`, unless one of its `kind` was logged less than a period ago."""
-        now = self._now_s()
-        if now - self._last_s.get(kind, float("-inf")) < PERIOD_S:
-            self._held_back[kind] = self._held_back.get(kind, 0) + 1
-            return
-        self._last_s[kind] = now
-        held_back = self._held_back.pop(kind, 0)
-        self._log(f"{message} ({held_back} more like this)" if held_back else message)

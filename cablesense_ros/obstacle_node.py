@@ -29,14 +29,13 @@ from cablesense_online.admittance.wall import (
     contact_point_m,
     wall_beside,
 )
-from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
+from cablesense_ros.endpoints import overridable
+from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
 from cablesense_ros.parameters import (
     NodeParameter,
     ParameterError,
     declare_parameters,
-    overridable,
     parameter_values,
-    qos_profile,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.mechanism import Mechanism
@@ -95,22 +94,19 @@ class ObstacleNode(Node):
         self._load = WrenchStamped()
         self._load.header.frame_id = frames.segment(self._segment)
         self._joint_order = NamedOrder(arm.joint_names, "joints")
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._pressing: WallPressing | None = None
         self._approach = Approach(-self._given["clearance_m"], self._given["speed_m_s"])
         self._since_s = self._look_s = time.monotonic()
         self._loads_out = self.create_publisher(
             WrenchStamped,
             topics.APPLIED_WRENCH,
-            qos_profile(PUBLISHER),
-            qos_overriding_options=overridable(),
+            **overridable(PUBLISHER),
         )
         self.create_subscription(
             JointState,
             topics.JOINT_STATES,
             self._on_joint_states,
-            qos_profile(COMMAND),
-            qos_overriding_options=overridable(),
+            **overridable(COMMAND),
         )
         self.add_post_set_parameters_callback(self._on_parameters)
         DiagnosticsPublisher(self, self._statuses, lambda: arm.identity)
@@ -134,7 +130,10 @@ class ObstacleNode(Node):
                 self._since_s = now_s
             point = contact_point_m(self._mechanism, angles, self._segment)
         except CableSenseError as error:
-            self._warn(topics.JOINT_STATES, f"{topics.JOINT_STATES}: message refused: {error}")
+            self.get_logger().warning(
+                f"{topics.JOINT_STATES}: message refused: {error}",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
             return
         advance_m = self._approach.advance_m
         if now_s - self._since_s >= self._given["delay_s"]:

@@ -20,15 +20,10 @@ from cablesense_online.page.exposure import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, Push
+from cablesense_ros.endpoints import of_node, overridable
 from cablesense_ros.node_process import run_node
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
-from cablesense_ros.subscriptions import listen_to_arm, of_node
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.subscriptions import listen_to_arm
 from cablesense_sim.arm import find_arm, load_arm
 
 PAGE_PARAMETERS: Final = (
@@ -78,14 +73,12 @@ class PageNode(Node):
         self._load = self.create_publisher(
             WrenchStamped,
             topics.APPLIED_WRENCH,
-            qos_profile(qos.COMMAND),
-            qos_overriding_options=overridable(),
+            **overridable(qos.COMMAND),
         )
         self._command = self.create_publisher(
             JointState,
             topics.JOINT_COMMANDS,
-            qos_profile(qos.COMMAND),
-            qos_overriding_options=overridable(),
+            **overridable(qos.COMMAND),
         )
         self._tare = self.create_client(Trigger, of_node(values["estimator"], topics.TARE))
         listen_to_arm(self, self._live, values["estimator"])

@@ -1,16 +1,10 @@
-"""Node parameters as a table: name, default, description, range; NaN is refused.
-
-The contract's quality of service as rclpy profiles, all open to `qos_overrides` parameters.
-
-Message classes by their full names.
-"""
+"""Node parameters as a table: name, default, description, range; NaN is refused."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -19,7 +13,6 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.duration import Duration
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -27,17 +20,8 @@ from rclpy.exceptions import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.qos import Qos
 
 
 class ParameterError(CableSenseError):
@@ -127,36 +111,3 @@ def _refuse_not_finite(parameters: list[Parameter]) -> SetParametersResult:
                 successful=False, reason=f"{parameter.name} must be finite, not {parameter.value}"
             )
     return SetParametersResult(successful=True)
-
-
-def qos_profile(qos: Qos) -> QoSProfile:
-    """A new profile: rclpy writes overrides into the one it is given."""
-    profile = QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=qos.depth,
-        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE
-        ),
-    )
-    if qos.lease_s:
-        profile.liveliness = LivelinessPolicy.AUTOMATIC
-        profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
-    return profile
-
-
-def overridable() -> QoSOverridingOptions:
-    """History, depth and reliability may be overridden by parameters.
-
-    Their names are `qos_overrides.<topic>.<publisher|subscription>.<policy>`.
-    """
-    return QoSOverridingOptions.with_default_policies()
-
-
-def message_class(kind: str) -> type | None:
-    """The class of `sensor_msgs/msg/JointState` and the like; none where it is not installed."""
-    package, _, name = kind.split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name, None)
-    except ModuleNotFoundError:
-        return None

@@ -30,8 +30,8 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.node_process import ThrottledLog
-from cablesense_ros.parameters import message_class, overridable, qos_profile
+from cablesense_ros.endpoints import message_class, overridable
+from cablesense_ros.node_process import WARN_EVERY_S
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0
@@ -83,7 +83,6 @@ class Recorder:
         self._node = node
         self._wanted = wanted
         self._say = say
-        self._warn = ThrottledLog(say, time.monotonic)
         self._contract = None if arm is None else BagRows(arm, keep=False)
         self._channels: dict[str, Any] = {}
         self._started_s = self._flushed_s = time.monotonic()
@@ -152,9 +151,8 @@ class Recorder:
             kind,
             resolved(topic, self._node.get_namespace()),
             partial(self._take, topic, kind),
-            qos_profile(self._wanted[topic].heard),
+            **overridable(self._wanted[topic].heard),
             raw=True,
-            qos_overriding_options=overridable(),
         )
 
     def _take(self, topic: str, kind: type, raw: bytes) -> None:
@@ -166,7 +164,9 @@ class Recorder:
                 self._contract.take(topic, now_ns, deserialize_message(raw, kind))
         except CableSenseError as error:
             self.refused[topic] += 1
-            self._warn(topic, f"{topic}: left out: {error}")
+            self._node.get_logger().warning(
+                f"{topic}: left out: {error}", throttle_duration_sec=WARN_EVERY_S
+            )
             return
         try:
             self._file.write(self._channel(topic), now_ns, raw)

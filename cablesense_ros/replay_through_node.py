@@ -34,8 +34,8 @@ from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, resolved
 from cablesense_online.recorded_run import RecordedRun, Step
 from cablesense_online.replay import Comparison
 from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.endpoints import message_class, qos_profile
 from cablesense_ros.estimator_node import LIVE_PARAMETERS
-from cablesense_ros.parameters import message_class, qos_profile
 
 PATIENCE_S = 10.0
 _LOOK_S = 0.0005

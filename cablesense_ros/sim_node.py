@@ -32,14 +32,9 @@ from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER, Qos
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.node_process import DiagnosticsPublisher, ThrottledLog, run_node
-from cablesense_ros.parameters import (
-    NodeParameter,
-    declare_parameters,
-    overridable,
-    parameter_values,
-    qos_profile,
-)
+from cablesense_ros.endpoints import overridable
+from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
+from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import entries_of, sensings
@@ -110,7 +105,6 @@ class SimNode(Node):
             longest_lag_s=max(LONGEST_LAG_S, _PERIODS_OF_LAG / self._rate_hz),
         )
         self._refusals = 0
-        self._warn = ThrottledLog(self.get_logger().warning, time.monotonic)
         self._tensions = JointState(name=list(self._arm.cable_names))
         self._joint_states = JointState(name=list(self._arm.joint_names))
         self._tensions.header.frame_id = self._joint_states.header.frame_id = self._frames.base
@@ -129,14 +123,10 @@ class SimNode(Node):
         )
 
     def _make_publisher(self, kind: type, topic: str, qos: Qos) -> Publisher:
-        return self.create_publisher(
-            kind, topic, qos_profile(qos), qos_overriding_options=overridable()
-        )
+        return self.create_publisher(kind, topic, **overridable(qos))
 
     def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> Subscription:
-        return self.create_subscription(
-            kind, topic, callback, qos_profile(COMMAND), qos_overriding_options=overridable()
-        )
+        return self.create_subscription(kind, topic, callback, **overridable(COMMAND))
 
     def _tick(self) -> None:
         self._simulated.advance_to(time.monotonic())
@@ -164,7 +154,10 @@ class SimNode(Node):
 
     def _refuse(self, topic: str, error: CableSenseError) -> None:
         self._refusals += 1
-        self._warn(topic, f"{topic}: message refused, the arm keeps what it had: {error}")
+        self.get_logger().warning(
+            f"{topic}: message refused, the arm keeps what it had: {error}",
+            throttle_duration_sec=WARN_EVERY_S,
+        )
 
     def _statuses(self) -> list[Status]:
         factor = self._simulated.real_time_factor(time.monotonic())

@@ -30,8 +30,8 @@ from cablesense_online.commissioning.pull_check import Pull
 from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, TimeWindow
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.node_process import ThrottledLog
-from cablesense_ros.parameters import overridable, qos_profile
+from cablesense_ros.endpoints import overridable, qos_profile
+from cablesense_ros.node_process import WARN_EVERY_S
 
 
 def of_node(node_name: str, topic: str) -> str:
@@ -44,7 +44,6 @@ def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
 
     What breaks the contract is logged.
     """
-    warn = ThrottledLog(node.get_logger().warning, time.monotonic)
     now = time.monotonic
     wrench = of_node(estimator, topics.WRENCH)
     probabilities = of_node(estimator, topics.CONTACT_PROBABILITIES)
@@ -53,7 +52,7 @@ def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
         try:
             handle(message)
         except CableSenseError as error:
-            warn(topic, f"{topic}: {error}")
+            node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=WARN_EVERY_S)
 
     inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
         (JointState, topics.CABLE_TENSIONS, qos.SENSOR, lambda m: live.on_tensions(m, now())),
@@ -74,8 +73,7 @@ def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
             kind,
             topic,
             partial(take, topic, handle),
-            qos_profile(profile),
-            qos_overriding_options=overridable(),
+            **overridable(profile),
         )
 
 

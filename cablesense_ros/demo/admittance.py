@@ -44,9 +44,8 @@ from cablesense_online.admittance.estimate_watch import (
 )
 from cablesense_online.admittance.wall import Approach
 from cablesense_ros.discovery import own_graph, prefer_quick_discovery
-from cablesense_ros.parameters import qos_profile
+from cablesense_ros.endpoints import of_node, qos_profile
 from cablesense_ros.processes import Processes, node_command
-from cablesense_ros.subscriptions import of_node
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.mechanism import Mechanism
 

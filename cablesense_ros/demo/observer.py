@@ -24,7 +24,7 @@ from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.snapshot import Level, Snapshot
 from cablesense_ros.demo.script import Record, ScriptedPush
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.parameters import qos_profile
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.subscriptions import listen_to_arm
 from cablesense_sim.arm import Arm
 
