@@ -25,8 +25,8 @@ from cablesense_online.admittance.controller import ControllerSettings
 from cablesense_online.admittance.law import AdmittanceLaw, Reach
 from cablesense_online.admittance.wall import SampledLoop, compliance_m_n, wall_beside
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 RESULT = "admittance.json"
 ARMS = ("cdsm", "cdsm_lab")
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _case(
     arm: str, settings: ControllerSettings, segment: int, angle_deg: float, stiffness_n_m: float
 ) -> dict[str, Any]:
-    mechanism = Mechanism.from_arm(open_arm(arm))
+    mechanism = mechanism_of(open_arm(arm))
     home = np.zeros(mechanism.joint_count)
     reach = Reach.of(mechanism, settings.joint_limit_rad)
     law = AdmittanceLaw(mechanism, reach, settings.law)

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -140,7 +141,7 @@ def _cases(
 def _with_rest(name: str, command: Array, forces: Array) -> NDArray[np.int64]:
     """Positions of the cases in which the plates stay apart."""
     try:
-        solve_equilibrium(Mechanism.from_arm(open_arm(name)), command, forces)
+        solve_equilibrium(mechanism_of(open_arm(name)), command, forces)
     except EquilibriumError as error:
         return np.delete(np.arange(len(command)), error.failed)
     return np.arange(len(command))
@@ -151,12 +152,12 @@ def _solve(
 ) -> tuple[Array, Array, NDArray[np.int64], float]:
     """Tensions, residuals, iterations, and the processor seconds that they took."""
     start = time.process_time()
-    rest = solve_equilibrium(Mechanism.from_arm(open_arm(name)), command, forces)
+    rest = solve_equilibrium(mechanism_of(open_arm(name)), command, forces)
     return rest.tensions_n, rest.residual_n_m, rest.iterations, time.process_time() - start
 
 
 def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> ArmFigures:
-    mechanism = Mechanism.from_arm(open_arm(name))
+    mechanism = mechanism_of(open_arm(name))
     command, forces = _cases(mechanism, CASES, degrees=10, contacts=1, largest_n=200)
     # also warms the workers up: each has solved before the clock starts
     parts = [slice(i, i + SHARE) for i in range(0, CASES, SHARE)]
@@ -194,7 +195,7 @@ def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> ArmFigures:
 def _step_to_rest(name: str) -> tuple[list[int], float, float]:
     """Steps of every case, mean processor seconds, largest difference from equilibrium, N."""
     arm = open_arm(name)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     largest_n = STEPPED_LARGEST_N[name]
     command, forces = _cases(mechanism, STEPPED_CASES, 10, contacts=1, largest_n=largest_n)
     rest = solve_equilibrium(mechanism, command, forces)
@@ -220,7 +221,7 @@ def _bare_step_s(name: str) -> float:
 
 
 def _hard() -> HardFigures:
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     command, forces = _cases(mechanism, HARD_CASES, degrees=20, contacts=4, largest_n=200)
     good = _with_rest("cdsm", command, forces)
     tensions, residual, iterations, _ = _solve("cdsm", command[good], forces[good])

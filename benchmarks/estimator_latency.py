@@ -40,9 +40,9 @@ from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import run_node
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import read_tensions_n
 
 RATE_HZ = 1000
@@ -143,7 +143,7 @@ def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[st
 
 def _samples(arm: Arm) -> tuple[list[bytearray], list[bytearray]]:
     """Serialized readings, unloaded and pushed, with the sensors' noise."""
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     command = np.zeros(arm.joint_count)
     forces = normal_force_n(mechanism, command, **PUSH)
     rng = np.random.default_rng(0)

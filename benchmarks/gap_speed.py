@@ -36,6 +36,7 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import read_verdict
 from cablesense_sim.arm import find_arm, open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
@@ -143,7 +144,7 @@ def _resident_bytes(pid: int) -> int:
 def _fitted(recording: Recording) -> dict[str, Any]:
     """Every candidate that a MuJoCo model can express, fitted by sysid to all rows."""
     arm = open_arm(ARM)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     rests = _Rests(recording, mechanism)
     found = {}
     began = time.monotonic()

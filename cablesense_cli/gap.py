@@ -210,12 +210,12 @@ def record(
     if description is None:
         return
     from cablesense_gap.recordings.checks import check_recording, read_recording
+    from cablesense_sim.build import mechanism_of
     from cablesense_sim.equilibrium import solve_equilibrium
-    from cablesense_sim.mechanism import Mechanism
 
     recording = read_recording(out, description)
     nominal = solve_equilibrium(
-        Mechanism.from_arm(description), recording.command_rad, recording.forces_n
+        mechanism_of(description), recording.command_rad, recording.forces_n
     )
     report = check_recording(recording, description, nominal.tensions_n)
     for finding in report.findings:

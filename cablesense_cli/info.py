@@ -15,9 +15,9 @@ import typer
 from rich.table import Table
 
 from cablesense_sim.arm import find_arm, load_arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
-from cablesense_sim.effects.registry import entries_of, known_effects
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.effects.registry import known_effects
 
 
 def info(
@@ -73,7 +73,7 @@ def describe_arm(name: str) -> Description:
     """
     path = find_arm(name)
     arm = load_arm(path)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     sensors = arm.sensors
     angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
     return {

@@ -20,8 +20,9 @@ from cablesense_base.files import write_atomically
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, parse_arm
+from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect
-from cablesense_sim.effects.registry import EffectEntry, entries_of, known_effects
+from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.effects.transmission import Transmission
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay

@@ -19,7 +19,8 @@ from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.registry import entries_of, known_effects
+from cablesense_sim.build import entries_of
+from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay
 

@@ -22,8 +22,8 @@ from cablesense_gap.diagnosis.discrepancy import Discrepancy
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import CABLE, LEVEL, LOOP, MODES, SET, Decomposition, decompose
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.mechanism import Mechanism
 
 FEWEST_ROWS = 100
 LEAST_SHARE = 0.25
@@ -72,7 +72,7 @@ def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) 
         for name, angle in zip(arm.joint_names, command.T, strict=True)
         if np.ptp(angle) > 0.0
     ]
-    held_m = held_lengths_m(Mechanism.from_arm(arm), command)
+    held_m = held_lengths_m(mechanism_of(arm), command)
     cables = _of_cables(arm.cable_names, held_m, rest, smooth, total)
     joint = max(found, key=lambda wave: wave.share)
     best = joint if joint.share >= AS_GOOD * cables.share else cables

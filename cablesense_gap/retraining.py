@@ -48,6 +48,7 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Estimator as Errors
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.loads import normal_components_n, normal_force_n
@@ -293,7 +294,7 @@ def estimator_errors(
             f"{recording.name}: no load follows unloaded rows at its command, so there is no tare "
             "to judge an estimator with; record load cycles (cablesense gap protocol)"
         )
-    mechanism = Mechanism.from_arm(nominal)
+    mechanism = mechanism_of(nominal)
     tell("training for the nominal arm", 0.0)
     plain = _trained(nominal, mechanism, recording)(loads)
     before = estimator_figures(mechanism, loads, plain)
@@ -318,7 +319,7 @@ def _answered(
 ) -> Array:
     """Forces (B, N, 3) on all loads, by an estimator for the arm fitted without a fold."""
     arm = without_fold(course, fold, nominal, amended)
-    answer = _trained(arm_alone(arm), Mechanism.from_arm(nominal), recording)
+    answer = _trained(arm_alone(arm), mechanism_of(nominal), recording)
     return answers_with_past(recording, arm, answer)
 
 

@@ -24,8 +24,8 @@ from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import looks_like
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.mechanism import Mechanism
 
 POSE, LOAD, TENSION, MOTION, HISTORY, TIME = (
     "pose", "load", "tension", "motion", "history", "time",
@@ -43,7 +43,7 @@ def course_features(recording: Recording, nominal_n: Array, arm: Arm) -> Feature
     lags behind itself in a play, which remembers where it turned. time: since the recording began,
     since the trial did, and since the arm or its load last changed.
     """
-    held_m = held_lengths_m(Mechanism.from_arm(arm), recording.command_rad)
+    held_m = held_lengths_m(mechanism_of(arm), recording.command_rad)
     trial = recording.trial
     parts = {
         POSE: (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),

@@ -25,9 +25,9 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.registry import amended, entries_of
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 MOST_TARES_KEPT = 16
 """How many times a tare can be undone."""
@@ -276,7 +276,7 @@ class UnloadedTensions:
     """
 
     def __init__(self, arm: Arm) -> None:
-        self._nominal = Mechanism.from_arm(arm)
+        self._nominal = mechanism_of(arm)
         self.mechanism = amended(self._nominal, entries_of(arm))
 
     def predict_n(self, command_rad: Array) -> Array:

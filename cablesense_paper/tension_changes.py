@@ -31,8 +31,8 @@ from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_jacobian_m
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2, read_tensions_n
 
 NEED_TIME = frozenset({"cable_creep", "sensor_drift", "sensor_lag"})
@@ -128,7 +128,7 @@ def internal_n(arm: Arm, changes_n: Array) -> Array:
 
 
 def _jacobian_m(arm: Arm) -> Array:
-    return np.asarray(cable_jacobian_m(Mechanism.from_arm(arm), np.zeros(2 * arm.segment_count)))
+    return np.asarray(cable_jacobian_m(mechanism_of(arm), np.zeros(2 * arm.segment_count)))
 
 
 VALUES = 81

@@ -49,6 +49,7 @@ from cablesense_ros.node_process import (
 )
 from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import checked_command
 from cablesense_sim.mechanism import Mechanism
 
@@ -206,7 +207,7 @@ class AdmittanceNode(ConfiguredNode):
     def _configure(self) -> None:
         given = parameter_values(self, ADMITTANCE_PARAMETERS)
         arm = open_arm(given["arm"])
-        self._arm, self._mechanism = arm, Mechanism.from_arm(arm)
+        self._arm, self._mechanism = arm, mechanism_of(arm)
         self._frames = Frames(arm.segment_count, given["frame_prefix"])
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._estimator = given["estimator"]

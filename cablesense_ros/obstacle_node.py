@@ -38,7 +38,7 @@ from cablesense_ros.parameters import (
     parameter_values,
 )
 from cablesense_sim.arm import open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 
 OBSTACLE_PARAMETERS: Final = (
     NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
@@ -84,7 +84,7 @@ class ObstacleNode(Node):
         declare_parameters(self, OBSTACLE_PARAMETERS, read_only=False)
         self._given = parameter_values(self, OBSTACLE_PARAMETERS)
         arm = open_arm(self._given["arm"])
-        self._mechanism = Mechanism.from_arm(arm)
+        self._mechanism = mechanism_of(arm)
         self._segment = self._given["segment"]
         if self._segment > arm.segment_count:
             raise ParameterError(

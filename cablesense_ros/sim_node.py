@@ -36,8 +36,9 @@ from cablesense_ros.endpoints import overridable
 from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
 from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import entries_of
 from cablesense_sim.dynamics import moving_arm
-from cablesense_sim.effects.registry import entries_of, sensings
+from cablesense_sim.effects.registry import sensings
 from cablesense_sim.urdf import urdf_xml
 
 SIM_PARAMETERS: Final = (

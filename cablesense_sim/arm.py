@@ -28,6 +28,7 @@ from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
+from cablesense_sim.effects.registry import checked_entry
 
 MAX_FILE_BYTES = 200_000
 """An arm file is a page of text; anything larger is not one."""
@@ -195,9 +196,6 @@ class Arm(_Part):
         return self
 
     def _check_effects(self) -> None:
-        # here, as effects know mechanisms, and mechanisms arms
-        from cablesense_sim.effects.registry import checked_entry
-
         for listed in self.effects:
             try:
                 checked_entry(

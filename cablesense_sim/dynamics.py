@@ -27,8 +27,9 @@ from numpy.typing import ArrayLike
 from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Actuation
-from cablesense_sim.effects.registry import actuations, amended, entries_of, memories
+from cablesense_sim.effects.registry import actuations, amended, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.loads import checked_load
 from cablesense_sim.mechanism import Mechanism
@@ -83,12 +84,12 @@ class ArmDynamics:
         """Raise an EquilibriumError where the arm has effects that depend on the past."""
         self.arm = arm
         self._entries = entries_of(arm)
-        if memories([self._entries]):
+        if transmissions([self._entries]):
             raise EquilibriumError(
                 f"arm {arm.identity} has effects that depend on the past; it goes from rest to "
                 "rest (cablesense_sim.dynamics), not in time"
             )
-        self._nominal = Mechanism.from_arm(arm)
+        self._nominal = mechanism_of(arm)
         self.mechanism = amended(self._nominal, self._entries)
         self.model = build_spec(self.mechanism, arm.name).compile()
         self.model.opt.timestep = timestep_s
@@ -233,7 +234,7 @@ class RestToRestArm:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self._entries = entries_of(arm)
-        self._nominal = Mechanism.from_arm(arm)
+        self._nominal = mechanism_of(arm)
         self.mechanism = amended(self._nominal, self._entries)
         self._forces_n = np.zeros((arm.segment_count, 3))
         self.reset()
@@ -333,6 +334,6 @@ def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
     Raises:
         EquilibriumError: it has no rest under its own weight.
     """
-    if memories([entries_of(arm)]):
+    if transmissions([entries_of(arm)]):
         return RestToRestArm(arm)
     return ArmDynamics(arm, timestep_s)

@@ -21,7 +21,7 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
-from cablesense_sim.effects.registry import EffectEntry, memories
+from cablesense_sim.effects.registry import EffectEntry, transmissions
 from cablesense_sim.effects.transmission import Kept, Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
@@ -57,7 +57,7 @@ class QuasiStaticArm:
         """Arms of the amended `mechanisms`, with what of each variant depends on the past."""
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
-        self._memories = memories(variants)
+        self._memories = transmissions(variants)
         straight = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, straight).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m

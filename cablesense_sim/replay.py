@@ -12,13 +12,13 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import (
     EffectEntry,
     actuations,
     amended,
-    entries_of,
-    memories,
     sensings,
+    transmissions,
 )
 from cablesense_sim.equilibrium import (
     Equilibrium,
@@ -42,7 +42,7 @@ class Replay:
     def __init__(self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> None:
         """The actuators hold the cable lengths that the `nominal` arm has at the commands."""
         self.time_s, self.command_rad, self.forces_n = time_s, command_rad, forces_n
-        self._nominal = Mechanism.from_arm(nominal)
+        self._nominal = mechanism_of(nominal)
         self._held_m = held_lengths_m(self._nominal, command_rad)
         flat = np.concatenate([command_rad, forces_n.reshape(len(forces_n), -1)], axis=1)
         _, self._first, self._same = np.unique(
@@ -63,7 +63,7 @@ class Replay:
         """
         mechanisms = [amended(self._nominal, entries) for entries in variants]
         held = self._actuated_m(variants)
-        if memories(variants):
+        if transmissions(variants):
             arm = QuasiStaticArm(mechanisms, variants)
             tensions = np.stack(
                 [

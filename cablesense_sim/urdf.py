@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 
 JOINT_LIMIT_EFFORT_N_M = 1000.0
@@ -19,7 +20,7 @@ JOINT_LIMIT_VELOCITY_RAD_S = 3.0
 
 def urdf_xml(arm: Arm) -> str:
     """The URDF text of an arm."""
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
     robot = ElementTree.Element("robot", name=arm.name)
     _add_disc(ElementTree.SubElement(robot, "link", name="base_link"), 0.0, radius)

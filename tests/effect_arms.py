@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import EffectEntry, checked_entry
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import Replay
 
 ARM = open_arm("cdsm_lab")
-MECHANISM = Mechanism.from_arm(ARM)
+MECHANISM = mechanism_of(ARM)
 STRAIGHT = np.zeros(ARM.joint_count)
 
 

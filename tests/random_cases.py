@@ -5,11 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 
-STIFF = Mechanism.from_arm(open_arm("cdsm"))
-SOFT = Mechanism.from_arm(open_arm("cdsm_lab"))
+STIFF = mechanism_of(open_arm("cdsm"))
+SOFT = mechanism_of(open_arm("cdsm_lab"))
 STRAIGHT = np.zeros(8)
 
 

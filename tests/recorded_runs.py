@@ -18,8 +18,8 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.answers import load_model
 from cablesense_online.estimation import Estimation
 from cablesense_online.journal import EstimationSettings
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 SETTINGS = EstimationSettings(
     contact_threshold=0.5,
@@ -55,7 +55,7 @@ class MadeRun:
             {**self.loaded.described, "frame_prefix": ""},
         )
         writers = wrench_writers(Frames(arm.segment_count))
-        mechanism, rng = Mechanism.from_arm(arm), np.random.default_rng(5)
+        mechanism, rng = mechanism_of(arm), np.random.default_rng(5)
         angles, force = np.zeros(8), np.zeros((4, 3))
         self.records: list[tuple[str, int, bytes]] = []
         for i in range(samples):

@@ -42,8 +42,8 @@ from cablesense_online.can.faults import FaultLedger
 from cablesense_online.estimation import Estimation
 from cablesense_online.journal import EstimationSettings, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, open_arm, parse_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -101,7 +101,7 @@ def _use(path: Path) -> None:
     arm = load_arm(path)
     if parse_arm(path.read_text(encoding="utf-8-sig")).identity != arm.identity:
         raise FalseAnswerError("the same text is two arms")
-    Mechanism.from_arm(arm)
+    mechanism_of(arm)
     numbers = [arm.cables.pretension_n, arm.segments.plate_offset_m, *arm.gravity_m_s2]
     if not all(math.isfinite(number) for number in numbers):
         raise FalseAnswerError(f"an arm with {numbers}")
@@ -438,7 +438,7 @@ def make_states(seed: int) -> Run:
     arm = open_arm("cdsm")
     estimator = Estimator.load(find_model("cdsm"), arm)
     straight = np.zeros(arm.joint_count)
-    at_rest = tuple(solve_equilibrium(Mechanism.from_arm(arm), straight).tensions_n.tolist())
+    at_rest = tuple(solve_equilibrium(mechanism_of(arm), straight).tensions_n.tolist())
     nothing = tuple(straight.tolist())
     entry = JournalEntry(
         before_ns=10**18,

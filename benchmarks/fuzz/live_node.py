@@ -24,8 +24,8 @@ from cablesense_msgs_py import topics
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from fuzz.messages import joint_state_bytes, mutated_joint_state, read_joint_state
 from fuzz.watched import Result, item_random
 
@@ -77,7 +77,7 @@ class _Conversation:
 
         self._result, self._process = result, node
         self._arm = open_arm("cdsm")
-        mechanism = Mechanism.from_arm(self._arm)
+        mechanism = mechanism_of(self._arm)
         straight = np.zeros(self._arm.joint_count)
         self._rest_n = solve_equilibrium(mechanism, straight).tensions_n
         force = np.zeros((self._arm.segment_count, 3))

@@ -26,9 +26,9 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.journal import EstimationSettings
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from fuzz.mutation import mutated_bytes
@@ -152,7 +152,7 @@ class _Bench:
         self.arm = open_arm("cdsm")
         self.estimator = Estimator.load(find_model("cdsm"), self.arm)
         self.reference = Estimator.load(find_model("cdsm"), self.arm)
-        mechanism = Mechanism.from_arm(self.arm)
+        mechanism = mechanism_of(self.arm)
         straight = np.zeros((40, self.arm.joint_count))
         forces = np.zeros((40, self.arm.segment_count, 3))
         for row in range(40):

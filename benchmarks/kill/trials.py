@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from kill.chain import Chain
 
 LEASE_S = 0.08
@@ -206,7 +206,7 @@ class KillTrials:
     def __init__(
         self, arm: Arm, chain: Chain, watcher: Watcher, executor: Executor, seed: int
     ) -> None:
-        self._arm, self._mechanism = arm, Mechanism.from_arm(arm)
+        self._arm, self._mechanism = arm, mechanism_of(arm)
         self._chain, self._watcher, self._executor = chain, watcher, executor
         self._rng = np.random.default_rng(seed)
 

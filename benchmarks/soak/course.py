@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from cablesense_online.can.channel_map import ChannelMap, channel_signal, open_channel_map
 from cablesense_online.can.emulator import Emulator, SlcanPort
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import read_tensions_n
 
 PUSHES = 24
@@ -81,7 +81,7 @@ def marked_course(arm: Arm, channel_map: ChannelMap, database: Database, rate_hz
     }
     rng = np.random.default_rng(0)
     segment, angle_deg, force_n, held = _pushes(arm, rate_hz, rng)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     forces = np.stack([
         normal_force_n(
             mechanism,

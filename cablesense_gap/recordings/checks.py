@@ -29,7 +29,7 @@ from cablesense_msgs_py.joint_states import MAX_JOINT_ANGLE_RAD
 from cablesense_msgs_py.wrenches import MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 
 FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
@@ -163,7 +163,7 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
             "are in rad, and these look like degrees",
         )
         return
-    limit = Mechanism.from_arm(arm).bend_limit_rad
+    limit = mechanism_of(arm).bend_limit_rad
     bent = (kinematics.bend_rad(command) >= limit).any(axis=1)
     if bent.any():
         yield refuse(

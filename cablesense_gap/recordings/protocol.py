@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import reading_variance_n2
@@ -141,7 +142,7 @@ def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     magnitude_n = np.arange(0.0, STRONGEST_N + STEP_N, STEP_N)
     tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
     unloaded = tensions[0]
@@ -163,7 +164,7 @@ def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Arr
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     magnitude_n = np.arange(0.0, REST_MARGIN * STRONGEST_N + STEP_N, STEP_N)
     tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
     slack = (tensions <= 0.0).any(axis=1)
@@ -409,7 +410,7 @@ def _pattern(joint_count: int, turn: int = 0) -> Array:
 
 def _reach_rad(arm: Arm) -> float:
     """Largest angle of the protocol: a third of what the guide plates leave, cables taut."""
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     reach = min(LARGEST_ANGLE_RAD, float(mechanism.bend_limit_rad.min()) / 3.0)
     least = 0.1 * mechanism.pretension_n
     corners = np.array([_pattern(arm.joint_count, turn) for turn in range(7)])

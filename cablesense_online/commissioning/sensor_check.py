@@ -29,8 +29,8 @@ from cablesense_online.commissioning.pull_check import (
 )
 from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, without
 from cablesense_sim.arm import Arm, Sensors
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import reading_variance_n2
 
 RATE_TOLERANCE = 0.05
@@ -427,7 +427,7 @@ def exercised_channel_findings(recording: Recording, arm: Arm) -> list[SensorFin
         return []
     every = -(-len(recording) // MOST_ROWS)
     recording = recording.rows(slice(None, None, every))
-    nominal = solve_equilibrium(Mechanism.from_arm(arm), recording.command_rad, recording.forces_n)
+    nominal = solve_equilibrium(mechanism_of(arm), recording.command_rad, recording.forces_n)
     counted = f" (rows count one sample in {every})" if every > 1 else ""
     return [
         SensorFinding(True, finding.kind, "all", finding.text + counted)

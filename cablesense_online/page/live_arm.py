@@ -18,10 +18,10 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import Load, read_load
 from cablesense_online.page.snapshot import Contact, Level, Snapshot, Status
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
-from cablesense_sim.mechanism import Mechanism
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
@@ -58,7 +58,7 @@ class LiveArm:
         frame_prefix: str = "",
         estimator: str = "estimator",
     ) -> None:
-        self.mechanism = Mechanism.from_arm(arm)
+        self.mechanism = mechanism_of(arm)
         self.frames = Frames(arm.segment_count, frame_prefix)
         self._estimator = estimator
         self._cables = NamedOrder(arm.cable_names, "cables")

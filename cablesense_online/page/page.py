@@ -20,6 +20,7 @@ from cablesense_online.page.panel import Actions, Controls, TracePlot
 from cablesense_online.page.scene import ArmScene
 from cablesense_online.page.snapshot import Score, Snapshot
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 
 FIGURES_EVERY_S = 0.15
@@ -41,7 +42,7 @@ class Page:
         Raises:
             PageError: no port from `port` on can be bound on `host`.
         """
-        mechanism = Mechanism.from_arm(arm)
+        mechanism = mechanism_of(arm)
         self._port = free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=self._port, verbose=False)

@@ -44,11 +44,11 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 
     from cablesense_sim import kinematics
     from cablesense_sim.arm import open_arm
+    from cablesense_sim.build import mechanism_of
     from cablesense_sim.equilibrium import held_lengths_m
-    from cablesense_sim.mechanism import Mechanism
     from cablesense_sim.model import build_spec
 
-    mechanism = Mechanism.from_arm(open_arm(ARM))
+    mechanism = mechanism_of(open_arm(ARM))
     time_s = np.linspace(0.0, 2.0 * PERIOD_S, 81 if quick else 401)
     angles = course_rad(time_s, list(range(0, mechanism.joint_count, 2)), mechanism.joint_count)
     held_m = held_lengths_m(mechanism, angles)

@@ -131,10 +131,10 @@ def run(quick: bool, tell: Tell) -> StudyResult:
 def _by_statics_n(loads: list[tuple[int, float]]) -> Array:
     """(K, 9) changes of tension under weights hung on segments of the straight arm."""
     from cablesense_sim.arm import open_arm
+    from cablesense_sim.build import mechanism_of
     from cablesense_sim.equilibrium import solve_equilibrium
-    from cablesense_sim.mechanism import Mechanism
 
-    mechanism = Mechanism.from_arm(open_arm(ARM))
+    mechanism = mechanism_of(open_arm(ARM))
     forces = np.zeros((1 + len(loads), mechanism.segment_count, 3))
     for row, (segment, weight_n) in enumerate(loads, start=1):
         forces[row, segment - 1, 2] = -weight_n

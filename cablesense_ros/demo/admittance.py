@@ -47,7 +47,7 @@ from cablesense_ros.discovery import own_graph, prefer_quick_discovery
 from cablesense_ros.endpoints import of_node, qos_profile
 from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 
 SEGMENT = 3
 STIFFNESS_N_M = 10_000.0
@@ -107,7 +107,7 @@ def run_controller_headless(demo: ControllerDemo, *, duration_s: float, as_json:
     from cablesense_online.admittance.wall import Approach, compliance_m_n
     from cablesense_ros.demo.pictures import draw_admittance
 
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     segment = min(SEGMENT, arm.segment_count)
     aside = np.array([0.0, 1.0, 0.0])
     compliance = compliance_m_n(mechanism, np.zeros(arm.joint_count), segment, aside)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, Values, segments
 from cablesense_sim.effects.transmission import Rest, Transmission
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism
 
 
 class CableCreep(Effect):

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, segments
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism
 
 
 class CableStiffness(Effect):

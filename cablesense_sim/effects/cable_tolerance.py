@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import Effect, Parameter, Values, cables, chosen
 from cablesense_sim.effects.sensor_offset import Shifted
-from cablesense_sim.mechanism import with_cables_moved
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism, with_cables_moved
 
 
 class CableTolerance(Effect):

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, chosen, segments
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism
 
 
 class ContactOffset(Effect):

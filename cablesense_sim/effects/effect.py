@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-
-if TYPE_CHECKING:
-    from cablesense_sim.effects.transmission import Transmission
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.effects.transmission import Transmission
+from cablesense_sim.mechanism import Mechanism
 
 Values = Mapping[str, Array]
 """Parameter values by name, each (P,): one for every arm that is simulated side by side."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,10 +22,7 @@ from cablesense_base.errors import CableSenseError
 from cablesense_sim import effects
 from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Values
 from cablesense_sim.effects.transmission import Transmission
-
-if TYPE_CHECKING:
-    from cablesense_sim.arm import Arm
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism
 
 ENTRY_POINTS = "cablesense.effects"
 """The group under which another package offers its effects: classes derived from `Effect`."""
@@ -105,16 +102,6 @@ def checked_entry(
     return EffectEntry(effect, place, values)
 
 
-def entries_of(arm: Arm) -> list[EffectEntry]:
-    """The effects that an arm file lists, in its order."""
-    return [
-        checked_entry(
-            listed.effect, listed.at, listed.parameters, arm.segment_count, arm.cable_count
-        )
-        for listed in arm.effects
-    ]
-
-
 def side_by_side(entries: Sequence[EffectEntry]) -> Values:
     """The values of one effect in P arms, each (P,)."""
     return {
@@ -140,7 +127,7 @@ def actuations(variants: Variants) -> list[Actuation]:
     return _acting(variants, lambda effect, place, values: effect.actuation(place, values))
 
 
-def memories(variants: Variants) -> list[Transmission]:
+def transmissions(variants: Variants) -> list[Transmission]:
     """What along the cables and in the joints depends on the past, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.transmission(place, values))
 

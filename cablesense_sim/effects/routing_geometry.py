@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from cablesense_sim.effects.effect import Effect, Parameter, chosen, segments
-from cablesense_sim.mechanism import with_cables_moved, with_plates_moved
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism, with_cables_moved, with_plates_moved
 
 
 class RoutingGeometry(Effect):

@@ -5,14 +5,12 @@ Dry friction as a state: which share of its limit a contact carries, and how tha
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from cablesense_base.arrays import Array
-
-if TYPE_CHECKING:
-    from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism
 
 
 class Rest(NamedTuple):

@@ -15,8 +15,8 @@ from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import amended_arm, write_arm
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.simulator import Term
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import replay_arm
 
 COURSE = small_recording(peak_n=20.0).rows(slice(0, 80))
@@ -43,7 +43,7 @@ def test_the_nominal_arm_gives_the_nominal_prediction(recording, tmp_path):
     out = tmp_path / "predicted.csv"
     result = run(recording, "--arm", "cdsm_lab", "--out", out)
     assert result.exit_code == 0, result.output
-    nominal = solve_equilibrium(Mechanism.from_arm(LAB), COURSE.command_rad, COURSE.forces_n)
+    nominal = solve_equilibrium(mechanism_of(LAB), COURSE.command_rad, COURSE.forces_n)
     assert_allclose(read_csv(out, LAB).tensions_n, nominal.tensions_n, atol=1e-3)
 
 

@@ -8,12 +8,12 @@ from gap_recordings import LAB, small_recording
 
 from cablesense_base.arrays import Array
 from cablesense_gap.retraining import answered_n, estimator_figures, tared_loads
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import Estimates
 
 LOADS = tared_loads(small_recording())
-ARM = Mechanism.from_arm(LAB)
+ARM = mechanism_of(LAB)
 ANGLE_DEG = contact_angle_deg(ARM, LOADS.command_rad, LOADS.segment, LOADS.force_n)
 SIZE_N = np.linalg.norm(
     normal_force_n(ARM, LOADS.command_rad, LOADS.segment, ANGLE_DEG, 1.0).sum(1) * LOADS.force_n,

@@ -7,8 +7,8 @@ import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_gap.unlisted import course_features
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.mechanism import Mechanism
 
 SMALL = small_recording()
 TENSION = 40.0 + np.outer(np.linalg.norm(SMALL.load_n, axis=1), np.linspace(-0.5, 0.5, 12))
@@ -34,7 +34,7 @@ def test_loads_are_by_segment_and_axis():
 
 
 def test_motion_is_the_sign_of_the_lengths_change():
-    length = held_lengths_m(Mechanism.from_arm(LAB), SMALL.command_rad)[:, 5]
+    length = held_lengths_m(mechanism_of(LAB), SMALL.command_rad)[:, 5]
     sweep = np.flatnonzero(SMALL.trial == SMALL.trial.max())[1:]
     np.testing.assert_array_equal(
         column("motion of cable_6")[sweep], np.sign(np.diff(length))[sweep - 1]

@@ -8,15 +8,15 @@ from gap_recordings import LAB
 
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import periodic
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.mechanism import Mechanism
 
 FLOOR_N = 0.1
 ROWS = 500
 rng = np.random.default_rng(2)
 TIME_S = np.arange(ROWS) / 5.0
 COMMAND = 0.18 * np.sin(np.outer(TIME_S, rng.uniform(0.15, 0.5, 8)) + rng.uniform(0.0, 6.0, 8))
-LENGTH_M = held_lengths_m(Mechanism.from_arm(LAB), COMMAND)
+LENGTH_M = held_lengths_m(mechanism_of(LAB), COMMAND)
 
 
 def sweep(command: np.ndarray = COMMAND, segment: int = 0) -> Recording:

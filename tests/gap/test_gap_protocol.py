@@ -20,8 +20,8 @@ from cablesense_gap.recordings.protocol import (
     standard_protocol,
 )
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 ARMS = {name: open_arm(name) for name in ("cdsm_lab", "cdsm", "cdsm_table2")}
 LAB = ARMS["cdsm_lab"]
@@ -49,7 +49,7 @@ def in_kind(arm, kind):
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
     rows, slackening = in_kind(arm, BlockKind.SLACKENING)
-    tensions = tensions_of(rows, Mechanism.from_arm(arm))
+    tensions = tensions_of(rows, mechanism_of(arm))
     assert tensions[~slackening].min() >= 0.1 * arm.cables.pretension_n
     slack = set(rows.trial[(tensions <= 0.0).any(axis=1)])
     assert len(slack) >= 0.8 * len(set(rows.trial[slackening]))
@@ -60,7 +60,7 @@ def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_an_arm_somewhat_weaker_than_nominal_rests_as_well(arm):
     rows, _ = in_kind(arm, BlockKind.SLACKENING)
-    nominal = Mechanism.from_arm(arm)
+    nominal = mechanism_of(arm)
     tensions_of(
         rows,
         nominal,
@@ -136,7 +136,7 @@ def test_a_ramp_is_a_straight_line_at_any_rate(rate_hz, duration_s):
 
 def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():
     down = np.array([0.0, 0.0, -1.0])
-    mechanism = Mechanism.from_arm(LAB)
+    mechanism = mechanism_of(LAB)
     found = bearable_load_n(LAB, np.zeros(8), 4, down)
     forces = np.zeros((2, 4, 3))
     forces[:, 3] = np.outer([found, found + 2.0], down)
@@ -147,7 +147,7 @@ def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():
 def test_where_slack_cannot_be_avoided_the_load_still_shows():
     loose = LAB.model_copy(update={"cables": LAB.cables.model_copy(update={"pretension_n": 8.0})})
     straight, down = np.zeros(8), np.array([0.0, 0.0, -1.0])
-    mechanism = Mechanism.from_arm(loose)
+    mechanism = mechanism_of(loose)
     assert solve_equilibrium(mechanism, straight).tensions_n.min() < 0.8
     found = bearable_load_n(loose, straight, 3, down)
     assert found >= 2.0
@@ -161,12 +161,12 @@ def test_the_sensors_range_bounds_the_load():
     sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 110.0)})
     short = LAB.model_copy(update={"sensors": sensors})
     rows = protocol_rows(short, standard_protocol(short), 2.0)
-    assert tensions_of(rows, Mechanism.from_arm(short)).max() <= 0.9 * 110.0 + 1e-9
+    assert tensions_of(rows, mechanism_of(short)).max() <= 0.9 * 110.0 + 1e-9
 
 
 def sensitivities(rows):
     """Per effect a column: what a small effect does to all readings, scaled to unit length."""
-    m = Mechanism.from_arm(LAB)
+    m = mechanism_of(LAB)
     nominal = tensions_of(rows, m)
 
     def by(**changes):

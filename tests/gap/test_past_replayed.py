@@ -21,12 +21,12 @@ from cablesense_gap.retraining import (
     tared_loads,
 )
 from cablesense_sim.arm import Arm, ListedEffect
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimator
 
 COURSE = small_recording()
-ARM = Mechanism.from_arm(LAB)
+ARM = mechanism_of(LAB)
 LAG = ListedEffect(effect="sensor_lag", at="cable_3", parameters={"time_constant_s": 0.6})
 GAIN = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.15})
 RUBBING = ListedEffect(

@@ -15,12 +15,12 @@ from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
 from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import read_tensions_n
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
-MECHANISM = Mechanism.from_arm(LAB)
+MECHANISM = mechanism_of(LAB)
 ROWS = protocol_rows(LAB, standard_protocol(LAB), 2.0)
 
 

@@ -22,12 +22,12 @@ from cablesense_gap.retraining import (
 )
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import Arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimator
 
 COURSE = small_recording()
-ARM = Mechanism.from_arm(LAB)
+ARM = mechanism_of(LAB)
 GAIN = Term("sensor_gain", "cable_1", "gain")
 ZERO = Term("cable_tolerance", "cable_2", "zero_n")
 

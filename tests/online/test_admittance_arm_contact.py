@@ -6,8 +6,8 @@ import pytest
 from cablesense_base.errors import CableSenseError
 from cablesense_online.admittance.wall import compliance_m_n, contact_point_m, wall_beside
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 POSE = np.deg2rad([3.0, -2.0, 1.0, 4.0, -3.0, 2.0, 0.0, 1.0])
 
@@ -15,7 +15,7 @@ POSE = np.deg2rad([3.0, -2.0, 1.0, 4.0, -3.0, 2.0, 0.0, 1.0])
 @pytest.mark.parametrize("segment", [1, 2, 3, 4])
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
 def test_compliance_is_how_far_a_small_push_moves_the_contact(arm, segment):
-    mechanism = Mechanism.from_arm(open_arm(arm))
+    mechanism = mechanism_of(open_arm(arm))
     wall = wall_beside(mechanism, POSE, segment, 130.0, 1e4, 0.0)
     forces = np.zeros((4, 3))
     forces[segment - 1] = 0.1 * wall.normal
@@ -30,7 +30,7 @@ def test_compliance_is_how_far_a_small_push_moves_the_contact(arm, segment):
 
 
 def test_a_wall_touches_at_advance_zero_and_pushes_as_the_contact_angle_says():
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     wall = wall_beside(mechanism, np.zeros(8), 3, 90.0, 1e4, 0.0)
     point = contact_point_m(mechanism, np.zeros(8), 3)
     assert np.allclose(wall.normal, [0.0, 1.0, 0.0])
@@ -39,6 +39,6 @@ def test_a_wall_touches_at_advance_zero_and_pushes_as_the_contact_angle_says():
 
 
 def test_a_segment_that_is_not_there_is_refused():
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     with pytest.raises(CableSenseError, match="segment"):
         wall_beside(mechanism, np.zeros(8), 5, 0.0, 1e4, 0.0)

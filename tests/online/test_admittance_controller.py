@@ -12,9 +12,9 @@ from cablesense_online.admittance.controller import (
 from cablesense_online.admittance.estimate_watch import Sight, WatchSettings
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_sim.arm import open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 
-ARM = Mechanism.from_arm(open_arm("cdsm"))
+ARM = mechanism_of(open_arm("cdsm"))
 CLOCK_OFFSET_NS = 1_700_000_000_000_000_000
 PUSH = np.array([0.0, 30.0, 0.0])
 NONE = np.zeros(3)

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, FeltForce, Reach
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 
-ARM = Mechanism.from_arm(open_arm("cdsm"))
+ARM = mechanism_of(open_arm("cdsm"))
 REACH = Reach.of(ARM, np.deg2rad(10.0))
 DEFAULT = AdmittanceSettings()
 LAW = AdmittanceLaw(ARM, REACH, DEFAULT)

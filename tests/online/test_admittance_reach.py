@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from cablesense_online.admittance.law import Reach
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 
-ARM = Mechanism.from_arm(open_arm("cdsm"))
+ARM = mechanism_of(open_arm("cdsm"))
 angles = st.lists(st.floats(-1.5, 1.5), min_size=8, max_size=8).map(np.array)
 
 

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, Reach
 from cablesense_online.admittance.wall import ElasticWall, SampledLoop, compliance_m_n, wall_beside
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
-STIFF, COMPLIANT = (Mechanism.from_arm(open_arm(name)) for name in ("cdsm", "cdsm_lab"))
+STIFF, COMPLIANT = (mechanism_of(open_arm(name)) for name in ("cdsm", "cdsm_lab"))
 PERIOD_S = 0.7
 LIMIT_RAD = float(np.deg2rad(15.0))
 

@@ -11,13 +11,13 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.journal import EstimationSettings
 from cablesense_online.tare import TareModel
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 ARM = open_arm("cdsm")
-MECHANISM = Mechanism.from_arm(ARM)
+MECHANISM = mechanism_of(ARM)
 STRAIGHT, BENT = np.zeros(8), np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
 SPEED_RAD_S = 0.35
 

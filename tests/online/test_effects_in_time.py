@@ -9,8 +9,9 @@ from effect_arms import bent
 
 from cablesense_msgs_py.wrenches import Load
 from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_sim.build import entries_of
 from cablesense_sim.dynamics import moving_arm
-from cablesense_sim.effects.registry import entries_of, known_effects, sensings
+from cablesense_sim.effects.registry import known_effects, sensings
 from cablesense_sim.replay import replay_arm
 
 PERIOD_S = 0.1

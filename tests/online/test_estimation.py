@@ -15,15 +15,15 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.journal import EstimationSettings
 from cablesense_online.samples import ProblemKind
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
 ARM = open_arm("cdsm")
-MECHANISM = Mechanism.from_arm(ARM)
+MECHANISM = mechanism_of(ARM)
 UNLOADED = solve_equilibrium(MECHANISM, np.zeros(8)).tensions_n
 PUSHED = UNLOADED + np.linspace(-5.0, 5.0, 12)
 SETTINGS = EstimationSettings(

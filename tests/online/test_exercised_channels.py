@@ -7,14 +7,14 @@ import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_online.commissioning.sensor_check import exercised_channel_findings
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 
 @pytest.fixture(scope="module")
 def recording():
     made = small_recording()
-    nominal = solve_equilibrium(Mechanism.from_arm(LAB), made.command_rad, made.forces_n)
+    nominal = solve_equilibrium(mechanism_of(LAB), made.command_rad, made.forces_n)
     draw = np.random.default_rng(0)
     return replace(
         made, tensions_n=nominal.tensions_n + draw.normal(0.0, 0.05, nominal.tensions_n.shape)

@@ -20,13 +20,13 @@ from cablesense_online.page.drawing import (
     tension_rgb,
 )
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m, segment_rotations
-from cablesense_sim.mechanism import Mechanism
 
 
 @pytest.fixture(scope="module", params=["cdsm", "cdsm_table2"])
 def mechanism(request):
-    return Mechanism.from_arm(open_arm(request.param))
+    return mechanism_of(open_arm(request.param))
 
 
 def test_drawn_cables_are_as_long_as_the_mechanism_says(mechanism):

@@ -7,12 +7,12 @@ from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.wrenches import Load
 from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 ARM = open_arm("cdsm")
-MECHANISM = Mechanism.from_arm(ARM)
+MECHANISM = mechanism_of(ARM)
 PUSH = Load(3, np.array([0.0, 30.0, 0.0]))
 
 

@@ -7,15 +7,15 @@ from arm_variants import variant
 from cablesense_base.errors import CableSenseError
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 ARM = open_arm("cdsm")
 BENT = np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
 
 
 def test_without_effects_they_are_the_equilibrium():
-    expected = solve_equilibrium(Mechanism.from_arm(ARM), BENT).tensions_n
+    expected = solve_equilibrium(mechanism_of(ARM), BENT).tensions_n
     np.testing.assert_array_equal(UnloadedTensions(ARM).predict_n(BENT), expected)
 
 
@@ -23,7 +23,7 @@ def test_a_payload_pulls_like_its_weight():
     payload = {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": 0.4}}
     force = np.zeros((4, 3))
     force[1, 2] = -0.4 * 9.81
-    expected = solve_equilibrium(Mechanism.from_arm(ARM), BENT, force).tensions_n
+    expected = solve_equilibrium(mechanism_of(ARM), BENT, force).tensions_n
     assert np.abs(expected - UnloadedTensions(ARM).predict_n(BENT)).max() > 1.0
     found = UnloadedTensions(variant({"effects": [payload]})).predict_n(BENT)
     np.testing.assert_allclose(found, expected, atol=0.05)

@@ -122,14 +122,14 @@ def test_the_picture_is_whole_and_not_empty(tmp_path):
 
     from cablesense_ros.demo.pictures import draw_picture
     from cablesense_sim.arm import open_arm
-    from cablesense_sim.mechanism import Mechanism
+    from cablesense_sim.build import mechanism_of
 
     script = make_script(4, 12.0, seed=0)
     force = np.array([0.0, 20.0, -30.0])
     record = recorded(script, lambda p: Contact(p.segment, p.angle_deg, p.magnitude_n, force))
     path = tmp_path / "demo.png"
     results = push_results(script, record)
-    draw_picture(path, Mechanism.from_arm(open_arm("cdsm")), record, results)
+    draw_picture(path, mechanism_of(open_arm("cdsm")), record, results)
     image = np.asarray(Image.open(path).convert("RGB"))
     assert image.shape[0] > 600
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200

@@ -15,8 +15,8 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
@@ -83,7 +83,7 @@ def test_what_the_sim_node_says_becomes_a_recording(graph, tmp_path):
     assert set(loaded.trial) == {1}
     settled = loaded.rows(slice(len(loaded) // 2, None))
     nominal = solve_equilibrium(
-        Mechanism.from_arm(ARM), settled.command_rad, settled.forces_n
+        mechanism_of(ARM), settled.command_rad, settled.forces_n
     ).tensions_n
     assert np.abs((settled.tensions_n - nominal).mean(axis=0)).max() < 0.3
     assert [path.name for path in tmp_path.iterdir()] == ["made.mcap"]

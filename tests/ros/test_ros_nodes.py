@@ -14,8 +14,8 @@ from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -27,7 +27,7 @@ pytestmark = [
 ]
 
 ARM = open_arm("cdsm")
-UNLOADED = solve_equilibrium(Mechanism.from_arm(ARM), np.zeros(8)).tensions_n
+UNLOADED = solve_equilibrium(mechanism_of(ARM), np.zeros(8)).tensions_n
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
 
 
@@ -118,7 +118,7 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     tared.spin(2.0)
     assert len(tared.wrenches) > 100
     assert {force(wrench) for wrench in tared.wrenches} == {(0.0, 0.0, 0.0)}
-    moved = solve_equilibrium(Mechanism.from_arm(ARM), np.full(8, 0.05)).tensions_n
+    moved = solve_equilibrium(mechanism_of(ARM), np.full(8, 0.05)).tensions_n
     np.testing.assert_allclose(tared.tensions[-1].effort, moved, atol=0.5)
     tared.push(2, (0.0, 0.0, 30.0))
     tared.until(touched(tared, 2), "a contact at the new pose")

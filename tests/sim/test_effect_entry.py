@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
+from cablesense_sim.build import entries_of
 from cablesense_sim.effects.registry import (
     EffectError,
     checked_entry,
-    entries_of,
     known_effects,
     side_by_side,
 )

@@ -8,6 +8,7 @@ from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, rea
 from scipy.spatial.transform import Rotation
 
 from cablesense_sim import kinematics
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import EffectEntry, amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
@@ -107,7 +108,7 @@ def test_softer_cables_stretch_more_under_the_same_tension() -> None:
 def test_servo_and_cable_stay_in_series() -> None:
     from arm_variants import variant
 
-    servo = Mechanism.from_arm(variant({"actuators.kp_n_m": 5e5}, "cdsm_lab"))
+    servo = mechanism_of(variant({"actuators.kp_n_m": 5e5}, "cdsm_lab"))
     soft = amended(servo, [entry("cable_stiffness", change=0.3)])
     in_series = 1.0 / (1.0 / soft.cable_stiffness_n_m + 1.0 / 5e5)
     np.testing.assert_allclose(in_series, 1.3 * servo.stiffness_n_m)

@@ -9,6 +9,7 @@ from random_cases import HARD, SOFT, STIFF, STRAIGHT, random_cases
 
 from cablesense_base.errors import CableSenseError
 from cablesense_sim import kinematics
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import (
     Equilibrium,
     EquilibriumError,
@@ -112,7 +113,7 @@ def test_weightless_and_straight_the_arm_looks_the_same_every_third_of_a_turn() 
 
 
 def test_left_and_right_are_mirror_images() -> None:
-    arm = Mechanism.from_arm(variant({"cables.angle_deg.per_segment": 0}, "cdsm_lab"))
+    arm = mechanism_of(variant({"cables.angle_deg.per_segment": 0}, "cdsm_lab"))
     cases = random_cases(arm, 50, degrees=8, contacts=2, largest_n=60)
     rest = solve_equilibrium(arm, *cases)
     mirrored = solve_equilibrium(
@@ -146,14 +147,14 @@ def test_sensitivity_is_the_slope_of_the_tensions(mechanism: Mechanism) -> None:
 
 
 def test_very_stiff_cables_are_no_harder() -> None:
-    stiffest = Mechanism.from_arm(variant({"cables.stiffness_n_m": 1e9, "actuators.kp_n_m": 1e11}))
+    stiffest = mechanism_of(variant({"cables.stiffness_n_m": 1e9, "actuators.kp_n_m": 1e11}))
     rest = solve_equilibrium(stiffest, *random_cases(stiffest, 200, degrees=20, contacts=4))
     assert rest.iterations.max() < 20
 
 
 def test_large_arms_with_wide_and_close_plates_come_to_rest() -> None:
     """Their spans are small differences of large squares, which rounding blurs most."""
-    large = Mechanism.from_arm(
+    large = mechanism_of(
         variant(
             {
                 "segments.length_m": 1.7,

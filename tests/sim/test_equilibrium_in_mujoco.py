@@ -8,6 +8,7 @@ from random_cases import HARD, SOFT, STIFF, STRAIGHT, Cases, random_cases
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import Equilibrium, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -62,7 +63,7 @@ def test_mujoco_finds_nothing_unbalanced_on_the_compliant_arm() -> None:
 @pytest.mark.parametrize("count", [1, 2, 6])
 @pytest.mark.parametrize("each", [3, 5])
 def test_other_arms_come_to_rest_too(count: int, each: int) -> None:
-    arm = Mechanism.from_arm(
+    arm = mechanism_of(
         variant(
             {
                 "segments.count": count,
@@ -106,7 +107,7 @@ def test_time_stepping_comes_to_rest_in_the_same_place(
     name: str, degrees: float, newtons: float
 ) -> None:
     arm = open_arm(name)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     cases = random_cases(mechanism, 4, degrees=degrees, contacts=3, largest_n=newtons)
     rest = solve_equilibrium(mechanism, *cases)
     dynamics = ArmDynamics(arm)

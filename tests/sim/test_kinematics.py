@@ -10,6 +10,7 @@ from arm_variants import variant
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 
@@ -43,7 +44,7 @@ def poses(mechanism: Mechanism, count: int, degrees: float = 30.0) -> np.ndarray
 
 
 def test_mujoco_agrees(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     joints = [model.joint(name).id for name in arm.joint_names]
@@ -80,7 +81,7 @@ def test_mujoco_agrees(arm: Arm) -> None:
 
 
 def test_load_torques_are_gravity_and_the_contact_jacobian(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     q = poses(mechanism, 20)
     forces = np.random.default_rng(1).normal(0, 50, (20, arm.segment_count, 3))
     torques = kinematics.load_torques_n_m(mechanism, q, forces)
@@ -96,7 +97,7 @@ def difference(function: Any, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
 
 
 def test_first_and_second_derivatives_are_those_of_the_lengths(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     q = poses(mechanism, 10)
     jacobian = kinematics.cable_jacobian_m(mechanism, q)
     by_difference = difference(lambda x: kinematics.cable_lengths_m(mechanism, x), q)
@@ -113,7 +114,7 @@ def test_first_and_second_derivatives_are_those_of_the_lengths(arm: Arm) -> None
 
 
 def test_contact_jacobian_is_the_derivative_of_the_points(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     q = poses(mechanism, 10)
     by_difference = difference(lambda x: kinematics.contact_points_m(mechanism, x), q)
     contact = kinematics.contact_jacobians_m(mechanism, q)
@@ -122,7 +123,7 @@ def test_contact_jacobian_is_the_derivative_of_the_points(arm: Arm) -> None:
 
 def test_a_span_is_the_distance_of_its_holes() -> None:
     """By hand: one joint, plates one offset before and after it, a hole at (y, z) in both."""
-    mechanism = Mechanism.from_arm(ARMS["single"])
+    mechanism = mechanism_of(ARMS["single"])
     pitch, yaw = 0.3, -0.2
     turn = np.array(
         [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
@@ -137,7 +138,7 @@ def test_a_span_is_the_distance_of_its_holes() -> None:
 
 def test_signs_are_those_of_the_base_frame() -> None:
     """Positive pitch lowers the tip and lengthens the upper cable; positive yaw turns it left."""
-    mechanism = Mechanism.from_arm(ARMS["cdsm"])
+    mechanism = mechanism_of(ARMS["cdsm"])
     down = kinematics.contact_points_m(mechanism, np.array([0.1, 0, 0, 0, 0, 0, 0, 0]))
     left = kinematics.contact_points_m(mechanism, np.array([0, 0.1, 0, 0, 0, 0, 0, 0]))
     assert down[3, 2] < 0
@@ -147,7 +148,7 @@ def test_signs_are_those_of_the_base_frame() -> None:
 
 
 def test_the_bend_is_the_angle_between_neighbours(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     q = poses(mechanism, 10)
     axes = kinematics.segment_rotations(mechanism, q)[..., 0]
     base = np.broadcast_to([1.0, 0.0, 0.0], (10, 1, 3))
@@ -157,7 +158,7 @@ def test_the_bend_is_the_angle_between_neighbours(arm: Arm) -> None:
 
 
 def test_touching_plates_leave_finite_numbers() -> None:
-    mechanism = Mechanism.from_arm(ARMS["single"])
+    mechanism = mechanism_of(ARMS["single"])
     limit = mechanism.bend_limit_rad[0]
     span = kinematics.spans(mechanism, np.array([-limit, 0.0]))  # where the upper hole touches
     assert span.length_m[0, 0] == pytest.approx(0.0, abs=1e-8)
@@ -178,7 +179,7 @@ FUNCTIONS = (
 @pytest.mark.parametrize("function", FUNCTIONS)
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_torch_and_numpy_agree_in_their_own_precision(function: Any, precision: str) -> None:
-    mechanism = Mechanism.from_arm(ARMS["tapered"])
+    mechanism = mechanism_of(ARMS["tapered"])
     q = poses(mechanism, 12).reshape(3, 4, -1).astype(precision)
     of_numpy, of_torch = function(mechanism, q), function(mechanism, torch.from_numpy(q))
     assert of_numpy.dtype == precision
@@ -191,7 +192,7 @@ def test_torch_and_numpy_agree_in_their_own_precision(function: Any, precision: 
 
 
 def test_torch_can_differentiate_through_it() -> None:
-    mechanism = Mechanism.from_arm(ARMS["cdsm"])
+    mechanism = mechanism_of(ARMS["cdsm"])
     q = torch.from_numpy(poses(mechanism, 1)[0])
     by_torch = torch.autograd.functional.jacobian(
         lambda x: kinematics.cable_lengths_m(mechanism, x), q

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import LoadError, contact_angle_deg, normal_force_n
-from cablesense_sim.mechanism import Mechanism
 
-MECHANISM = Mechanism.from_arm(open_arm("cdsm"))
+MECHANISM = mechanism_of(open_arm("cdsm"))
 STRAIGHT = np.zeros(8)
 
 

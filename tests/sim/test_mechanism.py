@@ -8,12 +8,13 @@ import pytest
 from arm_variants import variant
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 
 
 @pytest.fixture(scope="module")
 def mechanism() -> Mechanism:
-    return Mechanism.from_arm(open_arm("cdsm"))
+    return mechanism_of(open_arm("cdsm"))
 
 
 def test_sizes(mechanism: Mechanism) -> None:
@@ -53,15 +54,13 @@ def test_stiffness_of_cable_and_actuator_in_series(mechanism: Mechanism) -> None
 
 
 def test_a_rigid_actuator_leaves_the_cable_alone() -> None:
-    lab = Mechanism.from_arm(open_arm("cdsm_lab"))
+    lab = mechanism_of(open_arm("cdsm_lab"))
     assert lab.actuator_stiffness_n_m == math.inf
     np.testing.assert_allclose(lab.cable_stiffness_n_m, lab.stiffness_n_m, rtol=1e-15)
 
 
 def test_axial_rigidity_makes_long_cables_softer() -> None:
-    soft = Mechanism.from_arm(
-        variant({"cables.stiffness_n_m": None, "cables.axial_rigidity_n": 2.3e5})
-    )
+    soft = mechanism_of(variant({"cables.stiffness_n_m": None, "cables.axial_rigidity_n": 2.3e5}))
     np.testing.assert_allclose(soft.cable_stiffness_n_m[0], 2.3e5 / 0.23)
     np.testing.assert_allclose(
         soft.cable_stiffness_n_m * soft.straight_length_m, 2.3e5, rtol=1e-12
@@ -72,7 +71,7 @@ def test_axial_rigidity_makes_long_cables_softer() -> None:
 
 
 def test_values_of_single_segments_go_to_their_cables() -> None:
-    tapered = Mechanism.from_arm(
+    tapered = mechanism_of(
         variant(
             {
                 "segments.length_m": [0.2, 0.15, 0.1, 0.08],

@@ -7,15 +7,15 @@ from arm_variants import variant
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import bundled_arms, open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import amended, checked_entry
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec, unstretched_length_m
 
 
 @pytest.mark.parametrize("name", bundled_arms())
 def test_every_part_has_its_name(name: str) -> None:
     arm = open_arm(name)
-    model = build_spec(Mechanism.from_arm(arm), arm.name).compile()
+    model = build_spec(mechanism_of(arm), arm.name).compile()
     assert model.names.split(b"\0")[0].decode() == name
     for n in range(1, arm.segment_count + 1):
         assert model.body(f"segment_{n}").id > 0
@@ -29,7 +29,7 @@ def test_masses_and_gravity_are_those_of_the_arm() -> None:
     arm = variant(
         {"segments.mass_kg": [0.4, 0.3, 0.2, 0.1], "gravity_m_s2": [1.0, 2.0, 3.0]}, "cdsm_lab"
     )
-    model = build_spec(Mechanism.from_arm(arm)).compile()
+    model = build_spec(mechanism_of(arm)).compile()
     masses = [float(model.body(f"segment_{n}").mass[0]) for n in range(1, 5)]
     np.testing.assert_allclose(masses, [0.4, 0.3, 0.2, 0.1])
     np.testing.assert_allclose(model.opt.gravity, [1.0, 2.0, 3.0])
@@ -37,7 +37,7 @@ def test_masses_and_gravity_are_those_of_the_arm() -> None:
 
 
 def test_massless_segments_are_possible() -> None:
-    model = build_spec(Mechanism.from_arm(variant({"segments.mass_kg": 0}))).compile()
+    model = build_spec(mechanism_of(variant({"segments.mass_kg": 0}))).compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data)
     assert np.isfinite(data.qpos).all()
@@ -46,7 +46,7 @@ def test_massless_segments_are_possible() -> None:
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 def test_straight_the_cables_bear_their_pretension(name: str) -> None:
     arm = open_arm(name)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     if not model.nmocap:
@@ -62,7 +62,7 @@ def test_straight_the_cables_bear_their_pretension(name: str) -> None:
 
 
 def test_a_slack_cable_does_not_push() -> None:
-    mechanism = Mechanism.from_arm(open_arm("cdsm_lab"))
+    mechanism = mechanism_of(open_arm("cdsm_lab"))
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     data.mocap_pos[:, 0] += 0.05  # pay out, so that all cables go slack
@@ -71,7 +71,7 @@ def test_a_slack_cable_does_not_push() -> None:
 
 
 def test_nothing_collides_and_nothing_but_cables_holds() -> None:
-    model = build_spec(Mechanism.from_arm(open_arm("cdsm"))).compile()
+    model = build_spec(mechanism_of(open_arm("cdsm"))).compile()
     assert not model.jnt_stiffness.any()
     assert not (model.geom_contype | model.geom_conaffinity).any()
     assert not model.tendon_damping.any()
@@ -91,7 +91,7 @@ def test_holes_out_of_line_and_springs_are_those_of_the_statics(
     name: str, place: str, values: dict[str, float]
 ) -> None:
     arm = open_arm("cdsm_lab")
-    mechanism = amended(Mechanism.from_arm(arm), [checked_entry(name, place, values, 4, 12)])
+    mechanism = amended(mechanism_of(arm), [checked_entry(name, place, values, 4, 12)])
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     angles = np.deg2rad([5.0, -4.0, 8.0, 3.0, -6.0, 2.0, 4.0, 7.0])

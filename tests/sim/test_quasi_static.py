@@ -8,7 +8,7 @@ from effect_arms import MECHANISM, bent, entry, push, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.effects.registry import EffectEntry, amended, memories
+from cablesense_sim.effects.registry import EffectEntry, amended, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import stack
 from cablesense_sim.quasi_static import QuasiStaticArm
@@ -80,8 +80,8 @@ def test_all_at_once_go_together() -> None:
 
 def test_a_memory_is_made_for_all_arms_at_once() -> None:
     variants = [[KINDS[0], entry("sensor_gain", "cable_1")] for _ in range(3)]
-    assert len(memories(variants)) == 1
-    assert memories([[entry("payload", "segment_1")]]) == []
+    assert len(transmissions(variants)) == 1
+    assert transmissions([[entry("payload", "segment_1")]]) == []
 
 
 def test_stacked_mechanisms_keep_their_own_numbers() -> None:

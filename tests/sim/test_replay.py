@@ -7,8 +7,9 @@ import pytest
 from arm_variants import variant
 from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings, up_and_down
 
+from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect
-from cablesense_sim.effects.registry import amended, entries_of, known_effects
+from cablesense_sim.effects.registry import amended, known_effects
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import Replay, replay_arm
 

@@ -4,11 +4,12 @@ import numpy as np
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import rounding_n_m, search_rest
 
-SOFT = Mechanism.from_arm(open_arm("cdsm_lab"))
+SOFT = mechanism_of(open_arm("cdsm_lab"))
 
 
 def rest_m(mechanism: Mechanism, command: np.ndarray) -> np.ndarray:
@@ -44,4 +45,4 @@ def test_what_finds_no_stable_pose_keeps_a_residual() -> None:
 
 def test_rounding_stays_below_the_residual_asked_for_on_the_bundled_arms() -> None:
     for name in ("cdsm", "cdsm_lab", "cdsm_table2"):
-        assert rounding_n_m(Mechanism.from_arm(open_arm(name))) < 1e-9
+        assert rounding_n_m(mechanism_of(open_arm(name))) < 1e-9

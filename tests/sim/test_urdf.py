@@ -9,7 +9,7 @@ from arm_variants import variant
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.urdf import urdf_xml
 
 ARMS = {
@@ -66,7 +66,7 @@ def numbers_or_name(joint: ElementTree.Element, end: str) -> str:
 
 
 def test_its_chain_is_that_of_the_kinematics(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     robot = ElementTree.fromstring(urdf_xml(arm))
     q = np.random.default_rng(0).uniform(-0.4, 0.4, arm.joint_count)
     angles = dict(zip(arm.joint_names, q, strict=True))
@@ -85,7 +85,7 @@ def test_its_chain_is_that_of_the_kinematics(arm: Arm) -> None:
 
 
 def test_masses_and_their_centres_are_conserved(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     robot = ElementTree.fromstring(urdf_xml(arm))
     total = 0.0
     for link in robot.iter("link"):
@@ -106,7 +106,7 @@ def test_masses_and_their_centres_are_conserved(arm: Arm) -> None:
 
 
 def test_joints_stop_where_plates_touch(arm: Arm) -> None:
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     robot = ElementTree.fromstring(urdf_xml(arm))
     for i, joint in enumerate(robot.iter("joint")):
         limit = mechanism.bend_limit_rad[i // 2]
@@ -118,7 +118,7 @@ def test_joints_stop_where_plates_touch(arm: Arm) -> None:
 
 def test_mujoco_reads_it_and_finds_the_same_weight(arm: Arm) -> None:
     """Another reader's forward kinematics and statics."""
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     model = mujoco.MjModel.from_xml_string(urdf_xml(arm))
     data = mujoco.MjData(model)
     q = np.random.default_rng(1).uniform(-0.4, 0.4, arm.joint_count)

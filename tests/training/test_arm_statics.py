@@ -9,8 +9,8 @@ from arm_variants import variant
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
-from cablesense_sim.effects.registry import amended, entries_of
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -67,7 +67,7 @@ def test_contacts_on_an_amended_arm_are_recovered(effects) -> None:
 @pytest.mark.parametrize("effect", [CABLES, PLATES])
 def test_compact_kinematics_know_every_plate(effect) -> None:
     arm = listing(effect)
-    mechanism = amended(Mechanism.from_arm(arm), entries_of(arm))
+    mechanism = amended(mechanism_of(arm), entries_of(arm))
     angles = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 8))
     column = np.concatenate([angles[:, 0::2], angles[:, 1::2]], axis=1)[..., None]
     pose = CompactKinematics(mechanism)(torch.as_tensor(column))

@@ -9,9 +9,9 @@ from scipy import stats
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -24,7 +24,7 @@ BARELY_TAUT_N = 0.3
 
 
 def _mechanism(name):
-    return Mechanism.from_arm(open_arm(name))
+    return mechanism_of(open_arm(name))
 
 
 def _closed_form(mechanism, variance_n2=VARIANCE_N2):
@@ -150,7 +150,7 @@ def test_the_error_is_close_to_the_noise_bound(arm):
     protocol = SingleContact(samples=1500, force_low_n=2.0, no_contact_fraction=0.0)
     dataset = draw_dataset(description, protocol, seed=5)
     variance = difference_variance_n2(description.sensors, protocol.tare_samples)
-    mechanism = Mechanism.from_arm(description)
+    mechanism = mechanism_of(description)
     found = _candidates(
         _closed_form(mechanism, variance), dataset.tension_difference_n, dataset.command_rad
     )

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 from cablesense_training.networks.compact import CompactKinematics
 
 CDSM = open_arm("cdsm").model_dump()
@@ -39,7 +39,7 @@ def mechanisms(draw):
         },
     }
     gravity = tuple(rng.uniform(-10.0, 10.0, 3))
-    return Mechanism.from_arm(
+    return mechanism_of(
         Arm.model_validate(
             CDSM | {"gravity_m_s2": gravity, "segments": segments, "cables": cables}
         )
@@ -98,7 +98,7 @@ def test_frames_levers_and_weight_agree_for_any_arm_at_any_pose(mechanism, seed)
 
 
 def test_the_jacobian_is_the_derivative_of_the_spans():
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     compact = CompactKinematics(mechanism)
     column = _column(_poses(mechanism, 0, rows=1))
 
@@ -111,7 +111,7 @@ def test_the_jacobian_is_the_derivative_of_the_spans():
 
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
 def test_rows_are_independent_and_any_number_of_them_will_do(arm):
-    mechanism = Mechanism.from_arm(open_arm(arm))
+    mechanism = mechanism_of(open_arm(arm))
     compact = CompactKinematics(mechanism)
     column = _column(_poses(mechanism, 3, rows=5))
     whole = compact(column)

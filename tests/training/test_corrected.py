@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
 from cablesense_training.networks.second_order import SecondOrderClosedForm
@@ -31,7 +31,7 @@ def wild():
 
 
 def _readings(arm, rows, reach_deg=10.0, seed=0):
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     rng = np.random.default_rng(seed)
     command = np.deg2rad(rng.uniform(-reach_deg, reach_deg, (rows, mechanism.joint_count)))
     segment = rng.integers(1, mechanism.segment_count + 1, rows)
@@ -153,7 +153,7 @@ def test_it_tells_which_cables_are_taut(untrained):
     tension, command, _ = _readings(CDSM, 100)
     with torch.no_grad():
         output, taut = untrained.answer_and_taut(tension, command)
-        exact = ClosedForm(Mechanism.from_arm(CDSM), 0.005, 2)(tension, command)
+        exact = ClosedForm(mechanism_of(CDSM), 0.005, 2)(tension, command)
     assert 0.0 < float(taut.mean()) < 1.0
     assert float((taut == exact.taut).double().mean()) > 0.99
     torch.testing.assert_close(output, untrained(tension, command))

@@ -9,9 +9,9 @@ import pytest
 from arm_variants import variant
 
 from cablesense_sim.arm import open_arm
-from cablesense_sim.effects.registry import amended, entries_of
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.chunk import Course
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -19,7 +19,7 @@ from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.errors import DatasetError
 
-NOMINAL = Mechanism.from_arm(open_arm("cdsm_lab"))
+NOMINAL = mechanism_of(open_arm("cdsm_lab"))
 GENTLE = {"samples": 96, "pose": "random", "force_high_n": 25.0, "noise": False}
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import load_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, gravity_torques_n_m
 from cablesense_sim.loads import contact_angle_deg
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.dataset import Dataset, combine, summarise
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
@@ -41,7 +41,7 @@ def test_without_contact_and_noise_nothing_changes(arm, protocol, pose):
 def test_cables_balance_the_contacts(arm, protocol):
     """On the stiff arm, which hardly gives way, J'(q) dT is the contacts' joint torque."""
     dataset = ideal(arm, protocol, pose="random")
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     cables = cable_jacobian_m(mechanism, dataset.command_rad)
     contact = contact_jacobians_m(mechanism, dataset.command_rad)
     torque = np.einsum("bmj,bm->bj", cables, dataset.tension_difference_n)
@@ -53,7 +53,7 @@ def test_cables_balance_the_contacts(arm, protocol):
 
 def test_unloaded_cables_carry_the_weight(arm):
     dataset = ideal(arm, pose="random")
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     cables = cable_jacobian_m(mechanism, dataset.command_rad)
     torque = np.einsum("bmj,bm->bj", cables, dataset.unloaded_n)
     expected = gravity_torques_n_m(mechanism, dataset.command_rad)
@@ -68,7 +68,7 @@ def test_labels_and_forces_say_the_same(arm):
     own = forces[np.arange(len(forces)), segment - 1]
     assert np.linalg.norm(own, axis=1) == pytest.approx(dataset.magnitude_n[touched])
     assert np.linalg.norm(forces.sum(axis=1) - own) == 0.0
-    angle = contact_angle_deg(Mechanism.from_arm(arm), command, segment, own)
+    angle = contact_angle_deg(mechanism_of(arm), command, segment, own)
     turned = (angle - dataset.angle_deg[touched] + 180.0) % 360.0 - 180.0
     assert turned == pytest.approx(0.0, abs=1e-6)
     assert not dataset.forces_n[~touched].any()

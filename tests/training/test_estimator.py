@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import EstimateError, Estimator
 from cablesense_training.inference.metadata import ModelFileError, find_model
 
@@ -33,7 +33,7 @@ def tensions_only():
 
 
 def _pushed(command, segment, angle_deg, magnitude_n):
-    mechanism = Mechanism.from_arm(CDSM)
+    mechanism = mechanism_of(CDSM)
     forces = normal_force_n(mechanism, command, segment, angle_deg, magnitude_n)
     loaded = solve_equilibrium(mechanism, command, forces).tensions_n
     return loaded - solve_equilibrium(mechanism, command).tensions_n

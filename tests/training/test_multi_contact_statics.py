@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact
 from cablesense_training.networks.multi_contact import MultiContactClosedForm
@@ -52,7 +52,7 @@ def _pushed(mechanism, command, touched, rng, high_n):
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_without_noise_every_touched_segment_and_its_force_are_recovered(arm):
-    mechanism = Mechanism.from_arm(open_arm(arm))
+    mechanism = mechanism_of(open_arm(arm))
     rng = np.random.default_rng(0)
     command = rng.uniform(-0.17, 0.17, (400, mechanism.joint_count))
     touched = rng.random((400, mechanism.segment_count)) < 0.5
@@ -100,7 +100,7 @@ def test_the_command_is_needed():
     assert network.pose_aware
     with pytest.raises(AssertionError):
         network(torch.zeros(1, 12))
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     rng = np.random.default_rng(2)
     command = rng.uniform(-0.17, 0.17, (200, 8))
     touched = rng.random((200, 4)) < 0.5

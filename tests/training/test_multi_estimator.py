@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import EstimateError, MultiEstimator
 from cablesense_training.inference.metadata import ModelFileError, find_model
 
@@ -50,7 +50,7 @@ def test_a_model_of_one_contact_or_another_arm_is_refused():
 
 
 def test_two_pushes_at_once_are_told_apart(pose_aware):
-    mechanism = Mechanism.from_arm(CDSM)
+    mechanism = mechanism_of(CDSM)
     for seed in range(5):
         command = np.random.default_rng(seed).uniform(-0.17, 0.17, 8)
         forces = normal_force_n(mechanism, command, 2, 70.0, 25.0)

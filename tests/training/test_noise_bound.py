@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
@@ -40,7 +40,7 @@ def test_one_segment_of_equal_cables_has_an_analytic_bound():
     content["actuators"]["kp_n_m"] = 1e10
     arm = Arm.model_validate(content)
     dataset = _dataset(arm, samples=30, force_high_n=10.0)
-    mechanism = Mechanism.from_arm(arm)
+    mechanism = mechanism_of(arm)
     radius, contact = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)[0], mechanism.contact_m[0]
     variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
     expected = 1.5 * variance * (radius / contact) ** 2 * np.eye(2)
@@ -82,7 +82,7 @@ def test_statics_attain_the_bound_while_all_cables_are_taut(name):
     dataset = _dataset(arm, samples=4000, pose="random", force_low_n=2.0, force_high_n=15.0)
     variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
     found = _candidates(
-        _closed_form(Mechanism.from_arm(arm), variance),
+        _closed_form(mechanism_of(arm), variance),
         dataset.tension_difference_n,
         dataset.command_rad,
     )

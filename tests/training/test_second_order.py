@@ -6,9 +6,9 @@ import torch
 from scipy import stats
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.second_order import SecondOrderClosedForm
 
@@ -16,7 +16,7 @@ VARIANCE_N2 = 0.005
 BARELY_TAUT_N = 0.3
 """Tensions below this pass for none, at that variance."""
 
-CDSM = Mechanism.from_arm(open_arm("cdsm"))
+CDSM = mechanism_of(open_arm("cdsm"))
 ROWS = 600
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.dataset import contact_forces_n
 from cablesense_training.evaluation.sequence_figures import unsettled
 from cablesense_training.motion.motion_protocol import MotionProtocol
@@ -29,7 +29,7 @@ def rubbing():
 
 def _statics_n(sequences):
     """(S, T, M) differences that an arm without friction has at rest in every set-point."""
-    mechanism = Mechanism.from_arm(sequences.arm)
+    mechanism = mechanism_of(sequences.arm)
     differences = []
     for command, segment, angle, magnitude in zip(
         sequences.joint_command_rad,

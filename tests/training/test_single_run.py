@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.inference.estimator import OUTPUTS
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import ModelSession
@@ -33,7 +33,7 @@ def single(session):
 @pytest.fixture(scope="module")
 def readings():
     """Commands (POSES, 8) and differences (POSES, PUSHES, 12) of pushes that slacken many sets."""
-    mechanism = Mechanism.from_arm(CDSM)
+    mechanism = mechanism_of(CDSM)
     rng = np.random.default_rng(0)
     commands = rng.uniform(-0.17, 0.17, (POSES, 1, 8))
     forces = normal_force_n(

@@ -5,9 +5,9 @@ import pytest
 
 from cablesense_base.errors import CableSenseError
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.evaluation.comparison import TABLE2_MODEL
 from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2, read_table2
 from cablesense_training.inference.estimator import Estimator
@@ -60,7 +60,7 @@ def test_simulated_rows_may_be_asked_for_too(estimator):
 
 
 def test_the_papers_simulation_and_ours_agree_on_what_grows_with_the_load():
-    mechanism = Mechanism.from_arm(open_arm("cdsm_table2"))
+    mechanism = mechanism_of(open_arm("cdsm_table2"))
     rows = {(r.segment, round(r.weight_n)): r for r in read_table2() if r.source == "simulated"}
     errors = []
     for segment in (1, 2, 3):

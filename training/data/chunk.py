@@ -31,13 +31,13 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import (
     EffectEntry,
     actuations,
     amended,
-    entries_of,
-    memories,
     sensings,
+    transmissions,
 )
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
@@ -195,7 +195,7 @@ def _tensions_n(
         for row, time in enumerate(course.time_s):
             held[row] = actuation.step(time, held[row])
     mechanism = amended(nominal, entries)
-    if memories(arms):
+    if transmissions(arms):
         arm = QuasiStaticArm([mechanism] * len(arms), arms)
         return np.stack([arm.step(t, held[r], loads[r]) for r, t in enumerate(course.time_s)])
     read = range(len(held)) if sensings(arms) else (_TARED, len(held) - 1)
@@ -288,7 +288,7 @@ class _Resting:
 
     def __init__(self, arm: Arm, protocol: Protocol, seed: int, chunk: int) -> None:
         self._arm, self._protocol = arm, protocol
-        self._mechanism = Mechanism.from_arm(arm)
+        self._mechanism = mechanism_of(arm)
         self._listed = entries_of(arm)
         self._seed = seed, chunk
         self._drawn: dict[int, tuple[list[EffectEntry], Course]] = {}

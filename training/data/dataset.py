@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.protocols import Protocol, SingleContact
@@ -101,7 +102,7 @@ class Dataset:
     @cached_property
     def forces_n(self) -> Array:
         """(B, N, 3) forces of the environment, base axes; zero where nothing touches."""
-        mechanism = Mechanism.from_arm(self.arm)
+        mechanism = mechanism_of(self.arm)
         return contact_forces_n(mechanism, self.command_rad, self.angles_deg, self.magnitudes_n)
 
     @cached_property

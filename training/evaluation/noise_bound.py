@@ -16,8 +16,8 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import angle_difference_deg
@@ -43,7 +43,7 @@ class NoiseBound:
 def force_covariance_n2(dataset: Dataset) -> Array:
     """Bound (C, 2, 2) on the covariance of the (y, z) force of the dataset's C contacts."""
     touched = np.flatnonzero(dataset.segment > 0)
-    mechanism = Mechanism.from_arm(dataset.arm)
+    mechanism = mechanism_of(dataset.arm)
     command, forces = dataset.command_rad[touched], dataset.forces_n[touched]
     rest = solve_equilibrium(mechanism, command, forces)
     gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
@@ -82,7 +82,7 @@ def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
     All contacts of a sample are unknown at once, and which segments are touched is known. A
     magnitude's error is taken as Gaussian along its force, as it is for forces far above noise.
     """
-    mechanism = Mechanism.from_arm(dataset.arm)
+    mechanism = mechanism_of(dataset.arm)
     command, forces, contacts = dataset.command_rad, dataset.forces_n, dataset.contacts
     rest = solve_equilibrium(mechanism, command, forces)
     gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
-from cablesense_sim.effects.registry import actuations, amended, entries_of, memories, sensings
+from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
@@ -146,7 +147,7 @@ def tensions_from_rest_to_rest_n(
 
 
 def _through(arm: Arm, course_rad: Array, loads_n: Array, tick_s: float) -> Array:
-    entries, nominal = entries_of(arm), Mechanism.from_arm(arm)
+    entries, nominal = entries_of(arm), mechanism_of(arm)
     count = course_rad.shape[1]
     resting = QuasiStaticArm([amended(nominal, entries)] * count, [entries] * count)
     acting = actuations([entries] * count)
@@ -194,7 +195,7 @@ def draw_sequences(
 def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int) -> Sequences:
     """Some sequences of a run, by their block's number."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block,)))
-    nominal, entries = Mechanism.from_arm(arm), entries_of(arm)
+    nominal, entries = mechanism_of(arm), entries_of(arm)
     motions = [drawn_motion(protocol, arm.joint_count, rng) for _ in range(count)]
     contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
     command = np.stack([motion.angle_rad for motion in motions])
@@ -202,7 +203,7 @@ def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count:
         [_forces_n(nominal, pose, course) for pose, course in zip(command, contacts, strict=True)]
     )
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
-    if memories([entries]):
+    if transmissions([entries]):
         true = tensions_from_rest_to_rest_n(arm, before, command, forces, protocol.tick_s)
     else:
         pairs = zip(motions, forces, strict=True)

@@ -23,7 +23,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.registry import actuations, amended, entries_of, memories, sensings
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import difference_variance_n2
@@ -52,7 +53,7 @@ def exact_statics(
 
     `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
     """
-    nominal = Mechanism.from_arm(arm)
+    nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
     if pose_corrections is None:
         pose_corrections = pose_corrections_for(mechanism)
@@ -69,7 +70,7 @@ def exact_statics(
 
 def statics(arm: Arm, tare_samples: int) -> ClosedForm | SecondOrderClosedForm:
     """The closed form of an arm; to second order where that is enough, which is faster."""
-    nominal = Mechanism.from_arm(arm)
+    nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
     plain = not mechanism.joint_stiffness_n_m_rad.any()
     plain = plain and not _holds_other_lengths(mechanism, nominal)
@@ -91,11 +92,11 @@ def _holds_other_lengths(mechanism: Mechanism, nominal: Mechanism) -> bool:
 def unexplained_variance_n2(arm: Arm) -> float:
     """Mean square of what the arm's effects make of tension differences and statics does not."""
     entries = entries_of(arm)
-    if not (actuations([entries]) or memories([entries]) or sensings([entries])):
+    if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
         return 0.0
     protocol = SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False)
     seen = draw_dataset(arm, protocol)
-    nominal = Mechanism.from_arm(arm)
+    nominal = mechanism_of(arm)
     mechanism, held = amended(nominal, entries), held_lengths_m(nominal, seen.command_rad)
     loaded, unloaded = (
         solve_equilibrium(mechanism, seen.command_rad, forces, held_m=held).tensions_n
@@ -147,7 +148,7 @@ class CorrectedClosedForm(SingleContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(Mechanism.from_arm(arm), statics(arm, tare_samples))
+        return cls(mechanism_of(arm), statics(arm, tare_samples))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
@@ -216,7 +217,7 @@ class PlainClosedForm(CorrectedClosedForm):
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
         """The closed form of an arm that is taken to stand where it is commanded."""
         closed_form = exact_statics(arm, tare_samples, pose_corrections=0)
-        network = cls(Mechanism.from_arm(arm), closed_form)
+        network = cls(mechanism_of(arm), closed_form)
         network.requires_grad_(False)
         return network
 

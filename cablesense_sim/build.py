@@ -1,0 +1,55 @@
+"""From an arm's description to the arrays that are simulated and the effects that act on them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.effects.registry import EffectEntry, checked_entry
+from cablesense_sim.mechanism import Mechanism
+
+
+def mechanism_of(arm: Arm) -> Mechanism:
+    """The mechanism that an arm file describes, as it was drawn: without the effects it lists."""
+    count, each = arm.segment_count, arm.cables.per_segment
+    segment = np.repeat(np.arange(1, count + 1), each)
+    k = np.tile(np.arange(each), count)
+    angles = arm.cables.angle_deg
+    angle = np.deg2rad(angles.first + angles.per_segment * (segment - 1) + angles.per_cable * k)
+    radius = np.asarray(per_segment(arm.cables.routing_radius_m, count))[segment - 1]
+    length = np.asarray(per_segment(arm.segments.length_m, count))
+    offset = arm.segments.plate_offset_m
+    joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
+    straight = arm.cables.run_m + joint_x[segment - 1] + offset
+    kp = arm.actuators.kp_n_m
+    if arm.cables.stiffness_n_m is not None:
+        in_series = np.full(segment.shape, arm.cables.stiffness_n_m)
+        cable_alone = 1.0 / (1.0 / in_series - 1.0 / kp)
+    else:
+        assert arm.cables.axial_rigidity_n is not None
+        cable_alone = arm.cables.axial_rigidity_n / straight
+        in_series = 1.0 / (1.0 / cable_alone + 1.0 / kp)
+    return Mechanism(
+        gravity_m_s2=np.asarray(arm.gravity_m_s2, dtype=float),
+        segment_length_m=length,
+        mass_kg=np.asarray(per_segment(arm.segments.mass_kg, count)),
+        centre_of_mass_m=0.5 * length,
+        contact_m=np.asarray(per_segment(arm.segments.contact_m, count)),
+        plate_offset_m=offset,
+        cable_segment=segment,
+        hole_y_m=radius * np.sin(angle),
+        hole_z_m=radius * np.cos(angle),
+        stiffness_n_m=in_series,
+        cable_stiffness_n_m=cable_alone,
+        actuator_stiffness_n_m=kp,
+        pretension_n=np.full(segment.shape, arm.cables.pretension_n),
+        run_m=arm.cables.run_m,
+        joint_damping_n_m_s=arm.segments.joint_damping_n_m_s,
+        joint_stiffness_n_m_rad=np.zeros(count),
+    )
+
+
+def entries_of(arm: Arm) -> list[EffectEntry]:
+    """The effects that an arm file lists, in its order."""
+    sizes = arm.segment_count, arm.cable_count
+    return [checked_entry(e.effect, e.at, e.parameters, *sizes) for e in arm.effects]
