@@ -23,9 +23,9 @@ from rich.progress import track
 from scipy.optimize import minimize
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.diagnose import course_of
-from cablesense_gap.diagnosis import belief
-from cablesense_gap.diagnosis.belief import Calibration, log_weights
+from cablesense_gap.diagnose import problem_of
+from cablesense_gap.diagnosis import probability
+from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
@@ -35,8 +35,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 ARM = "cdsm_lab"
-TARGET = Path(belief.__file__).with_name("calibration.json")
-START = Calibration(4.0, 6.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
+TARGET = Path(probability.__file__).with_name("calibration.json")
+START = ProbabilityCalibration(4.0, 6.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
 WIDTHS = (2.0, 3.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
 """How far each may be from its start before the cases speak; the last three as logarithms."""
 
@@ -73,28 +73,30 @@ def _searched(path: Path) -> dict[str, object]:
         arm = open_arm(ARM)
         recording = read_recording(path, arm)
         simulator = ArmSimulator(arm, recording)
-        course = course_of(recording, simulator, simulator.predict([{}])[0])
+        course = problem_of(recording, simulator, simulator.predict([{}])[0])
         hypotheses = search(course)
         content = {
             "floor": course.floor,
             "effects": [h.effects for h in hypotheses],
             "left": [h.held_out_rmse for h in hypotheses],
             "sizes": [h.sizes for h in hypotheses],
-            "strains": [h.strain for h in hypotheses],
+            "strains": [h.tolerance_chi2 for h in hypotheses],
             "tolerances": len(course.tolerance_terms),
         }
         kept.write_text(json.dumps(content))
     return dict(json.loads(kept.read_text()))
 
 
-def _calibration(offsets: np.ndarray) -> Calibration:
+def _calibration(offsets: np.ndarray) -> ProbabilityCalibration:
     values = np.array(list(asdict(START).values()))
     moved = offsets * np.array(WIDTHS)
     additive = values[:7] + moved[:7]
-    return Calibration(*additive.tolist(), *(values[7:] * np.exp(moved[7:])).tolist())
+    return ProbabilityCalibration(*additive.tolist(), *(values[7:] * np.exp(moved[7:])).tolist())
 
 
-def _probabilities(case: dict, calibration: Calibration) -> dict[tuple[str, ...], float]:
+def _probabilities(
+    case: dict, calibration: ProbabilityCalibration
+) -> dict[tuple[str, ...], float]:
     effects = [tuple(e) or ("none",) for e in case["effects"]]
     counts = np.array([0 if e == ("none",) else len(e) for e in effects])
     numbers = (np.array(case[name]) for name in ("sizes", "strains"))
@@ -105,13 +107,15 @@ def _probabilities(case: dict, calibration: Calibration) -> dict[tuple[str, ...]
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
 
 
-def _most_probable(case: dict, calibration: Calibration) -> tuple[tuple[str, ...], float]:
+def _most_probable(
+    case: dict, calibration: ProbabilityCalibration
+) -> tuple[tuple[str, ...], float]:
     return max(_probabilities(case, calibration).items(), key=lambda item: item[1])
 
 
 def _cost(offsets: np.ndarray, cases: list) -> float:
     calibration = _calibration(offsets)
-    if min(calibration.power, calibration.size, calibration.strain) < 0.0:
+    if min(calibration.power, calibration.size, calibration.tolerance_chi2) < 0.0:
         return 1e6
     told = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
     return float(-np.log(np.maximum(told, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))

@@ -31,7 +31,7 @@ from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.retraining import answered_n, arm_alone, estimator_figures, tared_loads
+from cablesense_gap.retraining import answered_n, arm_alone, force_errors, tared_loads
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.inference.estimator import Estimator
@@ -131,14 +131,14 @@ def _without_past(recording: Recording, nominal: Arm, amended: Arm) -> dict[str,
     """The network as `cablesense train --arm arm.yaml` makes it, sample by sample."""
     mechanism, loads = mechanism_of(nominal), tared_loads(recording)
     answers = retraining._trained(amended, mechanism, recording)(loads)
-    return estimator_figures(mechanism, loads, answers)
+    return force_errors(mechanism, loads, answers)
 
 
 def _shipped(recording: Recording, arm: Arm) -> dict[str, float]:
     estimator = Estimator.load(config_path(f"models/{ARM}.onnx"), arm)
     mechanism, loads = mechanism_of(arm), tared_loads(recording)
     said = estimator.estimate_batch(loads.tension_difference_n, loads.command_rad)
-    return estimator_figures(mechanism, loads, answered_n(mechanism, loads, said))
+    return force_errors(mechanism, loads, answered_n(mechanism, loads, said))
 
 
 def _rounded(figures: dict[str, float]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_gap.report.pictures import candidate_figure
+from cablesense_gap.report.pictures import candidate_picture
 from cablesense_gap.report.style import as_uri, newtons, page_css, percent, style
 from cablesense_paper.table_2_gap import Findings
 from cablesense_paper.table_2_text import (
@@ -34,7 +34,7 @@ def page(found: Findings) -> str:
         pictures = {
             "gap": as_uri(gap_figure(found)),
             "proportion": as_uri(proportion_figure(found)),
-            "candidates": candidate_figure(found.verdict),
+            "candidates": candidate_picture(found.verdict),
             "paper": as_uri(paper_figure(found)),
         }
     environment = Environment(

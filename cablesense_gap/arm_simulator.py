@@ -92,9 +92,9 @@ def _order(term: Term) -> int:
 def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidate:
     places = effect.places(segment_count, cable_count)
     defaults = {p.name: np.array([p.default]) for p in effect.parameters}
-    remembers = isinstance(effect.transmission(places[0], defaults), Transmission)
+    history_dependent = isinstance(effect.transmission(places[0], defaults), Transmission)
     numbers = (*effect.parameters, *effect.history(segment_count, cable_count))
-    return Candidate(effect.name, places, numbers, remembers)
+    return Candidate(effect.name, places, numbers, history_dependent)
 
 
 SLACK_N = 2.5

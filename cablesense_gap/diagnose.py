@@ -19,9 +19,14 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, with_one_rest
-from cablesense_gap.diagnosis.ambiguity import ambiguity, rivals_of
-from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
-from cablesense_gap.diagnosis.problem import Course, Hypothesis, prepare, to_scaled
+from cablesense_gap.diagnosis.probability import (
+    Ranked,
+    ambiguity,
+    bundled_calibration,
+    posterior,
+    rivals_of,
+)
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare, to_scaled
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.checks import check_recording
@@ -29,8 +34,7 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_gap.unlisted import describe_unlisted
-from cablesense_gap.verdict import Candidate as VerdictCandidate
-from cablesense_gap.verdict import Estimate, Gap, Verdict, Where, removed_fraction
+from cablesense_gap.verdict import CandidateResult, Estimate, Gap, Verdict, Where, removed_fraction
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import replay_arm
 
@@ -185,7 +189,7 @@ class Diagnosis:
 def diagnose(
     recording: Recording,
     arm: Arm,
-    tell: Callable[[str, float], None] = lambda *_: None,
+    progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
 ) -> Diagnosis:
     """Tell what makes the recorded arm differ from the nominal one.
@@ -198,32 +202,32 @@ def diagnose(
     """
     began = time.monotonic()
     check_recording(recording, arm).raise_if_unusable()
-    tell("predicting the nominal arm", 0.0)
+    progress("predicting the nominal arm", 0.0)
     simulator = ArmSimulator(arm, recording)
     nominal = _nominal(simulator, recording, arm)
     checked = check_recording(recording, arm, nominal)
     checked.raise_if_unusable()
-    course = course_of(recording, simulator, nominal)
-    ranked = beliefs(search(course, tell, workers), course.floor, bundled_calibration())
-    tell("what it means", 0.98)
+    problem = problem_of(recording, simulator, nominal)
+    ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
+    progress("what it means", 0.98)
     none = next(b.hypothesis for b in ranked if b.effects == ("none",))
     assert none is not None
     found = ranked[0].hypothesis
     explained = found or none
     values = foremost(explained, tuple(simulator.candidates))
     fitted = [b.hypothesis for b in ranked if b.hypothesis is not None]
-    unlisted = None if found else describe_unlisted(course, recording, fitted, arm)
+    unlisted = None if found else describe_unlisted(problem, recording, fitted, arm)
     held_out = explained.held_out if unlisted is None else unlisted.held_out_n
-    used = course.used
+    used = problem.used
     before = recording.tensions_n - nominal
-    regimes_ = tuple(regimes(decompose(recording.rows(used), before[used], course.floor, arm)))
-    group = ambiguity(course, ranked)
+    regimes_ = tuple(regimes(decompose(recording.rows(used), before[used], problem.floor, arm)))
+    group = ambiguity(problem, ranked)
     rivals = [b.hypothesis.values for b in rivals_of(ranked) if b.hypothesis is not None]
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
         ambiguity_group=group.group,
-        next_experiment=next_experiment(arm, [values, *rivals], course.floor).text
+        next_experiment=next_experiment(arm, [values, *rivals], problem.floor).text
         if unlisted is None
         else unlisted.next_experiment,
         where=where(values, regimes_),
@@ -231,16 +235,16 @@ def diagnose(
         gap=gap_size(
             before[used],
             (recording.tensions_n - held_out)[used],
-            course.trial[used],
-            course.floor,
+            problem.trial[used],
+            problem.floor,
         ),
-        candidates=tuple(_candidate(belief, none) for belief in ranked),
+        candidates=tuple(_candidate(ranked, none) for ranked in ranked),
         why=group.reasons if unlisted is None else unlisted.reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
         arm=arm.name,
     )
-    tell("done", 1.0)
+    progress("done", 1.0)
     return Diagnosis(
         verdict=verdict,
         amended=amended_arm(arm, values, explained.tolerances),
@@ -258,7 +262,7 @@ def _nominal(simulator: ArmSimulator, recording: Recording, arm: Arm) -> Array:
     return nominal
 
 
-def course_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Course:
+def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Problem:
     """The recording as the search works on it.
 
     Rows do not count where the arm has more than one place to rest in, or is about to.
@@ -267,11 +271,11 @@ def course_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> 
     return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
 
 
-def _candidate(belief: Belief, none: Hypothesis) -> VerdictCandidate:
-    hypothesis = belief.hypothesis or none
-    return VerdictCandidate(
-        effects=belief.effects,
+def _candidate(ranked: Ranked, none: Hypothesis) -> CandidateResult:
+    hypothesis = ranked.hypothesis or none
+    return CandidateResult(
+        effects=ranked.effects,
         held_out_rmse_n=hypothesis.held_out_rmse,
-        probability=belief.probability,
+        probability=ranked.probability,
         held_out_ci95_n=rmse_interval_n(hypothesis.squares, hypothesis.count),
     )

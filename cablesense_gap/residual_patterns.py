@@ -204,7 +204,7 @@ _GROUPS = {
 }
 
 
-def looks_like(
+def residual_patterns(
     recording: Recording, residual_n: Array, found: Discrepancy, arm: Arm, floor_n: float
 ) -> tuple[str, ...]:
     """Where a residual (R, M) is and how it behaves; nothing where it is within the floor.

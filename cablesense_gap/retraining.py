@@ -41,9 +41,9 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
-from cablesense_gap.diagnose import course_of
+from cablesense_gap.diagnose import problem_of
 from cablesense_gap.diagnosis.gauss_newton import refine
-from cablesense_gap.diagnosis.problem import Course, to_scaled
+from cablesense_gap.diagnosis.problem import Problem, to_scaled
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Estimator as Errors
@@ -186,7 +186,7 @@ def found_values(nominal: Arm, amended: Arm) -> dict[Term, float]:
     }
 
 
-def without_fold(course: Course, fold: int, nominal: Arm, amended: Arm) -> Arm:
+def without_fold(problem: Problem, fold: int, nominal: Arm, amended: Arm) -> Arm:
     """The amended arm, its numbers and tolerances fitted again without the trials of a fold.
 
     The choice of effects and places stays, which was made with these trials; so does the arm as
@@ -196,12 +196,12 @@ def without_fold(course: Course, fold: int, nominal: Arm, amended: Arm) -> Arm:
     parameters = {
         term: parameter
         for term in values
-        for candidate in course.simulator.candidates
+        for candidate in problem.simulator.candidates
         if candidate.effect == term.effect
         for parameter in candidate.parameters
         if parameter.name == term.parameter
     }
-    seen = replace(course, used=course.used & (course.fold[course.trial] != fold))
+    seen = replace(problem, used=problem.used & (problem.fold[problem.trial] != fold))
     start = [to_scaled(parameters[term], value) for term, value in values.items()]
     fitted = refine(seen, parameters, [start], _STEPS)
     if fitted is None:
@@ -220,9 +220,7 @@ def answered_n(mechanism: Mechanism, loads: TaredLoads, estimates: Estimates) ->
     )
 
 
-def estimator_figures(
-    mechanism: Mechanism, loads: TaredLoads, answer_n: Array
-) -> dict[str, float]:
+def force_errors(mechanism: Mechanism, loads: TaredLoads, answer_n: Array) -> dict[str, float]:
     """Errors of answers (B, N, 3) at the peaks of loads.
 
     `contact_accuracy` is the share of rows with the right segment, `force_mae_n` the mean error of
@@ -277,7 +275,7 @@ def estimator_errors(
     recording: Recording,
     nominal: Arm,
     amended: Arm,
-    tell: Callable[[str, float], None] = lambda *_: None,
+    progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
 ) -> Errors:
     """Errors (`estimator_figures`) at the peaks of the recording's loads, before and after.
@@ -295,30 +293,30 @@ def estimator_errors(
             "to judge an estimator with; record load cycles (cablesense gap protocol)"
         )
     mechanism = mechanism_of(nominal)
-    tell("training for the nominal arm", 0.0)
+    progress("training for the nominal arm", 0.0)
     plain = _trained(nominal, mechanism, recording)(loads)
-    before = estimator_figures(mechanism, loads, plain)
+    before = force_errors(mechanism, loads, plain)
     if not found_values(nominal, amended):
         return Errors(before=before, after=before)
-    tell("training for the amended arm", 0.1)
+    progress("training for the amended arm", 0.1)
     simulator = ArmSimulator(nominal, recording)
-    course = course_of(recording, simulator, simulator.predict([{}])[0])
-    fold_of_row = course.fold[loads.trial]
+    problem = problem_of(recording, simulator, simulator.predict([{}])[0])
+    fold_of_row = problem.fold[loads.trial]
     folds = [int(fold) for fold in np.unique(fold_of_row)]
     answers = np.zeros_like(plain)
-    with WorkerPool(workers, course, recording, nominal, amended) as pool:
+    with WorkerPool(workers, problem, recording, nominal, amended) as pool:
         for done, (fold, own) in enumerate(zip(folds, pool.map(_answered, folds), strict=True)):
-            tell("training for the amended arm", (2 + done) / (2 + len(folds)))
+            progress("training for the amended arm", (2 + done) / (2 + len(folds)))
             answers[fold_of_row == fold] = own[fold_of_row == fold]
-    tell("trained", 1.0)
-    return Errors(before=before, after=estimator_figures(mechanism, loads, answers))
+    progress("trained", 1.0)
+    return Errors(before=before, after=force_errors(mechanism, loads, answers))
 
 
 def _answered(
-    course: Course, recording: Recording, nominal: Arm, amended: Arm, fold: int
+    problem: Problem, recording: Recording, nominal: Arm, amended: Arm, fold: int
 ) -> Array:
     """Forces (B, N, 3) on all loads, by an estimator for the arm fitted without a fold."""
-    arm = without_fold(course, fold, nominal, amended)
+    arm = without_fold(problem, fold, nominal, amended)
     answer = _trained(arm_alone(arm), mechanism_of(nominal), recording)
     return answers_with_past(recording, arm, answer)
 

@@ -144,7 +144,7 @@ class Bin:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Reliability:
     """Stated probabilities of verdicts against whether they were right.
 
     Attributes:
@@ -158,7 +158,7 @@ class Calibration:
     bins: tuple[Bin, ...]
 
 
-def calibrate(probability: Sequence[float], right: Sequence[bool]) -> Calibration:
+def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliability:
     """Brier score and expected calibration error of stated probabilities, ten even bins.
 
     G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
@@ -176,7 +176,7 @@ def calibrate(probability: Sequence[float], right: Sequence[bool]) -> Calibratio
         for k in np.unique(member).tolist()
     )
     apart = sum(b.count * abs(b.mean_probability - b.share_right) for b in bins)
-    return Calibration(
+    return Reliability(
         brier=float(((stated - outcome) ** 2).mean()),
         expected_error=apart / len(stated),
         bins=bins,
@@ -279,7 +279,7 @@ class Score:
     by_form: dict[str, Proportion]
     mean_probability_on_truth: float
     brier_over_candidates: float
-    calibration: Calibration
+    calibration: Reliability
     median_removed_fraction: float | None
     wrong: tuple[str, ...]
 
@@ -384,7 +384,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
             case.probabilities.get(case.answer.effects, 0.0) for case in cases
         ),
         brier_over_candidates=fmean(case.brier for case in cases),
-        calibration=calibrate(
+        calibration=reliability(
             [case.verdict.probability for case in cases], [case.right for case in cases]
         ),
         median_removed_fraction=median(removed) if removed else None,

@@ -37,28 +37,37 @@ class Candidate:
         effect: its name.
         places: where it can sit; `arm` for everywhere at once.
         parameters: what it has in each place.
-        remembers: whether it makes the past matter, and so is dear to simulate.
+        history_dependent: whether readings then depend on the past: expensive to simulate.
     """
 
     effect: str
     places: tuple[str, ...]
     parameters: tuple[Parameter, ...]
-    remembers: bool = False
+    history_dependent: bool = False
 
     def terms(self, place: str) -> tuple[Term, ...]:
         """Its numbers in one place."""
         return tuple(Term(self.effect, place, p.name) for p in self.parameters)
 
 
+def parameters_of(candidates: Sequence[Candidate]) -> dict[Term, Parameter]:
+    """Every number of the candidates in every place, with its unit and range."""
+    return {
+        term: parameter
+        for candidate in candidates
+        for place in candidate.places
+        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
+    }
+
+
 class Simulator(Protocol):
-    """A mechanism that is put through the course of one recording.
+    """A mechanism under the commands and loads of one recording.
 
     It is pickled where several processes share the search.
 
     Attributes:
         candidates: effects to choose among.
-        tolerances: effects that a careful workshop leaves; each parameter's `typical` is its
-            standard deviation.
+        tolerances: manufacturing tolerances; each parameter's `typical` is its standard deviation.
         floor: root mean square of what the sensors add to a perfect reading. Channels share one
             unit; those of different kinds are given in units of their noise, with a floor of 1.
     """

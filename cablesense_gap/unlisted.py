@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
-from cablesense_gap.diagnosis.problem import Course, Hypothesis
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.experiments import Experiment
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.residual_patterns import looks_like
+from cablesense_gap.residual_patterns import residual_patterns
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
@@ -35,7 +35,7 @@ _PLAYS = (0.05, 0.3)
 _WAITED_S = 10.0
 
 
-def course_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
+def problem_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
     """Features of the rows, beside the nominal prediction (R, M).
 
     pose: commanded angles. load: by segment and axis, and its magnitude. tension: of each cable in
@@ -108,7 +108,7 @@ SIDES = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, 0.5**0
 _BENT_RAD = float(np.deg2rad(1.5))
 
 
-def closer_look(recording: Recording, residual_n: Array, floor_n: float) -> Experiment:
+def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float) -> Experiment:
     """The trial of a recording where the residual (R, M) is largest, and how to repeat it.
 
     Both hold the rows that count.
@@ -207,27 +207,27 @@ class Unlisted:
 
 
 def describe_unlisted(
-    course: Course, recording: Recording, fitted: Sequence[Hypothesis], arm: Arm
+    problem: Problem, recording: Recording, fitted: Sequence[Hypothesis], arm: Arm
 ) -> Unlisted:
     """What tolerances leave, as a flexible model that knows no physics sees it.
 
     `fitted` are all hypotheses, among them that of tolerances alone.
     """
     none = next(h for h in fitted if not h.effects)
-    residual = course.readings - none.held_out
+    residual = problem.readings - none.held_out
     found = discrepancy(
-        course_features(recording, course.nominal, arm),
+        problem_features(recording, problem.nominal, arm),
         residual,
-        course.trial,
-        course.fold,
-        course.used,
-        course.floor,
+        problem.trial,
+        problem.fold,
+        problem.used,
+        problem.floor,
     )
     best = min(fitted, key=lambda h: h.held_out_rmse)
-    rows = recording.rows(course.used)
-    looks = looks_like(rows, residual[course.used], found, arm, course.floor)
+    rows = recording.rows(problem.used)
+    screened = residual_patterns(rows, residual[problem.used], found, arm, problem.floor)
     try:
-        again = closer_look(rows, residual[course.used], course.floor).text
+        again = repeat_largest_trial(rows, residual[problem.used], problem.floor).text
     except ValueError:
         again = ONE_AT_A_TIME
     return Unlisted(
@@ -237,7 +237,7 @@ def describe_unlisted(
             f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
             f"A flexible model, which knows commands, loads, directions and time but no physics, "
             f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
-            *looks,
+            *screened,
         ),
         next_experiment=again,
         held_out_n=none.held_out + found.held_out,

@@ -102,7 +102,7 @@ class Gap(_Part):
     by_cable_n: tuple[Newtons, ...]
 
 
-class Candidate(_Part):
+class CandidateResult(_Part):
     """An explanation that was weighed.
 
     Attributes:
@@ -152,7 +152,7 @@ class Verdict(_Part):
     where: Where
     parameters: dict[ParameterName, Estimate] = {}
     gap: Gap
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[CandidateResult, ...] = ()
     estimator: Estimator | None = None
     why: tuple[str, ...] = ()
     seconds: Newtons | None = None
@@ -173,7 +173,7 @@ class Verdict(_Part):
         return self
 
     @property
-    def ranked(self) -> tuple[Candidate, ...]:
+    def ranked(self) -> tuple[CandidateResult, ...]:
         """Candidates, the most probable first; among equals the one that leaves less."""
         return tuple(sorted(self.candidates, key=lambda c: (-c.probability, c.held_out_rmse_n)))
 

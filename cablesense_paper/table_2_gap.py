@@ -35,7 +35,7 @@ from cablesense_gap.diagnose import gap_size, rmse_interval_n
 from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Assignment, Term
-from cablesense_gap.verdict import UNKNOWN, Candidate, Verdict, Where
+from cablesense_gap.verdict import UNKNOWN, CandidateResult, Verdict, Where
 from cablesense_paper.study import PaperError
 from cablesense_paper.tension_changes import (
     ChangeSimulator,
@@ -446,7 +446,9 @@ def _verdict(
     )
 
 
-def _candidates(judged: Judged, rehearsal: Rehearsal, flexible_n: Array) -> tuple[Candidate, ...]:
+def _candidates(
+    judged: Judged, rehearsal: Rehearsal, flexible_n: Array
+) -> tuple[CandidateResult, ...]:
     """Listed explanations share what the unlisted leaves, the more the less they leave."""
     count = np.full(6, 9.0)
     squares = {h.effects or ("none",): h.squares for h in judged.hypotheses}
@@ -466,8 +468,8 @@ def _candidates(judged: Judged, rehearsal: Rehearsal, flexible_n: Array) -> tupl
 
 def _candidate(
     effects: tuple[str, ...], squares: Array, count: Array, probability: float
-) -> Candidate:
-    return Candidate(
+) -> CandidateResult:
+    return CandidateResult(
         effects=effects,
         held_out_rmse_n=float(np.sqrt(squares.sum() / count.sum())),
         probability=probability,

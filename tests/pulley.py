@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.diagnosis.problem import Course, prepare
+from cablesense_gap.diagnosis.problem import Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -38,9 +38,13 @@ Size = tuple[str, str, float, float, float]
 
 
 def _effect(
-    name: str, places: Sequence[str], size: Size, *shapes: Parameter, remembers: bool = False
+    name: str,
+    places: Sequence[str],
+    size: Size,
+    *shapes: Parameter,
+    history_dependent: bool = False,
 ) -> Candidate:
-    return Candidate(name, tuple(places), (Parameter(*size, name), *shapes), remembers)
+    return Candidate(name, tuple(places), (Parameter(*size, name), *shapes), history_dependent)
 
 
 TIME_S = Parameter(
@@ -48,8 +52,12 @@ TIME_S = Parameter(
     starts=(2.0, 12.0),
 )  # fmt: skip
 CANDIDATES = (
-    _effect("pulley_friction", ["pulley"], ("coefficient", "1", 0.0, 0.4, 0.05), remembers=True),
-    _effect("cable_creep", ["cable"], ("share", "1", 0.0, 2.0, 0.2), TIME_S, remembers=True),
+    _effect(
+        "pulley_friction", ["pulley"], ("coefficient", "1", 0.0, 0.4, 0.05), history_dependent=True
+    ),
+    _effect(
+        "cable_creep", ["cable"], ("share", "1", 0.0, 2.0, 0.2), TIME_S, history_dependent=True
+    ),
     _effect("sensor_gain", ["arm", *FORCES], ("gain", "1", -0.3, 0.3, 0.03)),
     _effect("sensor_offset", FORCES, ("zero_n", "N", -20.0, 20.0, 1.0)),
     _effect("softer_cable", ["cable"], ("compliance", "1", -0.5, 2.0, 0.2)),
@@ -163,7 +171,7 @@ def recorded(truth: Assignment, seed: int = 0, done: Work | None = None) -> tupl
     return simulator, ideal + rng.normal(0.0, simulator.floor, ideal.shape)
 
 
-def course_of(simulator: Pulley, readings: Array, folds: int = 4) -> Course:
+def problem_of(simulator: Pulley, readings: Array, folds: int = 4) -> Problem:
     """All rows count; trials of one kind are dealt to the folds in turn."""
     trial = simulator._done.trial
     fold = np.arange(trial.max() + 1) // 3 % folds

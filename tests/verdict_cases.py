@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cablesense_gap.verdict import Candidate, Gap, Verdict, Where, removed_fraction
+from cablesense_gap.verdict import CandidateResult, Gap, Verdict, Where, removed_fraction
 
 
 def gap_of(before_n: float, after_n: float, floor_n: float = 0.1) -> Gap:
@@ -38,7 +38,7 @@ def verdict_of(
         where=Where(cables=cables, segments=segments, joints=joints),
         gap=gap or gap_of(3.0, 0.2),
         candidates=tuple(
-            Candidate(effects=tuple(name.split("+")), held_out_rmse_n=1.0, probability=p)
+            CandidateResult(effects=tuple(name.split("+")), held_out_rmse_n=1.0, probability=p)
             for name, p in weighed.items()
         ),
         **more,

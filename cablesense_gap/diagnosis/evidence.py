@@ -1,12 +1,8 @@
 """What a linear model of the residual explains, on trials that it was not fitted to.
 
 All is done on the products X'X, X'y and y'y of each trial, so that a fit without some of the
-trials costs no more than the solution of a small system.
-
-What a few columns explain on held-out trials, with the tolerances already taken out.
-
-With the tolerances b always fitted along and few other columns c among many, b is eliminated once
-(Schur complement), and each set of columns costs no more than a system of its own small size:
+trials costs no more than the solution of a small system. Where tolerances b are always fitted
+along and a few other columns c are chosen among many, b is eliminated once (Schur complement):
 
     b = b₀ - B c,    b₀ = w S X_b'y,    B = w S X_b'X_c,    S = (w X_b'X_b + P_b)⁻¹
 
@@ -108,7 +104,7 @@ def held_out_squares(
 
 
 class Reduced:
-    """Held-out mean squares of sets of columns at one weight of the readings."""
+    """Held-out mean squares of sets of columns, the tolerances eliminated, at one weight."""
 
     def __init__(
         self, data: Products, base: int, precision: Array, weight_: float, fold: Indices
@@ -149,7 +145,7 @@ class Reduced:
         left = (found * pulled).sum((0, -1)) + self._constant
         return np.asarray(np.maximum(left, 0.0) / self._count)
 
-    def strains(self, sets: NDArray[np.int64]) -> Array:
+    def tolerance_chi2(self, sets: NDArray[np.int64]) -> Array:
         """(N,) sums of squares of the base beside each of the sets, fitted to all trials."""
         found = self._solved(sets)[-1]
         base = self._first - (np.moveaxis(self._by[:, sets], 0, 1) * found[:, None]).sum(-1)

@@ -5,47 +5,38 @@ to row, so the fit gives each number the weight that such a residual deserves, n
 noise (`evidence.weight`); held-out trials are predicted by the fit to the other folds, linear
 about the one to all (the one-step estimate of Giordano et al., A Swiss Army infinitesimal
 jackknife, AISTATS 2019).
-
-A fit that goes on from numbers that are known already.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.evidence import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
-    Course,
     Hypothesis,
+    Problem,
     from_scaled,
     is_logarithmic,
     prior_precision,
     to_scaled,
 )
-from cablesense_gap.simulator import Candidate, Term
+from cablesense_gap.simulator import Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 _STEP = 0.03
 _CLOSE = 5e-3
 _WORTH = 5e-3
 _MOST_DAMPING = 0.5
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """The recording's prediction about one point, with its derivatives."""
-
-    prediction: Array
-    columns: Array
+_FINAL_STEPS = 3
 
 
 def refine(
-    course: Course,
+    problem: Problem,
     parameters: Mapping[Term, Parameter],
     starts: Sequence[Sequence[float]],
     most_steps: int = 8,
@@ -56,18 +47,60 @@ def refine(
     None where nothing there can be simulated, or where several starts all leave a mean square of
     more than `most_left`.
     """
-    return _Refining(course, parameters).run(np.array(starts, float), most_steps, most_left)
+    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left)
 
 
-class _Refining:
-    def __init__(self, course: Course, parameters: Mapping[Term, Parameter]) -> None:
-        self._course = course
+def refit(problem: Problem, values: Mapping[Term, float], most_steps: int) -> Hypothesis | None:
+    """The most probable numbers from `values` on; None where these cannot be simulated.
+
+    With no step allowed they stay, and only the tolerances are fitted.
+    """
+    known = parameters_of(problem.simulator.candidates)
+    parameters = {term: known[term] for term in values}
+    start = [to_scaled(parameters[term], value) for term, value in values.items()]
+    return refine(problem, parameters, [start], most_steps)
+
+
+def final_refinement(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The same effects, fitted beside tolerances that are linear about these very effects.
+
+    The search takes them linear about the nominal mechanism, which is near enough to choose by.
+    """
+    if not hypothesis.values:
+        return hypothesis
+    fitted = refit(_linear_about(problem, hypothesis), hypothesis.values, _FINAL_STEPS)
+    if fitted is None or problem.cost_of(fitted) > problem.cost_of(hypothesis):
+        return hypothesis
+    return fitted
+
+
+def _linear_about(problem: Problem, hypothesis: Hypothesis) -> Problem:
+    """The problem with sensitivities to tolerances at the hypothesis."""
+    base = {**hypothesis.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
+    terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
+    predicted = problem.simulator.predict([base, *({**base, t: float(std)} for t, std in terms)])
+    columns = predicted[1:] - predicted[0]
+    if not np.isfinite(columns).all():
+        return problem
+    return replace(problem, tolerance_columns=columns)
+
+
+class _Linear(NamedTuple):
+    """The prediction (R, C) at one point, with its derivatives (K, R, C)."""
+
+    prediction: Array
+    columns: Array
+
+
+class _Fit:
+    def __init__(self, problem: Problem, parameters: Mapping[Term, Parameter]) -> None:
+        self._problem = problem
         self._terms, self._parameters = tuple(parameters), tuple(parameters.values())
-        tolerances = len(course.tolerance_columns)
+        self._tolerances = len(problem.tolerance_columns)
         self._prior = np.array([prior_precision(p) for p in self._parameters])
-        self._precision = np.concatenate([np.ones(tolerances), self._prior])
-        self._low = np.array([_scaled_bound(p, p.low) for p in self._parameters])
-        self._high = np.array([_scaled_bound(p, p.high) for p in self._parameters])
+        self._precision = np.concatenate([np.ones(self._tolerances), self._prior])
+        self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
+        self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
 
     def run(self, starts: Array, most_steps: int, most_left: float) -> Hypothesis | None:
         point, left = self._best(np.clip(starts, self._low, self._high))
@@ -75,14 +108,10 @@ class _Refining:
             return None
         shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         self._expected = np.where(shape, point, 0.0)
-        self._expected_before = np.array(
-            [to_scaled(p, p.default) if p.role == "shape" else 0.0 for p in self._parameters]
-        )
         linear = self._linear(point)
         if not np.isfinite(linear.prediction).all():
             return None
-        damping, cost = 1e-3, self._cost(point, linear.prediction, None)
-        mean_square = cost[1]
+        damping, mean_square = 1e-3, self._cost(point, linear.prediction, None)[1]
         for _ in range(most_steps):
             step = self._step(point, linear, mean_square, damping)
             tried = np.clip(point + step, self._low, self._high)
@@ -96,10 +125,9 @@ class _Refining:
                     break
                 damping *= 30.0
                 continue
-            gained = (before[0] - after[0]) / before[0]
             point, linear, mean_square = tried, ahead, after[1]
             damping = max(damping / 10.0, 1e-6)
-            if gained < _WORTH:
+            if (before[0] - after[0]) / before[0] < _WORTH:
                 break
         return self._hypothesis(point, linear, mean_square)
 
@@ -108,79 +136,66 @@ class _Refining:
         if len(starts) == 1:
             return starts[0], 0.0
         self._expected = starts[0]
-        predicted = self._course.simulator.predict([self._assignment(s) for s in starts])
+        predicted = self._problem.simulator.predict([self._assignment(s) for s in starts])
         left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
         best = int(np.argmin(left))
         return starts[best], left[best]
 
     def _linear(self, point: Array) -> _Linear:
-        moved = []
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
-        for k, step in enumerate(steps):
-            moved.append(point.copy())
-            moved[-1][k] += step
-        variants = [self._assignment(p) for p in (point, *moved)]
-        predicted = self._course.simulator.predict(variants)
+        variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)))]
+        predicted = self._problem.simulator.predict(variants)
         columns = (predicted[1:] - predicted[0]) / steps.reshape(-1, 1, 1)
-        usable = np.isfinite(columns).all(axis=(1, 2))
-        columns[~usable] = 0.0
+        columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
         return _Linear(predicted[0], columns)
 
     def _assignment(self, point: Array) -> dict[Term, float]:
-        return {
-            term: from_scaled(parameter, value)
-            for term, parameter, value in zip(self._terms, self._parameters, point, strict=True)
-        }
+        numbers = zip(self._terms, self._parameters, point, strict=True)
+        return {term: from_scaled(parameter, value) for term, parameter, value in numbers}
+
+    def _offset(self, point: Array) -> Array:
+        return np.concatenate([np.zeros(self._tolerances), point - self._expected])
 
     def _step(self, point: Array, linear: _Linear, mean_square: float, damping: float) -> Array:
-        data = self._products(linear)
-        weight_ = weight(mean_square, self._course.floor)
-        tolerances = len(self._precision) - len(point)
-        offset = np.concatenate([np.zeros(tolerances), point - self._expected])
-        gram = data.gram.sum(0)
-        own = np.where(np.arange(len(gram)) < tolerances, 0.0, gram.diagonal())
-        free = np.ones(len(self._precision), dtype=bool)
-        step = np.zeros(len(self._precision))
+        data, none = self._products(linear), self._tolerances
+        weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
+        gram, moment = data.gram.sum(0), data.moment.sum(0)
+        own = np.where(np.arange(len(gram)) < none, 0.0, gram.diagonal())
+        damped = gram + damping * np.diag(own)
+        free = np.ones(len(gram), dtype=bool)
         for _ in range(3):  # numbers that leave their range stay at its end, the others go on
-            damped = gram + damping * np.diag(own)
-            step = np.zeros(len(self._precision))
-            at = np.flatnonzero(free)
+            step, at = np.zeros(len(gram)), np.flatnonzero(free)
             step[at] = solve(
-                damped[np.ix_(at, at)],
-                data.moment.sum(0)[at],
-                self._precision[at],
-                offset[at],
-                weight_,
+                damped[np.ix_(at, at)], moment[at], self._precision[at], offset[at], weight_
             )
-            ahead = point + step[tolerances:]
-            stuck = ((ahead < self._low) & (point <= self._low)) | (
-                (ahead > self._high) & (point >= self._high)
-            )
-            if not (stuck & free[tolerances:]).any():
+            ahead = point + step[none:]
+            below = (ahead < self._low) & (point <= self._low)
+            stuck = below | ((ahead > self._high) & (point >= self._high))
+            if not (stuck & free[none:]).any():
                 break
-            free[tolerances:] &= ~stuck
-        return step[tolerances:]
+            free[none:] &= ~stuck
+        return step[none:]
 
     def _products(self, linear: _Linear) -> Products:
-        course = self._course
-        columns = np.concatenate([course.tolerance_columns, linear.columns])
-        return products(columns, course.readings - linear.prediction, course.trial, course.used)
+        problem = self._problem
+        columns = np.concatenate([problem.tolerance_columns, linear.columns])
+        return products(columns, problem.readings - linear.prediction, problem.trial, problem.used)
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
     ) -> tuple[float, float]:
         """Negative log posterior with tolerances at their best, and the mean square left."""
-        course = self._course
+        problem = self._problem
         if not np.isfinite(prediction).all():
             return np.inf, np.inf
         data = products(
-            course.tolerance_columns, course.readings - prediction, course.trial, course.used
+            problem.tolerance_columns, problem.readings - prediction, problem.trial, problem.used
         )
         gram, moment = data.gram.sum(0), data.moment.sum(0)
         none = np.zeros(len(moment))
         used = data.mean_square if mean_square is None else mean_square
         for _ in range(2):
-            weight_ = weight(used, course.floor)
+            weight_ = weight(used, problem.floor)
             found = solve(gram, moment, np.ones(len(moment)), none, weight_)
             left = data.square.sum() - 2.0 * moment @ found + found @ gram @ found
             if mean_square is None:
@@ -189,93 +204,54 @@ class _Refining:
         return float(weight_ * left + prior), float(left / data.count.sum())
 
     def _hypothesis(self, point: Array, linear: _Linear, mean_square: float) -> Hypothesis:
-        course = self._course
-        data = self._products(linear)
-        weight_ = weight(mean_square, course.floor)
-        tolerances = len(self._precision) - len(point)
+        problem, none = self._problem, self._tolerances
+        data, weight_ = self._products(linear), weight(mean_square, problem.floor)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
-        at = np.flatnonzero(np.concatenate([np.ones(tolerances, dtype=bool), inside]))
-        offset = np.concatenate([np.zeros(tolerances), point - self._expected])[at]
-        part, precision = data.columns(at), self._precision[at]
-        gram, moment = part.gram.sum(0), part.moment.sum(0)
-        found = solve(gram, moment, precision, offset, weight_)
-        without = fold_solutions(part, precision, offset, weight_, course.fold)
-        held_out = _held_out(course, linear, without, at)
+        at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
+        part, precision, offset = data.columns(at), self._precision[at], self._offset(point)[at]
+        found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
+        columns = np.concatenate([problem.tolerance_columns, linear.columns])[at]
+        held_out = linear.prediction.copy()
+        for k, without in enumerate(
+            fold_solutions(part, precision, offset, weight_, problem.fold)
+        ):
+            rows = problem.fold[problem.trial] == k
+            held_out[rows] += np.tensordot(without, columns[:, rows], axes=1)
+        of_row = ((problem.readings - held_out) ** 2).sum(-1) * problem.used
         spread = np.zeros(len(self._precision))
-        spread[at] = _spread(part.gram, part.moment, found, precision, weight_)
+        spread[at] = _spread(part, found, precision, weight_)
         values = self._assignment(point)
+        units = [
+            value if is_logarithmic(parameter) else parameter.typical
+            for parameter, value in zip(self._parameters, values.values(), strict=True)
+        ]
+        tolerances = found[:none] * problem.tolerance_std
+        expected = [to_scaled(p, p.default) * (p.role == "shape") for p in self._parameters]
         return Hypothesis(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
-            deviations={
-                term: 1.96 * spread[tolerances + k] * _unit(parameter, values[term])
-                for k, (term, parameter) in enumerate(
-                    zip(self._terms, self._parameters, strict=True)
-                )
-            },
-            tolerances=dict(
-                zip(course.tolerance_terms, found[:tolerances] * course.tolerance_std, strict=True)
-            ),
+            deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
+            tolerances=dict(zip(problem.tolerance_terms, tolerances, strict=True)),
             prediction=linear.prediction
-            + np.tensordot(found[:tolerances], course.tolerance_columns, axes=1),
+            + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
             without_tolerances=linear.prediction,
             columns=linear.columns,
             held_out=held_out,
-            squares=_squares(course, course.readings - held_out),
+            squares=np.bincount(problem.trial, of_row, minlength=len(problem.fold)).astype(float),
             count=data.count,
             sizes=sum(p.role == "size" for p in self._parameters),
-            strain=float((found[:tolerances] ** 2).sum()),
-            strangeness=float(self._prior @ (point - self._expected_before) ** 2),
+            tolerance_chi2=float((found[:none] ** 2).sum()),
+            prior_distance=float(self._prior @ (point - np.array(expected)) ** 2),
         )
 
 
-def _held_out(course: Course, linear: _Linear, without: Array, at: NDArray[np.int64]) -> Array:
-    """(R, C) prediction of each trial by the fit without its fold."""
-    columns = np.concatenate([course.tolerance_columns, linear.columns])[at]
-    prediction = linear.prediction.copy()
-    for k, found in enumerate(without):
-        rows = course.fold[course.trial] == k
-        prediction[rows] += np.tensordot(found, columns[:, rows], axes=1)
-    return prediction
-
-
-def _squares(course: Course, residual: Array) -> Array:
-    """(T,) sum of squares of a residual (R, C) in each trial, over the rows that count."""
-    of_row = (residual**2).sum(-1) * course.used
-    return np.bincount(course.trial, of_row, minlength=len(course.fold)).astype(float)
-
-
-def _spread(gram: Array, moment: Array, found: Array, precision: Array, weight_: float) -> Array:
-    """Standard deviations (K,) that allow for residuals that hang together within a trial.
+def _spread(part: Products, found: Array, precision: Array, weight_: float) -> Array:
+    """Standard deviations (K,) that allow for residuals that are correlated within a trial.
 
     The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors
-    count as one more, or what looks like a tolerance would be known better than the tolerance is.
+    count as one more, or an effect like a tolerance would be known better than the tolerance is.
     """
-    bread = np.linalg.inv(weight_ * gram.sum(0) + np.diag(precision))
-    scores = weight_ * (moment - gram @ found)
+    bread = np.linalg.inv(weight_ * part.gram.sum(0) + np.diag(precision))
+    scores = weight_ * (part.moment - part.gram @ found)
     return np.sqrt(np.diagonal(bread @ (scores.T @ scores + np.diag(precision)) @ bread))
-
-
-def _scaled_bound(parameter: Parameter, value: float) -> float:
-    return float(np.log(value)) if is_logarithmic(parameter) else value / parameter.typical
-
-
-def _unit(parameter: Parameter, value: float) -> float:
-    return value if is_logarithmic(parameter) else parameter.typical
-
-
-def refit(course: Course, values: Mapping[Term, float], most_steps: int) -> Hypothesis | None:
-    """The most probable numbers from `values` on; None where these cannot be simulated.
-
-    With no step allowed they stay, and only the tolerances are fitted.
-    """
-    candidates = {c.effect: c for c in course.simulator.candidates}
-    parameters = {term: parameter_of(candidates, term) for term in values}
-    start = [to_scaled(parameters[term], value) for term, value in values.items()]
-    return refine(course, parameters, [start], most_steps)
-
-
-def parameter_of(candidates: Mapping[str, Candidate], term: Term) -> Parameter:
-    """What a number is, and within which range."""
-    return next(p for p in candidates[term.effect].parameters if p.name == term.parameter)

@@ -1,6 +1,6 @@
 """Where an effect sits: places are added while they explain trials that were not fitted.
 
-What an effect of typical size would change, place by place: the columns of a first look.
+An effect of typical size in one place changes the readings by the columns of a `LinearEffect`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.evidence import Products, held_out_squares, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
-    Course,
+    Problem,
     from_scaled,
     is_logarithmic,
     prior_precision,
@@ -24,11 +24,19 @@ from cablesense_gap.diagnosis.problem import (
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM, Parameter
 
+WORTH = 1.12
+"""A further place must make the cost of what is left smaller by this factor."""
+
+MOST_IN_TWOS = 12
+"""With so many places or fewer left, two at a time are tried where one is not worth it."""
+
 _SHAPE_STEP = 0.3
+_TRIED = 6
+_NEARLY = 1.5
 
 
 @dataclass(frozen=True)
-class Block:
+class LinearEffect:
     """One effect in one place, linear in its scaled numbers.
 
     Attributes:
@@ -48,30 +56,65 @@ class Block:
     probed: tuple[str, ...]
 
 
-def blocks(course: Course, candidate: Candidate) -> list[tuple[Block, ...]]:
-    """For each combination of starting shapes, a block for every place.
+def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearEffect, ...]]:
+    """For each combination of starting shapes, the candidate in every place.
 
-    Places that the mechanism cannot be simulated with are left out.
+    Places that the mechanism cannot be simulated with are left out. A history-dependent effect is
+    simulated in all places and shapes side by side, which is worth while only for such a one.
     """
     shapes = [p for p in candidate.parameters if p.role == "shape"]
-    combinations = [
+    combined = [
         dict(zip((p.name for p in shapes), starts, strict=True))
         for starts in product(*(p.starts or (p.default,) for p in shapes))
     ]
-    look = _together if candidate.remembers else _one_by_one
-    return [
-        tuple(block for block in found if np.isfinite(block.columns).all())
-        for found in look(course, candidate, combinations)
-    ]
+    absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
+    probes = [_probes(candidate, shape) for shape in combined]
+    if candidate.history_dependent:
+        variants = [
+            {
+                Term(candidate.effect, other, name): value
+                for other in candidate.places
+                for name, value in (absent | (probe if other == place else shape)).items()
+            }
+            for shape, of_shape in zip(combined, probes, strict=True)
+            for place in candidate.places
+            for _, probe in of_shape
+        ]
+        changes: Iterator[Array] = iter(problem.simulator.predict(variants) - problem.nominal)
+    else:
+        changes = _changes_one_by_one(problem, candidate, absent, probes)
+    found = []
+    for shape, of_shape in zip(combined, probes, strict=True):
+        effects = [
+            _linear_effect(candidate, at, shape, np.array([next(changes) for _ in of_shape]))
+            for at in candidate.places
+        ]
+        found.append(tuple(e for e in effects if np.isfinite(e.columns).all()))
+    return found
+
+
+def _changes_one_by_one(
+    problem: Problem,
+    candidate: Candidate,
+    absent: dict[str, float],
+    probes: Sequence[list[tuple[Parameter, dict[str, float]]]],
+) -> Iterator[Array]:
+    for of_shape in probes:
+        for place in candidate.places:
+            variants = [
+                {Term(candidate.effect, place, k): v for k, v in (absent | probe).items()}
+                for _, probe in of_shape
+            ]
+            yield from problem.simulator.predict(variants) - problem.nominal
 
 
 def _probes(
     candidate: Candidate, shape: dict[str, float]
 ) -> list[tuple[Parameter, dict[str, float]]]:
-    """Parameters that a first look takes as linear, each with values that show what it changes.
+    """Parameters that screening takes as linear, each with values that show what it changes.
 
     Those are the sizes, and such shapes as may be zero. A shape has an effect only where there is
-    a size: it is looked at beside the first one.
+    a size: it is probed beside the first one.
     """
     first = next(p for p in candidate.parameters if p.role == "size")
     found = []
@@ -90,47 +133,9 @@ def _step(parameter: Parameter, shape: dict[str, float]) -> float:
     return _SHAPE_STEP if ahead * parameter.typical <= parameter.high else -_SHAPE_STEP
 
 
-def _one_by_one(
-    course: Course, candidate: Candidate, combinations: list[dict[str, float]]
-) -> Iterator[list[Block]]:
-    absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
-    for shape in combinations:
-        found = []
-        for place in candidate.places:
-            variants = [
-                {Term(candidate.effect, place, k): v for k, v in (absent | probe).items()}
-                for _, probe in _probes(candidate, shape)
-            ]
-            changes = course.simulator.predict(variants) - course.nominal
-            found.append(_as_block(candidate, place, shape, changes))
-        yield found
-
-
-def _together(
-    course: Course, candidate: Candidate, combinations: list[dict[str, float]]
-) -> Iterator[list[Block]]:
-    """All places and shapes side by side, which an effect that remembers makes worth while."""
-    absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
-    variants = [
-        {
-            Term(candidate.effect, other, k): v
-            for other in candidate.places
-            for k, v in (absent | (probe if other == place else shape)).items()
-        }
-        for shape in combinations
-        for place in candidate.places
-        for _, probe in _probes(candidate, shape)
-    ]
-    changes = iter(course.simulator.predict(variants) - course.nominal)
-    for shape in combinations:
-        count = len(_probes(candidate, shape))
-        yield [
-            _as_block(candidate, place, shape, np.array([next(changes) for _ in range(count)]))
-            for place in candidate.places
-        ]
-
-
-def _as_block(candidate: Candidate, place: str, shape: dict[str, float], changes: Array) -> Block:
+def _linear_effect(
+    candidate: Candidate, place: str, shape: dict[str, float], changes: Array
+) -> LinearEffect:
     probed = [parameter for parameter, _ in _probes(candidate, shape)]
     first = next(k for k, p in enumerate(probed) if p.role == "size")
     columns = [
@@ -140,7 +145,7 @@ def _as_block(candidate: Candidate, place: str, shape: dict[str, float], changes
     start = [
         0.0 if p.role == "size" else to_scaled(p, shape[p.name]) for p in candidate.parameters
     ]
-    return Block(
+    return LinearEffect(
         place,
         candidate.terms(place),
         np.array(start),
@@ -150,37 +155,27 @@ def _as_block(candidate: Candidate, place: str, shape: dict[str, float], changes
     )
 
 
-WORTH = 1.12
-"""A further place must make what is left smaller by this factor."""
-
-MOST_IN_TWOS = 12
-"""With so many places or fewer left, two at a time are tried where one is not worth it."""
-
-_LOOKED_AT = 6
-_NEARLY = 1.5
-
-
 @dataclass(frozen=True)
 class Placed:
     """An effect in the places that explain most.
 
     Attributes:
-        blocks: chosen, in the order in which they were found.
+        chosen: the effect in each place, in the order in which they were found.
         coefficients: (K,) of their columns, scaled.
         squares: (T,) left in each held-out trial.
         mean_square: of all that is left.
-        strain: sum of the squares of the tolerances beside them, in standard deviations.
+        tolerance_chi2: sum of the squares of the tolerances beside them, in standard deviations.
     """
 
-    blocks: tuple[Block, ...]
+    chosen: tuple[LinearEffect, ...]
     coefficients: Array
     squares: Array
     mean_square: float
-    strain: float
+    tolerance_chi2: float
 
 
 def place(
-    course: Course, residual: Array, beside: Array, offered: Sequence[Block]
+    problem: Problem, residual: Array, beside: Array, offered: Sequence[LinearEffect]
 ) -> list[Placed]:
     """The best places for one effect, at least one, if any is offered.
 
@@ -192,15 +187,9 @@ def place(
     """
     if not offered:
         return []
-    columns = np.concatenate([course.tolerance_columns, beside, *(b.columns for b in offered)])
-    data = products(columns, residual, course.trial, course.used)
-    base = len(course.tolerance_columns) + len(beside)
-    precision = np.concatenate([np.ones(base), *(b.precision for b in offered)])
-    ends = base + np.cumsum([len(b.columns) for b in offered])
-    owned = [np.arange(e - len(b.columns), e) for e, b in zip(ends, offered, strict=True)]
-    search = Placing(course, data, precision, np.arange(base), owned)
-    whole = [k for k, b in enumerate(offered) if b.place == WHOLE_ARM]
-    single = [k for k, b in enumerate(offered) if b.place != WHOLE_ARM]
+    search = Placing(problem, residual, beside, offered)
+    whole = [k for k, effect in enumerate(offered) if effect.place == WHOLE_ARM]
+    single = [k for k, effect in enumerate(offered) if effect.place != WHOLE_ARM]
     paths = [search.grow(among) for among in (whole, single) if among]
     best = min(paths, key=lambda path: path[1])
     if len(paths) == 2 and paths[0][0] and paths[0][1] < WORTH * paths[1][1]:
@@ -209,28 +198,35 @@ def place(
     if len(best[0]) == 1:
         others = [search.grow([k], most=1) for k in range(len(offered)) if k != best[0][0]]
         found += sorted(others, key=lambda path: path[1])[:1]
-    return [search.placed(chosen, offered) for chosen, left in found if left <= _NEARLY * best[1]]
+    return [search.placed(chosen) for chosen, left in found if left <= _NEARLY * best[1]]
 
 
 class Placing:
-    """Blocks of columns among which places are chosen, with a base that is always fitted along."""
+    """Linear effects among which places are chosen; tolerances and others are fitted along.
+
+    Attributes:
+        data: products of all columns with the residual; those fitted along come first.
+        precision: of the priors of all columns.
+        base: number of columns that are fitted along.
+        owned: columns of each effect.
+    """
 
     def __init__(
-        self,
-        course: Course,
-        data: Products,
-        precision: Array,
-        base: NDArray[np.int64],
-        owned: Sequence[NDArray[np.int64]],
+        self, problem: Problem, residual: Array, beside: Array, offered: Sequence[LinearEffect]
     ) -> None:
-        """`owned` are the columns of each block, `base` those of tolerances and what is known."""
-        self._course, self._data, self._precision = course, data, precision
-        self._base, self._owned = base, owned
-        self._gram, self._moment = data.gram.sum(0), data.moment.sum(0)
-        self._weight = weight(data.mean_square, course.floor)
+        """As for `place`."""
+        columns = [problem.tolerance_columns, beside, *(e.columns for e in offered)]
+        self.base = len(problem.tolerance_columns) + len(beside)
+        ends = self.base + np.cumsum([len(e.columns) for e in offered])
+        self.owned = [np.arange(n - len(e.columns), n) for n, e in zip(ends, offered, strict=True)]
+        self.data = products(np.concatenate(columns), residual, problem.trial, problem.used)
+        self.precision = np.concatenate([np.ones(self.base), *(e.precision for e in offered)])
+        self._problem, self._offered = problem, offered
+        self._gram, self._moment = self.data.gram.sum(0), self.data.moment.sum(0)
+        self._weight = weight(self.data.mean_square, problem.floor)
 
     def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
-        """Blocks added one by one, and the cost of what is left.
+        """Places added one by one, and the cost of what is left.
 
         Where one more is not worth it two more may be: of two cables that pull against each
         other, either alone may explain nothing.
@@ -238,74 +234,59 @@ class Placing:
         chosen: list[int] = []
         left = self._left(chosen)
         while len(chosen) < min(len(among), most):
-            tried, now = self._one_more(chosen, among)
-            worth = WORTH
+            rest, worth = [k for k in among if k not in chosen], WORTH
+            ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_TRIED]
+            tried, now = self._best([[*chosen, k] for k in ranked])
             if chosen and now * WORTH > left and len(chosen) + 2 <= most:
-                tried, now = self._two_more(chosen, among)
+                twos = combinations(rest, 2) if len(rest) <= MOST_IN_TWOS else ()
+                tried, now = self._best([[*chosen, *two] for two in twos])
                 worth = WORTH**2
             if chosen and now * worth > left:
                 break
             chosen, left = tried, now
         return chosen, left
 
-    def _one_more(self, chosen: Sequence[int], among: Sequence[int]) -> tuple[list[int], float]:
-        rest = [k for k in among if k not in chosen]
-        ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_LOOKED_AT]
-        return self._best([[*chosen, k] for k in ranked])
-
-    def _two_more(self, chosen: Sequence[int], among: Sequence[int]) -> tuple[list[int], float]:
-        rest = [k for k in among if k not in chosen]
-        if len(rest) > MOST_IN_TWOS:
-            return list(chosen), np.inf
-        return self._best([[*chosen, *two] for two in combinations(rest, 2)])
+    def placed(self, chosen: Sequence[int]) -> Placed:
+        """The chosen effects with their coefficients and what they leave."""
+        part, precision = self._part(chosen)
+        weight_ = weight(self._mean_square(part, precision, self._weight), self._problem.floor)
+        found = _solved(part, precision, weight_)
+        squares = self._squares(part, precision, weight_)
+        return Placed(
+            tuple(self._offered[k] for k in chosen),
+            found[self.base :],
+            squares,
+            float(squares.sum() / part.count.sum()),
+            self._chi2(found),
+        )
 
     def _best(self, options: Sequence[list[int]]) -> tuple[list[int], float]:
         tried = [self._left(option) for option in options]
         return (options[int(np.argmin(tried))], min(tried)) if tried else ([], np.inf)
 
-    def placed(self, chosen: Sequence[int], offered: Sequence[Block]) -> Placed:
-        """The chosen blocks with their coefficients and what they leave."""
-        at = self._columns(chosen)
-        part, precision = self._data.columns(at), self._precision[at]
-        none = np.zeros(len(at))
-        weight_ = weight(self._mean_square(part, precision, self._weight), self._course.floor)
-        found = self._solved(part, precision, weight_)
-        squares = held_out_squares(part, precision, none, weight_, self._course.fold)
-        return Placed(
-            tuple(offered[k] for k in chosen),
-            found[len(self._base) :],
-            squares,
-            float(squares.sum() / part.count.sum()),
-            self._strain(found),
-        )
-
     def _left(self, chosen: Sequence[int]) -> float:
-        at = self._columns(chosen)
-        part, precision = self._data.columns(at), self._precision[at]
-        first = self._mean_square(part, precision, self._weight)
-        weight_ = weight(first, self._course.floor)
-        found = self._solved(part, precision, weight_)
-        return self._course.cost(self._mean_square(part, precision, weight_), self._strain(found))
+        part, precision = self._part(chosen)
+        weight_ = weight(self._mean_square(part, precision, self._weight), self._problem.floor)
+        chi2 = self._chi2(_solved(part, precision, weight_))
+        return self._problem.cost(self._mean_square(part, precision, weight_), chi2)
 
-    def _solved(self, part: Products, precision: Array, weight_: float) -> Array:
+    def _chi2(self, found: Array) -> float:
+        return float((found[: len(self._problem.tolerance_terms)] ** 2).sum())
+
+    def _squares(self, part: Products, precision: Array, weight_: float) -> Array:
         none = np.zeros(len(precision))
-        return solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
-
-    def _strain(self, found: Array) -> float:
-        return float((found[: len(self._course.tolerance_terms)] ** 2).sum())
+        return held_out_squares(part, precision, none, weight_, self._problem.fold)
 
     def _mean_square(self, part: Products, precision: Array, weight_: float) -> float:
-        none = np.zeros(len(precision))
-        squares = held_out_squares(part, precision, none, weight_, self._course.fold)
-        return float(squares.sum() / part.count.sum())
+        return float(self._squares(part, precision, weight_).sum() / part.count.sum())
 
     def _gain(self, chosen: Sequence[int], k: int) -> float:
-        """Decrease of the sum of squares over all trials, if only block k moved."""
-        at, own = self._columns(chosen), self._owned[k]
+        """Decrease of the sum of squares over all trials, if only effect k moved."""
+        at, own = self._columns(chosen), self.owned[k]
         found = solve(
             self._gram[np.ix_(at, at)],
             self._moment[at],
-            self._precision[at],
+            self.precision[at],
             np.zeros(len(at)),
             self._weight,
         )
@@ -314,5 +295,14 @@ class Placing:
         gram = gram + 1e-9 * np.trace(gram) * np.eye(len(own)) + 1e-12 * np.eye(len(own))
         return float(moment @ np.linalg.solve(gram, moment))
 
+    def _part(self, chosen: Sequence[int]) -> tuple[Products, Array]:
+        at = self._columns(chosen)
+        return self.data.columns(at), self.precision[at]
+
     def _columns(self, chosen: Sequence[int]) -> NDArray[np.int64]:
-        return np.concatenate([self._base, *(self._owned[k] for k in chosen)])
+        return np.concatenate([np.arange(self.base), *(self.owned[k] for k in chosen)])
+
+
+def _solved(part: Products, precision: Array, weight_: float) -> Array:
+    none = np.zeros(len(precision))
+    return solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)

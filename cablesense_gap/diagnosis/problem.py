@@ -1,8 +1,6 @@
-"""What the diagnosis works on: readings by trial, and the sensitivities to tolerances.
+"""The diagnosis problem: readings beside a simulator, and a hypothesis that explains them.
 
-One explanation of the gap: effects with their numbers, and what they leave unexplained.
-
-Parameters in units of what is typical, so that one step length suits them all.
+Numbers are sought in scaled form, in units of what is typical, so that one step suits them all.
 """
 
 from __future__ import annotations
@@ -14,22 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.simulator import Simulator, Term
+from cablesense_gap.simulator import Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 RESOLUTION = 0.2
-"""What is left is not told apart below this share of the sensors' floor."""
+"""Residuals below this share of the sensors' floor are not told apart."""
+
+SIZE_PRIOR = 3.0
+"""Sizes are expected within this many typical ones of zero (one standard deviation)."""
+
+_CHI2_POWER = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects, fitted, beside the tolerances of a workshop.
+    """Effects, fitted, beside the manufacturing tolerances.
 
     Attributes:
         effects: names in alphabetical order; none for tolerances alone.
         values: of every number of these effects.
         deviations: 95 % half-widths of the same.
-        tolerances: values of what a workshop leaves.
+        tolerances: values of the manufacturing tolerances.
         prediction: (R, C) with effects and tolerances.
         without_tolerances: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
@@ -37,8 +40,8 @@ class Hypothesis:
         squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes.
-        strain: sum of the squares of the tolerances, each in standard deviations.
-        strangeness: how far the values lie from what was expected, in squared deviations.
+        tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
+        prior_distance: of the values from what was expected, in squared deviations.
     """
 
     effects: tuple[str, ...]
@@ -52,44 +55,28 @@ class Hypothesis:
     squares: Array
     count: Array
     sizes: int
-    strain: float
-    strangeness: float
+    tolerance_chi2: float
+    prior_distance: float
 
     @property
     def held_out_rmse(self) -> float:
         """Root mean square over all trials, each predicted by a fit without its fold."""
         return float(np.sqrt(self.squares.sum() / self.count.sum()))
 
-    @property
-    def places(self) -> tuple[str, ...]:
-        """Where the effects sit."""
-        return tuple(dict.fromkeys(term.place for term in self.values))
-
-
-def excess(mean_square: float | NDArray[np.float64], floor: float) -> float:
-    """What is left beyond the floor, never below what can be resolved."""
-    beyond = np.maximum(mean_square - floor**2, 0.0)
-    return float(np.sqrt(beyond + (RESOLUTION * floor) ** 2))
-
-
-FOLDS = 5
-
-_STRAIN = 1.0 / 3.0
-
 
 @dataclass(frozen=True)
-class Course:
+class Problem:
     """One recording beside its simulator.
 
     Attributes:
-        simulator: put through this very recording.
+        simulator: under the commands and loads of this recording.
         readings: (R, C).
         trial: (R,) 0 to T - 1.
         fold: (T,) trials of one fold are held out together.
         used: (R,) rows that count.
         nominal: (R, C) prediction without any effect.
-        tolerance_terms: of what a workshop leaves.
-        tolerance_std: of each of them.
+        tolerance_terms: numbers of the manufacturing tolerances.
+        tolerance_std: standard deviation of each.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
     """
 
@@ -108,22 +95,19 @@ class Course:
         """Root mean square of what the sensors add."""
         return self.simulator.floor
 
-    @property
-    def usual_strain(self) -> float:
-        """Sum of the squares of all tolerances, in standard deviations, of a careful workshop."""
-        return float(max(len(self.tolerance_terms), 1))
+    def cost(self, mean_square: float, tolerance_chi2: float) -> float:
+        """Excess over the floor, larger where tolerances would have to be unusually far off.
 
-    def cost(self, mean_square: float, strain: float) -> float:
-        """What is left beyond the floor, the dearer the farther tolerances have to be off.
-
-        By this the search ranks explanations; the belief weighs both by calibrated powers.
+        The search ranks explanations by it; the posterior weighs both by calibrated powers.
         """
-        strained = max(strain / self.usual_strain, 1.0)
-        return float(excess(mean_square, self.floor) * strained**_STRAIN)
+        usual = max(len(self.tolerance_terms), 1)
+        return float(
+            excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0) ** _CHI2_POWER
+        )
 
     def cost_of(self, hypothesis: Hypothesis) -> float:
         """That of what a hypothesis leaves on held-out trials."""
-        return self.cost(hypothesis.held_out_rmse**2, hypothesis.strain)
+        return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
 
 
 def prepare(
@@ -132,31 +116,28 @@ def prepare(
     trial: NDArray[np.int64],
     fold: NDArray[np.int64],
     used: NDArray[np.bool_],
-) -> Course:
+) -> Problem:
     """Predict the nominal mechanism and what each tolerance changes of it."""
     nominal = simulator.predict([{}])[0]
-    terms = [
-        (term, parameter.typical)
-        for candidate in simulator.tolerances
-        for place in candidate.places
-        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
-    ]
-    columns = [simulator.predict([{term: std}])[0] - nominal for term, std in terms]
-    return Course(
+    std = {term: p.typical for term, p in parameters_of(simulator.tolerances).items()}
+    columns = [simulator.predict([{term: value}])[0] - nominal for term, value in std.items()]
+    return Problem(
         simulator=simulator,
         readings=readings,
         trial=np.unique(trial, return_inverse=True)[1],
         fold=fold,
         used=used,
         nominal=nominal,
-        tolerance_terms=tuple(term for term, _ in terms),
-        tolerance_std=np.array([std for _, std in terms]),
+        tolerance_terms=tuple(std),
+        tolerance_std=np.array(list(std.values())),
         tolerance_columns=np.array(columns).reshape(len(columns), *nominal.shape),
     )
 
 
-SIZE_PRIOR = 3.0
-"""Sizes are expected within this many typical ones of zero (one standard deviation)."""
+def excess(mean_square: float, floor: float) -> float:
+    """Root mean square left beyond the floor, never below what can be resolved."""
+    beyond = max(mean_square - floor**2, 0.0)
+    return float(np.sqrt(beyond + (RESOLUTION * floor) ** 2))
 
 
 def is_logarithmic(parameter: Parameter) -> bool:
@@ -165,10 +146,8 @@ def is_logarithmic(parameter: Parameter) -> bool:
 
 
 def to_scaled(parameter: Parameter, value: float) -> float:
-    """The value as the search sees it."""
-    if is_logarithmic(parameter):
-        return float(np.log(value))
-    return value / parameter.typical
+    """The value as the search has it."""
+    return float(np.log(value)) if is_logarithmic(parameter) else value / parameter.typical
 
 
 def from_scaled(parameter: Parameter, scaled: float) -> float:

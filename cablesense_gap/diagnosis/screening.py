@@ -1,6 +1,7 @@
-"""First looks: where effects would sit and how large they would be, linear about the nominal.
+"""Screening: where one effect or two would sit and how large they would be, linearly.
 
-A first look at two effects at once: where both sit, linear about the nominal mechanism.
+The problem is linear about the nominal mechanism here, so that every effect, and every two of
+them, can be tried in all places; the simulator itself then fits what is promising.
 """
 
 from __future__ import annotations
@@ -12,147 +13,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_gap.diagnosis.evidence import Indices, Reduced, products, weight
-from cablesense_gap.diagnosis.places import MOST_IN_TWOS, WORTH, Block, Placed, Placing, place
-from cablesense_gap.diagnosis.problem import Course, Hypothesis, excess
+from cablesense_gap.diagnosis.evidence import Indices, Reduced, weight
+from cablesense_gap.diagnosis.places import (
+    MOST_IN_TWOS,
+    WORTH,
+    LinearEffect,
+    Placed,
+    Placing,
+    place,
+)
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
 from cablesense_gap.simulator import Candidate
 from cablesense_sim.effects.effect import WHOLE_ARM
 
-_ROUNDS = 2
-_MOST_PLACES = 12
-
-Effects = tuple[str, str]
-
-
-@dataclass(frozen=True)
-class _Side:
-    """The places that one effect may take together: the whole arm, or any of the others."""
-
-    effect: str
-    blocks: tuple[int, ...]
-    whole: bool
-
-
-def pair_looks(
-    course: Course,
-    residual: Array,
-    offered: Mapping[str, Sequence[Sequence[Block]]],
-    mean_square: float,
-) -> dict[Effects, Placed]:
-    """The best places of every two of the offered effects.
-
-    `residual` (R, C) is what is to be explained; `offered` holds each effect's blocks, once for
-    each combination of starting shapes; `mean_square` is what pairs are expected to leave, at
-    most: it tells what a reading weighs before one is known.
-    """
-    blocks = [block for every in offered.values() for some in every for block in some]
-    sides = list(_sides(offered))
-    if not blocks:
-        return {}
-    base = len(course.tolerance_columns)
-    columns = np.concatenate([course.tolerance_columns, *(b.columns for b in blocks)])
-    data = products(columns, residual, course.trial, course.used)
-    precision = np.concatenate([np.ones(base), *(b.precision for b in blocks)])
-    ends = np.cumsum([len(b.columns) for b in blocks])
-    owned = [np.arange(e - len(b.columns), e) for e, b in zip(ends, blocks, strict=True)]
-    chosen: dict[Effects, list[int]] = {}
-    for _ in range(_ROUNDS):
-        reduced = Reduced(data, base, precision, weight(mean_square, course.floor), course.fold)
-        chosen, mean_square = _best_of_each(_Pairing(reduced, owned, course), sides)
-    placing = Placing(course, data, precision, np.arange(base), [base + own for own in owned])
-    return {names: placing.placed(at, blocks) for names, at in chosen.items()}
-
-
-def _best_of_each(
-    pairing: _Pairing, sides: Sequence[_Side]
-) -> tuple[dict[Effects, list[int]], float]:
-    """Blocks for every two effects, and the least mean square; the whole arm where it may be."""
-    best: dict[Effects, tuple[float, _Grown]] = {}
-    for one, other in combinations(sides, 2):
-        if one.effect == other.effect:
-            continue
-        names = one.effect, other.effect
-        grown = pairing.grow(one, other)
-        judged = grown.cost * WORTH ** -(one.whole + other.whole)
-        if names not in best or judged < best[names][0]:
-            best[names] = judged, grown
-    least = min((grown.mean_square for _, grown in best.values()), default=0.0)
-    return {names: grown.chosen for names, (_, grown) in best.items()}, least
-
-
-def _sides(offered: Mapping[str, Sequence[Sequence[Block]]]) -> list[_Side]:
-    found, begin = [], 0
-    for effect, every in offered.items():
-        for some in every:
-            at = range(begin, begin + len(some))
-            for whole in (True, False):
-                mine = tuple(
-                    k for k, b in zip(at, some, strict=True) if (b.place == WHOLE_ARM) == whole
-                )
-                if mine:
-                    found.append(_Side(effect, mine, whole))
-            begin += len(some)
-    return found
-
-
-class _Grown(NamedTuple):
-    chosen: list[int]
-    cost: float
-    mean_square: float
-
-
-class _Pairing:
-    def __init__(self, reduced: Reduced, owned: Sequence[Indices], course: Course) -> None:
-        self._reduced, self._owned, self._course = reduced, owned, course
-
-    def grow(self, one: _Side, other: _Side) -> _Grown:
-        """The best place of each, and further places of either, as long as they are worth it."""
-        grown = self._best([list(both) for both in product(one.blocks, other.blocks)])
-        while len(grown.chosen) < _MOST_PLACES:
-            tried, worth = self._one_more(grown, one, other), WORTH
-            if tried and tried.cost * WORTH > grown.cost:
-                tried, worth = self._two_more(grown, one, other), WORTH**2
-            if tried is None or tried.cost * worth > grown.cost:
-                break
-            grown = tried
-        return grown
-
-    def _one_more(self, grown: _Grown, one: _Side, other: _Side) -> _Grown | None:
-        further = [
-            self._best([[*grown.chosen, k] for k in side.blocks if k not in grown.chosen])
-            for side in (one, other)
-            if set(side.blocks) - set(grown.chosen)
-        ]
-        return min(further, key=lambda option: option.cost, default=None)
-
-    def _two_more(self, grown: _Grown, one: _Side, other: _Side) -> _Grown | None:
-        rests = [[k for k in side.blocks if k not in grown.chosen] for side in (one, other)]
-        further = [
-            self._best([[*grown.chosen, *two] for two in combinations(rest, 2)])
-            for rest in rests
-            if 2 <= len(rest) <= MOST_IN_TWOS
-        ]
-        return min(further, key=lambda option: option.cost, default=None)
-
-    def _best(self, options: list[list[int]]) -> _Grown:
-        sets = np.array([np.concatenate([self._owned[k] for k in chosen]) for chosen in options])
-        left, strains = self._reduced.mean_squares(sets), self._reduced.strains(sets)
-        cost = [self._course.cost(*both) for both in zip(left, strains, strict=True)]
-        at = int(np.argmin(cost))
-        return _Grown(options[at], cost[at], float(left[at]))
-
-
-Offered = Mapping[str, tuple[Candidate, Sequence[tuple[Block, ...]]]]
-"""Candidates by name, each with its blocks for every combination of starting shapes."""
+Offered = Mapping[str, tuple[Candidate, Sequence[tuple[LinearEffect, ...]]]]
+"""Candidates by name, each linear in every place, for every combination of starting shapes."""
 
 _PROMISING = 3.0
 _HOPELESS = 2.5
+_ROUNDS = 2
+_MOST_PLACES = 12
 
 
 @dataclass(frozen=True)
-class Look:
-    """A first look at one effect or two, beside another that was fitted before or none.
+class Screened:
+    """One effect or two in their best places, beside another that was fitted before or none.
 
     A fit is not worth while if its starts leave a mean square of more than `most_left`.
     """
@@ -165,46 +50,141 @@ class Look:
     def effects(self) -> tuple[str, ...]:
         """All names, in alphabetical order."""
         known = () if self.beside is None else self.beside.effects
-        return tuple(sorted({*known, *(b.terms[0].effect for b in self.placed.blocks)}))
+        return tuple(sorted({*known, *(e.terms[0].effect for e in self.placed.chosen)}))
 
 
-def single_looks(course: Course, offered: Offered, beside: Hypothesis | None = None) -> list[Look]:
+def screen_singles(
+    problem: Problem, offered: Offered, beside: Hypothesis | None = None
+) -> list[Screened]:
     """For each effect its best places with the best of its starting shapes, perhaps two of them.
 
     Beside another effect, which is fitted along, only one. The most promising come first.
     """
-    residual = course.readings - course.nominal
+    residual = problem.readings - problem.nominal
     columns = np.empty((0, *residual.shape))
     if beside is not None:
-        residual, columns = course.readings - beside.without_tolerances, beside.columns
+        residual, columns = problem.readings - beside.without_tolerances, beside.columns
     found = []
-    for effect, (_, every) in offered.items():
+    for effect, (_, shapes) in offered.items():
         if beside is not None and effect in beside.effects:
             continue
-        placed = [p for some in every if (p := place(course, residual, columns, some))]
+        placed = [p for every in shapes if (p := place(problem, residual, columns, every))]
         best = min(placed, key=lambda p: p[0].mean_square, default=[])
-        found += [Look(p, beside) for p in (best if beside is None else best[:1])]
-    return by_forecast(course, found)
+        found += [Screened(p, beside) for p in (best if beside is None else best[:1])]
+    return by_forecast(problem, found)
 
 
-def joint_looks(course: Course, offered: Offered, mean_square: float) -> list[Look]:
+def screen_pairs(problem: Problem, offered: Offered, mean_square: float) -> list[Screened]:
     """For every two effects their best places, the most promising first.
 
-    `mean_square` is what the best single one leaves.
+    `mean_square` is what the best single one leaves: it tells what a reading weighs before the
+    best pair is known.
     """
-    residual = course.readings - course.nominal
-    blocks = {effect: every for effect, (_, every) in offered.items()}
-    found = pair_looks(course, residual, blocks, mean_square)
-    return by_forecast(course, [Look(placed) for placed in found.values()])
+    everything = [effect for _, shapes in offered.values() for every in shapes for effect in every]
+    if not everything:
+        return []
+    residual = problem.readings - problem.nominal
+    placing = Placing(problem, residual, np.empty((0, *residual.shape)), everything)
+    sides = list(_sides(offered))
+    pairs: dict[tuple[str, str], list[int]] = {}
+    for _ in range(_ROUNDS):
+        weight_ = weight(mean_square, problem.floor)
+        pairs, mean_square = _best_pairs(_Pairing(problem, placing, weight_), sides)
+    return by_forecast(problem, [Screened(placing.placed(chosen)) for chosen in pairs.values()])
 
 
-def by_forecast(course: Course, looks: Sequence[Look]) -> list[Look]:
+def by_forecast(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
     """Those first that leave little and need no help of tolerances."""
-    return sorted(looks, key=lambda k: course.cost(k.placed.mean_square, k.placed.strain))
+    return sorted(
+        screened, key=lambda s: problem.cost(s.placed.mean_square, s.placed.tolerance_chi2)
+    )
 
 
-def promising(course: Course, looks: Sequence[Look], best: float) -> Iterator[Look]:
-    """Those that a fit may yet bring to the front, where the best look leaves an excess `best`."""
-    for look in looks:
-        if excess(look.placed.mean_square, course.floor) <= _PROMISING * best:
-            yield replace(look, most_left=(_HOPELESS * best) ** 2 + course.floor**2)
+def promising(problem: Problem, screened: Sequence[Screened], best: float) -> Iterator[Screened]:
+    """Those that a fit may yet bring to the front, where the best leaves an excess `best`."""
+    for one in screened:
+        if excess(one.placed.mean_square, problem.floor) <= _PROMISING * best:
+            yield replace(one, most_left=(_HOPELESS * best) ** 2 + problem.floor**2)
+
+
+class _Side(NamedTuple):
+    """The places that one effect may take together: the whole arm, or any of the others."""
+
+    effect: str
+    places: tuple[int, ...]
+    whole: bool
+
+
+class _Grown(NamedTuple):
+    chosen: list[int]
+    cost: float
+    mean_square: float
+
+
+def _sides(offered: Offered) -> Iterator[_Side]:
+    begin = 0
+    for effect, (_, shapes) in offered.items():
+        for every in shapes:
+            for whole in (True, False):
+                own = tuple(
+                    k for k, e in enumerate(every, begin) if (e.place == WHOLE_ARM) == whole
+                )
+                if own:
+                    yield _Side(effect, own, whole)
+            begin += len(every)
+
+
+def _best_pairs(
+    pairing: _Pairing, sides: Sequence[_Side]
+) -> tuple[dict[tuple[str, str], list[int]], float]:
+    """Places for every two effects, and the least mean square; the whole arm where it may be."""
+    best: dict[tuple[str, str], tuple[float, _Grown]] = {}
+    for one, other in combinations(sides, 2):
+        if one.effect == other.effect:
+            continue
+        names = one.effect, other.effect
+        grown = pairing.grow(one, other)
+        judged = grown.cost * WORTH ** -(one.whole + other.whole)
+        if names not in best or judged < best[names][0]:
+            best[names] = judged, grown
+    least = min((grown.mean_square for _, grown in best.values()), default=0.0)
+    return {names: grown.chosen for names, (_, grown) in best.items()}, least
+
+
+class _Pairing:
+    def __init__(self, problem: Problem, placing: Placing, weight_: float) -> None:
+        self._problem = problem
+        self._owned: list[Indices] = [own - placing.base for own in placing.owned]
+        self._reduced = Reduced(
+            placing.data, placing.base, placing.precision, weight_, problem.fold
+        )
+
+    def grow(self, one: _Side, other: _Side) -> _Grown:
+        """The best place of each, and further places of either, as long as they are worth it."""
+        grown = self._best([list(both) for both in product(one.places, other.places)])
+        while len(grown.chosen) < _MOST_PLACES:
+            rests = [[k for k in s.places if k not in grown.chosen] for s in (one, other)]
+            tried, worth = self._further(grown, rests, 1), WORTH
+            if tried and tried.cost * WORTH > grown.cost:
+                few = [rest for rest in rests if len(rest) <= MOST_IN_TWOS]
+                tried, worth = self._further(grown, few, 2), WORTH**2
+            if tried is None or tried.cost * worth > grown.cost:
+                break
+            grown = tried
+        return grown
+
+    def _further(self, grown: _Grown, rests: list[list[int]], count: int) -> _Grown | None:
+        """The best with so many places more, all of one effect."""
+        options = [
+            self._best([[*grown.chosen, *more] for more in combinations(rest, count)])
+            for rest in rests
+            if len(rest) >= count
+        ]
+        return min(options, key=lambda option: option.cost, default=None)
+
+    def _best(self, options: list[list[int]]) -> _Grown:
+        sets = np.array([np.concatenate([self._owned[k] for k in chosen]) for chosen in options])
+        left, chi2 = self._reduced.mean_squares(sets), self._reduced.tolerance_chi2(sets)
+        cost = [self._problem.cost(*both) for both in zip(left, chi2, strict=True)]
+        at = int(np.argmin(cost))
+        return _Grown(options[at], cost[at], float(left[at]))

@@ -1,175 +1,346 @@
-"""The search among candidates: what is cheap to simulate first, then what remembers.
+"""The search among candidates: what is cheap to simulate first, then what depends on history.
 
-Work on one course, shared among processes.
+Screening says where a search for numbers begins; the simulator itself fits them (`gauss_newton`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import product
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.diagnosis.fitting import fit, polish, rethink, singled_out
-from cablesense_gap.diagnosis.gauss_newton import refine
-from cablesense_gap.diagnosis.places import WORTH, blocks
-from cablesense_gap.diagnosis.problem import Course, Hypothesis, excess
+from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
+from cablesense_gap.diagnosis.places import WORTH, linear_effects
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess, to_scaled
 from cablesense_gap.diagnosis.screening import (
-    Look,
     Offered,
+    Screened,
     by_forecast,
-    joint_looks,
     promising,
-    single_looks,
+    screen_pairs,
+    screen_singles,
 )
-from cablesense_gap.simulator import Candidate
+from cablesense_gap.simulator import Candidate, Term, parameters_of
+from cablesense_sim.effects.effect import Parameter
 
-Tell = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
+"""Called with what is under way, and which share of the whole is done."""
 
+_STEPS, _STEPS_OF_EXPENSIVE_PAIRS, _STEPS_AGAIN = 8, 4, 4
+_SCALES = (0.4, 1.0, 2.5)
+_SCALES_ELSEWHERE = (0.3, 1.0, 3.0, 10.0)
+"""In typical sizes, where screening has found a size that cannot be."""
+_ROUNDS = 2
 _MOST_SINGLES = 6
 _MOST_PAIRS = 12
-_MOST_DEAR_PAIRS = 4
+_MOST_EXPENSIVE_PAIRS = 4
 _WORTH_PAIRING = 0.8
 _RESOLVED = 0.04
 _BARELY = 1.25
 _ALIKE = 1.02
 
 
-def search(course: Course, tell: Tell = lambda *_: None, workers: int = 1) -> list[Hypothesis]:
+def search(
+    problem: Problem, progress: Progress = lambda *_: None, workers: int = 1
+) -> list[Hypothesis]:
     """Every hypothesis that was fitted, that of tolerances alone first.
 
-    Effects that remember are dear: they are left alone where one of the others, or two of them,
-    leave next to nothing. `tell` hears what is under way and which share of the whole is behind.
-    With more than one worker, candidates are looked at and fitted in as many processes.
+    History-dependent effects are expensive to simulate: they are left alone where one of the
+    others, or two of them, leave next to nothing. With more than one worker, candidates are
+    screened and fitted in as many processes.
     """
-    none = refine(course, {}, [[]])
+    none = refine(problem, {}, [[]])
     assert none is not None
-    with WorkerPool(workers, course) as pool:
-        return [none, *_Search(course, pool, tell, none).run()]
+    with WorkerPool(workers, problem) as pool:
+        return [none, *_Search(problem, pool, progress, none).run()]
 
 
 class _Search:
-    def __init__(self, course: Course, pool: WorkerPool, tell: Tell, none: Hypothesis) -> None:
-        self._course, self._pool, self._tell, self._none = course, pool, tell, none
+    def __init__(
+        self, problem: Problem, pool: WorkerPool, progress: Progress, none: Hypothesis
+    ) -> None:
+        self._problem, self._pool, self._progress, self._none = problem, pool, progress, none
         self._found: dict[tuple[str, ...], Hypothesis] = {}
-        self._polished: list[Hypothesis] = []
+        self._refined: list[Hypothesis] = []
 
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
         self._explore()
-        self._polish(2)
-        self._tell("done", 1.0)
+        self._refine_best(2)
+        self._progress("done", 1.0)
         worth_it = [h for h in self._found.values() if not self._is_idle(h)]
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
 
     def _explore(self) -> None:
-        candidates = self._course.simulator.candidates
-        barely = self._none.held_out_rmse <= _BARELY * self._course.floor
-        plain = self._offer([c for c in candidates if not c.remembers], 0.0)
-        looks = single_looks(self._course, plain)
-        best = self._least(looks)
-        self._fit(promising(self._course, looks[:_MOST_SINGLES], best), "single effects", 0.1)
-        self._rethink_best(plain)
+        problem, candidates = self._problem, self._problem.simulator.candidates
+        barely = self._none.held_out_rmse <= _BARELY * problem.floor
+        cheap = self._offer([c for c in candidates if not c.history_dependent], 0.0)
+        screened = screen_singles(problem, cheap)
+        best = self._least(screened)
+        self._fit(promising(problem, screened[:_MOST_SINGLES], best), "single effects", 0.1)
+        self._reselect_best(cheap)
         if barely or self._is_resolved():
             return
-        self._fit(self._pairs(plain, _MOST_PAIRS), "pairs of effects", 0.3)
-        self._rethink_best(plain)
+        self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.3)
+        self._reselect_best(cheap)
         if self._is_resolved():
             return
-        dear = self._offer([c for c in candidates if c.remembers], 0.5)
-        looks = single_looks(self._course, dear)
-        best = min(best, self._least(looks))
-        self._fit(promising(self._course, looks, best), "what remembers", 0.6)
-        self._polish(1)
-        if not self._is_resolved():
-            self._fit(self._dear_pairs(plain, dear), "pairs with what remembers", 0.8)
-            self._rethink_best({**plain, **dear})
+        expensive = self._offer([c for c in candidates if c.history_dependent], 0.5)
+        screened = screen_singles(problem, expensive)
+        best = min(best, self._least(screened))
+        self._fit(promising(problem, screened, best), "history-dependent effects", 0.6)
+        self._refine_best(1)
+        if self._is_resolved():
+            return
+        offered = {**cheap, **expensive}
+        enough = _WORTH_PAIRING * min(map(problem.cost_of, [self._none, *self._found.values()]))
+        pairs = [
+            pair
+            for pair in self._pairs(offered)
+            if any(effect in expensive for effect in pair.effects)
+            and problem.cost(pair.placed.mean_square, pair.placed.tolerance_chi2) < enough
+        ]
+        self._fit(pairs[:_MOST_EXPENSIVE_PAIRS], "pairs with history-dependent effects", 0.8)
+        self._reselect_best(offered)
 
-    def _polish(self, most: int) -> None:
-        """The best explanations with so many effects and fewer, as they compete in the end."""
-        best: dict[int, Hypothesis] = {}
-        for hypothesis in sorted(self._found.values(), key=self._course.cost_of):
-            best.setdefault(len(hypothesis.effects), hypothesis)
-        done = {id(hypothesis) for hypothesis in self._polished}
-        rough = [h for count, h in best.items() if count <= most and id(h) not in done]
-        for fitted in self._pool.map(polish, rough):
-            self._found[fitted.effects] = fitted
-            self._polished.append(fitted)
-
-    def _is_idle(self, pair: Hypothesis) -> bool:
-        """Whether one of two effects alone does about as well: the other has nothing to do."""
-        alone = [h for h in map(self._found.get, zip(pair.effects)) if h and h is not pair]
-        cost = self._course.cost_of(pair)
-        return any(self._course.cost_of(h) < WORTH * cost for h in alone)
-
-    def _offer(self, candidates: Sequence[Candidate], behind: float) -> Offered:
+    def _offer(self, candidates: Sequence[Candidate], done: float) -> Offered:
         offered = {}
-        looked = self._pool.map(blocks, candidates)
-        for k, (candidate, every) in enumerate(zip(candidates, looked, strict=True)):
-            self._tell(candidate.effect, behind + 0.1 * k / len(candidates))
+        linear = self._pool.map(linear_effects, candidates)
+        for k, (candidate, every) in enumerate(zip(candidates, linear, strict=True)):
+            self._progress(candidate.effect, done + 0.1 * k / len(candidates))
             offered[candidate.effect] = candidate, every
         return offered
 
-    def _pairs(self, offered: Offered, most: int | None) -> list[Look]:
+    def _pairs(self, offered: Offered) -> list[Screened]:
         """Both effects at once, and a second one beside each of the two best; no two alike."""
-        course = self._course
+        problem = self._problem
         singles = sorted(
-            (h for h in self._found.values() if len(h.effects) == 1), key=course.cost_of
+            (h for h in self._found.values() if len(h.effects) == 1), key=problem.cost_of
         )
         least = min([self._none, *singles], key=lambda h: h.held_out_rmse).held_out_rmse
-        looks = joint_looks(course, offered, least**2)
+        screened = screen_pairs(problem, offered, least**2)
         for single in singles[:2]:
-            looks += single_looks(course, offered, single)
-        distinct: dict[tuple[str, ...], Look] = {}
-        for look in by_forecast(course, looks):
-            distinct.setdefault(look.effects, look)
-        return [look for look in distinct.values() if look.effects not in self._found][:most]
+            screened += screen_singles(problem, offered, single)
+        distinct: dict[tuple[str, ...], Screened] = {}
+        for one in by_forecast(problem, screened):
+            distinct.setdefault(one.effects, one)
+        return [one for one in distinct.values() if one.effects not in self._found]
 
-    def _dear_pairs(self, plain: Offered, dear: Offered) -> list[Look]:
-        """Pairs with an effect that remembers, if they promise more than what is found."""
-        enough = _WORTH_PAIRING * min(
-            self._course.cost_of(h) for h in [self._none, *self._found.values()]
-        )
-        return [
-            look
-            for look in self._pairs({**plain, **dear}, None)
-            if any(effect in dear for effect in look.effects)
-            and self._course.cost(look.placed.mean_square, look.placed.strain) < enough
-        ][:_MOST_DEAR_PAIRS]
-
-    def _rethink_best(self, offered: Offered) -> None:
-        if not self._found:
-            return
-        best = min(self._found.values(), key=self._course.cost_of)
-        self._found[best.effects] = best = rethink(self._course, best, offered)
-        for alone in singled_out(self._course, best):
-            self._keep(alone)
-
-    def _fit(self, looks: Iterable[Look], what: str, behind: float) -> None:
+    def _fit(self, screened: Iterable[Screened], what: str, done: float) -> None:
         """Fits them; of the same effects the better is kept, among equals the less far-fetched."""
-        looks = list(looks)
-        for k, fitted in enumerate(self._pool.map(fit, looks)):
-            self._tell(f"fitting {what}", behind + 0.2 * k / len(looks))
+        screened = list(screened)
+        for k, fitted in enumerate(self._pool.map(fit, screened)):
+            self._progress(f"fitting {what}", done + 0.2 * k / len(screened))
             if fitted is not None:
                 self._keep(fitted)
 
     def _keep(self, fitted: Hypothesis) -> None:
         known = self._found.get(fitted.effects)
-        if known is None or self._is_better(fitted, known):
-            self._found[fitted.effects] = fitted
+        if known is not None:
+            ratio = self._problem.cost_of(fitted) / self._problem.cost_of(known)
+            if 1.0 / _ALIKE < ratio < _ALIKE:
+                ratio = 0.0 if fitted.prior_distance < known.prior_distance else 1.0
+            if ratio >= 1.0:
+                return
+        self._found[fitted.effects] = fitted
 
-    def _least(self, looks: Iterable[Look]) -> float:
-        """The least excess that any look leaves."""
-        floor = self._course.floor
-        return min((excess(k.placed.mean_square, floor) for k in looks), default=float("inf"))
+    def _reselect_best(self, offered: Offered) -> None:
+        if not self._found:
+            return
+        best = min(self._found.values(), key=self._problem.cost_of)
+        self._found[best.effects] = best = reselect_places(self._problem, best, offered)
+        for alone in each_alone(self._problem, best):
+            self._keep(alone)
+
+    def _refine_best(self, most: int) -> None:
+        """The best explanations with so many effects and fewer, as they compete in the end."""
+        best: dict[int, Hypothesis] = {}
+        for hypothesis in sorted(self._found.values(), key=self._problem.cost_of):
+            best.setdefault(len(hypothesis.effects), hypothesis)
+        done = {id(hypothesis) for hypothesis in self._refined}
+        rough = [h for count, h in best.items() if count <= most and id(h) not in done]
+        for fitted in self._pool.map(final_refinement, rough):
+            self._found[fitted.effects] = fitted
+            self._refined.append(fitted)
+
+    def _is_idle(self, pair: Hypothesis) -> bool:
+        """Whether one of two effects alone does about as well: the other has nothing to do."""
+        alone = [h for h in map(self._found.get, zip(pair.effects)) if h and h is not pair]
+        cost = self._problem.cost_of(pair)
+        return any(self._problem.cost_of(h) < WORTH * cost for h in alone)
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""
-        floor = self._course.floor
+        floor = self._problem.floor
         gap = excess(self._none.held_out_rmse**2, floor)
-        best = min(map(self._course.cost_of, self._found.values()), default=float("inf"))
+        best = min(map(self._problem.cost_of, self._found.values()), default=float("inf"))
         return best <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
-    def _is_better(self, one: Hypothesis, other: Hypothesis) -> bool:
-        ratio = self._course.cost_of(one) / self._course.cost_of(other)
-        if 1.0 / _ALIKE < ratio < _ALIKE:
-            return one.strangeness < other.strangeness
-        return ratio < 1.0
+    def _least(self, screened: Iterable[Screened]) -> float:
+        """The least excess that any of them leaves."""
+        floor = self._problem.floor
+        return min((excess(s.placed.mean_square, floor) for s in screened), default=float("inf"))
+
+
+def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
+    """The effects as the simulator has them; None where that leads nowhere.
+
+    A history-dependent effect is begun with smaller and larger sizes too, and with every
+    combination of the shapes that screening does not tell apart.
+    """
+    candidates = {c.effect: c for c in problem.simulator.candidates}
+    with_history = [
+        candidates[effect] for effect in screened.effects if candidates[effect].history_dependent
+    ]
+    ranges, beside = parameters_of(problem.simulator.candidates), screened.beside
+    known = {} if beside is None else dict(beside.values)
+    begun = [to_scaled(ranges[term], value) for term, value in known.items()]
+    fresh, start, impossible = _starts(screened, ranges)
+    starts = [[*begun, *start]]
+    if beside is None:
+        starts = [
+            [
+                _varied(term, p, value, with_history, scale, shapes)
+                for (term, p), value in zip(fresh.items(), start, strict=True)
+            ]
+            for scale in (_SCALES if with_history else (1.0,))
+            for shapes in _shapes(with_history)
+        ]
+    if impossible:
+        # where shapes act unlike their derivatives, the screening's best sum of both means nothing
+        starts += [
+            [
+                *begun,
+                *(
+                    value
+                    if term not in impossible
+                    else (scale if p.role == "size" else impossible[term])
+                    for (term, p), value in zip(fresh.items(), start, strict=True)
+                ),
+            ]
+            for scale in _SCALES_ELSEWHERE
+        ]
+    expensive = with_history and len(screened.effects) > 1
+    return refine(
+        problem,
+        {term: ranges[term] for term in known} | fresh,
+        starts,
+        _STEPS_OF_EXPENSIVE_PAIRS if expensive else _STEPS,
+        screened.most_left if with_history else float("inf"),
+    )
+
+
+def _starts(
+    screened: Screened, ranges: Mapping[Term, Parameter]
+) -> tuple[dict[Term, Parameter], list[float], dict[Term, float]]:
+    """Numbers, where to begin, and where instead for those of places with a size out of range."""
+    parameters: dict[Term, Parameter] = {}
+    start: list[float] = []
+    impossible: dict[Term, float] = {}
+    coefficients = iter(screened.placed.coefficients)
+    for effect in screened.placed.chosen:
+        change = {name: next(coefficients) for name in effect.probed}
+        own = {term: ranges[term] for term in effect.terms}
+        sizes = [p for p in own.values() if p.role == "size"]
+        first = max(abs(change[sizes[0].name]), 0.3)
+        for (term, p), begin in zip(own.items(), effect.start, strict=True):
+            parameters[term] = p
+            # sizes as screened; shapes from what screening adds beside a size of one
+            added = change.get(p.name, 0.0)
+            start.append(added if p.role == "size" else begin + added / first)
+        if any(not p.low <= change[p.name] * p.typical <= p.high for p in sizes):
+            impossible |= dict(zip(own, effect.start, strict=True))
+    return parameters, start, impossible
+
+
+def _varied(
+    term: Term,
+    parameter: Parameter,
+    value: float,
+    with_history: Sequence[Candidate],
+    scale: float,
+    shapes: Mapping[tuple[str, str], float],
+) -> float:
+    """The start of one number; of history-dependent effects the size scaled, the shape put in."""
+    if all(term.effect != candidate.effect for candidate in with_history):
+        return value
+    if parameter.role == "size":
+        return max(abs(value), 0.1) * scale
+    return shapes.get((term.effect, term.parameter), value)
+
+
+def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], float]]:
+    """Combinations of the shapes that screening has not told apart."""
+    shapes = [
+        (candidate.effect, p)
+        for candidate in with_history
+        for p in candidate.parameters
+        if p.role == "shape" and p.trials
+    ]
+    return [
+        {
+            (effect, p.name): to_scaled(p, value)
+            for (effect, p), value in zip(shapes, values, strict=True)
+        }
+        for values in product(*(p.trials for _, p in shapes))
+    ]
+
+
+def reselect_places(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Hypothesis:
+    """The hypothesis with the places of each of two effects chosen again beside the other.
+
+    They were chosen linear about the nominal mechanism, and beside effects that were not there
+    yet. Of equal hypotheses the one with fewer places is given.
+    """
+    for _ in range(_ROUNDS):
+        better = hypothesis
+        for screened in _again(problem, hypothesis, offered):
+            fitted = fit(problem, screened)
+            if fitted is not None and problem.cost_of(fitted) < problem.cost_of(better):
+                better = fitted
+        if better is hypothesis:
+            break
+        hypothesis = better
+    return _fewest_places(problem, hypothesis)
+
+
+def _again(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Iterator[Screened]:
+    if len(hypothesis.effects) < 2:
+        return
+    for effect in hypothesis.effects:
+        others = {t: v for t, v in hypothesis.values.items() if t.effect != effect}
+        beside = refit(problem, others, 0)
+        if beside is None or effect not in offered:
+            continue
+        for screened in screen_singles(problem, {effect: offered[effect]}, beside):
+            placed = {linear.place for linear in screened.placed.chosen}
+            if placed != {t.place for t in hypothesis.values if t.effect == effect}:
+                yield screened
+
+
+def _fewest_places(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """Places are left out as long as what is left hardly grows."""
+    sites = list(dict.fromkeys((term.effect, term.place) for term in hypothesis.values))
+    cost = problem.cost_of(hypothesis)
+    for effect, place in reversed(sites):
+        if sum(e == effect for e, _ in sites) == 1:
+            continue
+        rest = {t: v for t, v in hypothesis.values.items() if t[:2] != (effect, place)}
+        fitted = refit(problem, rest, _STEPS_AGAIN)
+        if fitted is not None and problem.cost_of(fitted) <= WORTH * cost:
+            hypothesis = fitted
+            sites.remove((effect, place))
+    return hypothesis
+
+
+def each_alone(problem: Problem, hypothesis: Hypothesis) -> Iterator[Hypothesis]:
+    """Each of two effects alone, begun with its numbers beside the other.
+
+    A search for one effect may end early where a second one then makes up for it.
+    """
+    if len(hypothesis.effects) < 2:
+        return
+    for effect in hypothesis.effects:
+        own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
+        if (fitted := refit(problem, own, _STEPS_AGAIN)) is not None:
+            yield fitted

@@ -17,11 +17,11 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.report.inputs import ReportInputs
 from cablesense_gap.report.pictures import (
     MOST,
-    cable_figure,
-    candidate_figure,
-    regime_figure,
-    set_figure,
-    time_figure,
+    cable_picture,
+    cable_set_picture,
+    candidate_picture,
+    regime_picture,
+    time_picture,
 )
 from cablesense_gap.report.style import (
     ReportError,
@@ -71,11 +71,11 @@ def _content(inputs: ReportInputs) -> dict[str, Any]:
     after = decompose(recording, inputs.after_n, floor_n, inputs.arm)
     with style():
         pictures = {
-            "time": time_figure(inputs),
-            "cable": cable_figure(before, after, inputs.after_label),
-            "set": set_figure(before, after, inputs.after_label),
-            "regime": regime_figure(before, after, inputs.after_label),
-            "candidates": candidate_figure(verdict) if verdict.candidates else "",
+            "time": time_picture(inputs),
+            "cable": cable_picture(before, after, inputs.after_label),
+            "set": cable_set_picture(before, after, inputs.after_label),
+            "regime": regime_picture(before, after, inputs.after_label),
+            "candidates": candidate_picture(verdict) if verdict.candidates else "",
         }
     return {
         "kind": "effect" if verdict.effects[0] not in (NONE, UNKNOWN) else verdict.effects[0],

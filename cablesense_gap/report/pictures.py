@@ -32,7 +32,7 @@ from cablesense_gap.residuals import CABLE, LOOP, REGIMES, SET, Decomposition
 from cablesense_gap.verdict import Verdict
 
 
-def cable_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+def cable_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
     """RMS gap of each cable as bars; only those before where `after_label` is empty."""
     import matplotlib.pyplot as plt
 
@@ -54,12 +54,12 @@ def cable_figure(before: Decomposition, after: Decomposition, after_label: str) 
     return as_uri(figure)
 
 
-def regime_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+def regime_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
     """RMS gap by regime, each as a line from before to after."""
     return _dumbbells(before, after, after_label, (*REGIMES, LOOP))
 
 
-def set_figure(before: Decomposition, after: Decomposition, after_label: str) -> str:
+def cable_set_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
     """RMS gap of each cable set's common mode and bending parts, likewise."""
     return _dumbbells(before, after, after_label, (SET,))
 
@@ -123,7 +123,7 @@ def _draw(axes: Any, at: Any, start: Any, end: Any, after_label: str) -> None:
 MOST = 12
 
 
-def candidate_figure(verdict: Verdict) -> str:
+def candidate_picture(verdict: Verdict) -> str:
     """The most probable candidates, the verdict's in colour, as the `src` of an image."""
     return as_uri(drawn_candidates(verdict))
 
@@ -179,7 +179,7 @@ MOST_POINTS = 3000
 ROW_IN = 1.45
 
 
-def time_figure(inputs: ReportInputs) -> str:
+def time_picture(inputs: ReportInputs) -> str:
     """Small multiples with one scale; of very many cables, those with the largest gap."""
     import matplotlib.pyplot as plt
 

@@ -21,7 +21,7 @@ class EffectWords(NamedTuple):
     """What an effect is, and what someone at the arm can do about it."""
 
     is_: str
-    look: str = ""
+    screened: str = ""
 
 
 _WORDS = {
@@ -268,9 +268,9 @@ def _use_amended(inputs: ReportInputs) -> Step:
 
 def _mend(inputs: ReportInputs) -> tuple[Step, ...]:
     return tuple(
-        Step(f"Or mend the arm: {cause(inputs.verdict, name)}", effect_words(name).look)
+        Step(f"Or mend the arm: {cause(inputs.verdict, name)}", effect_words(name).screened)
         for name in inputs.verdict.effects
-        if effect_words(name).look
+        if effect_words(name).screened
     )
 
 

@@ -18,8 +18,8 @@ from cablesense_sim.replay import replay_arm
 from cablesense_sim.sensors import read_tensions_n
 
 COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
-COURSE = small_recording(peak_n=25.0)
-SHORT = COURSE.rows(np.flatnonzero(np.arange(len(COURSE)) % 4 == 0))
+PROBLEM = small_recording(peak_n=25.0)
+SHORT = PROBLEM.rows(np.flatnonzero(np.arange(len(PROBLEM)) % 4 == 0))
 
 
 def run(*arguments, cwd):
@@ -28,10 +28,10 @@ def run(*arguments, cwd):
     )
 
 
-def recorded(arm: Arm, course: Recording = SHORT) -> Recording:
-    ideal = replay_arm(arm, course.time_s, course.command_rad, course.forces_n)
+def recorded(arm: Arm, problem: Recording = SHORT) -> Recording:
+    ideal = replay_arm(arm, problem.time_s, problem.command_rad, problem.forces_n)
     readings = read_tensions_n(ideal, arm.sensors, np.random.default_rng(4))
-    return replace(course, tensions_n=readings)
+    return replace(problem, tensions_n=readings)
 
 
 @pytest.mark.slow  # the full library, from which to choose, in a process of its own
@@ -50,7 +50,7 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     assert verdict.where.segments == ("segment_3",)
     assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.06)
     # on loads and poses that the diagnosis never saw
-    unseen = replace(COURSE, command_rad=-0.7 * COURSE.command_rad, load_n=0.6 * COURSE.load_n)
+    unseen = replace(PROBLEM, command_rad=-0.7 * PROBLEM.command_rad, load_n=0.6 * PROBLEM.load_n)
     real, after, before = (
         replay_arm(arm, unseen.time_s, unseen.command_rad, unseen.forces_n)
         for arm in (heavy, load_arm(folder / "arm.yaml"), LAB)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.gauss_newton import refine
-from cablesense_gap.diagnosis.problem import Course, Hypothesis, prepare
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -97,7 +97,9 @@ def fading(effect: str, places: Sequence[str], **options: bool) -> dict[Candidat
     }
 
 
-def course_of(simulator: Sums, truth: Assignment | Array, seed: int = 0, folds: int = 4) -> Course:
+def problem_of(
+    simulator: Sums, truth: Assignment | Array, seed: int = 0, folds: int = 4
+) -> Problem:
     """Readings of the truth, an assignment or an array (R, C), with the simulator's noise."""
     ideal = truth if isinstance(truth, np.ndarray) else simulator.predict([truth])[0]
     noise = np.random.default_rng(seed).normal(0.0, simulator.floor, ideal.shape)
@@ -112,7 +114,7 @@ def amount(effect: str, place: str) -> Term:
 
 def explanation(*effects: str, left: float = 1.0) -> Hypothesis:
     """These effects, each with one size, leaving so much (root mean square) in every trial."""
-    fitted = refine(course_of(Sums({}), {}), {}, [[]])
+    fitted = refine(problem_of(Sums({}), {}), {}, [[]])
     assert fitted is not None
     return replace(
         fitted,

@@ -1,11 +1,22 @@
-"""The flexible model: it explains what repeats, and only on what it has not seen."""
+"""The flexible model: it explains what repeats, and only on what it has not seen.
+
+Kernel ridge regression on folds that it has not seen.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from cablesense_gap.diagnosis.discrepancy import LONG_ROWS, Discrepancy, Features, discrepancy
+from cablesense_gap.diagnosis.discrepancy import (
+    LONG_ROWS,
+    Discrepancy,
+    Features,
+    discrepancy,
+    held_out,
+    kernel,
+)
 
 FLOOR = 0.1
 TRIALS, ROWS = 15, 30
@@ -90,3 +101,57 @@ def test_a_feature_that_never_changes_does_no_harm():
 def test_two_folds_are_too_few():
     with pytest.raises(ValueError, match="2 folds of trials; at least 3"):
         found_in(np.zeros((1, 3)), fold=np.arange(TRIALS) % 2)
+
+
+rng_kernel = np.random.default_rng(3)
+ROWS_KERNEL = 150
+X = rng_kernel.uniform(-2.0, 2.0, (ROWS_KERNEL, 2))
+FOLD_KERNEL = np.arange(ROWS_KERNEL) // 10 % 5
+ALL = np.ones(ROWS_KERNEL, dtype=bool)
+
+
+def left(y: np.ndarray, *groups: np.ndarray, used: np.ndarray = ALL) -> np.ndarray:
+    predicted = held_out(kernel(groups or [X]), y, FOLD_KERNEL, used)
+    return ((y - predicted) ** 2).mean(0) / (y**2).mean(0)
+
+
+def test_a_kernel_is_symmetric_and_has_no_negative_direction():
+    found = kernel([X, X[:, :1] ** 2])
+    assert_allclose(found, found.T)
+    assert np.linalg.eigvalsh(found).min() > -1e-9 * np.linalg.eigvalsh(found).max()
+
+
+def test_straight_and_bent_functions_are_predicted_and_noise_is_not():
+    y = np.column_stack(
+        [
+            X @ [1.0, -2.0],
+            np.sin(2.0 * X[:, 0]),
+            rng_kernel.normal(size=ROWS_KERNEL),
+        ]
+    )
+    share = left(y)
+    assert share[0] < 1e-3
+    assert share[1] < 0.05
+    assert 0.95 < share[2] < 1.1
+
+
+def test_what_two_groups_make_together_is_predicted_by_both_alone_by_neither():
+    y = (X[:, 0] * X[:, 1])[:, None]
+    assert left(y, X[:, :1], X[:, 1:])[0] < 0.1
+    assert left(y, X[:, :1])[0] > 0.8
+
+
+def test_a_fold_is_predicted_without_its_own_rows():
+    y = np.sin(2.0 * X[:, :1])
+    other = y.copy()
+    other[FOLD_KERNEL == 2] += 7.0
+    before, after = (held_out(kernel([X]), each, FOLD_KERNEL, ALL) for each in (y, other))
+    assert_array_equal(before[FOLD_KERNEL == 2], after[FOLD_KERNEL == 2])
+
+
+def test_rows_that_do_not_count_are_not_learnt_from():
+    used = rng_kernel.random(ROWS_KERNEL) < 0.8
+    y = np.sin(2.0 * X[:, :1])
+    other = np.where(used[:, None], y, 99.0)
+    first, second = (held_out(kernel([X]), each, FOLD_KERNEL, used) for each in (y, other))
+    assert_array_equal(first, second)

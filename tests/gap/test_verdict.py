@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from cablesense_gap.verdict import (
-    Candidate,
+    CandidateResult,
     Estimate,
     Estimator,
     Gap,
@@ -36,9 +36,9 @@ VERDICT = Verdict(
         by_cable_n=(3.0,) * 12,
     ),
     candidates=(
-        Candidate(effects=("none",), held_out_rmse_n=3.0, probability=0.0),
-        Candidate(effects=("payload",), held_out_rmse_n=0.2, probability=0.93),
-        Candidate(
+        CandidateResult(effects=("none",), held_out_rmse_n=3.0, probability=0.0),
+        CandidateResult(effects=("payload",), held_out_rmse_n=0.2, probability=0.93),
+        CandidateResult(
             effects=("base_tilt", "payload"),
             held_out_rmse_n=0.2,
             probability=0.07,

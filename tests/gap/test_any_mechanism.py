@@ -1,4 +1,7 @@
-"""The diagnosis of a mechanism that is no arm: what was planted is found, with right numbers."""
+"""The diagnosis of a mechanism that is no arm: what was planted is found, with right numbers.
+
+What a diagnosis knows of a mechanism.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pulley import FORCES, G_M_S2, NOISE, WEIGHT_KG, Pulley, Work, course_of, recorded, work
+from gap_problem import size
+from pulley import FORCES, G_M_S2, NOISE, WEIGHT_KG, Pulley, Work, problem_of, recorded, work
 
-from cablesense_gap.diagnosis.belief import Belief, beliefs, bundled_calibration
+from cablesense_gap.diagnosis.probability import Ranked, bundled_calibration, posterior
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.simulator import Term
+from cablesense_gap.simulator import Candidate, Term
 
 FRICTION = Term("pulley_friction", "pulley", "coefficient")
 SHARE, TIME_S = (Term("cable_creep", "cable", name) for name in ("share", "time_s"))
@@ -51,13 +55,13 @@ def named(values: dict[Term, float]) -> str:
     return "+".join(f"{term}={value:g}" for term, value in values.items()) or "none"
 
 
-def judged(simulator: Pulley, readings: np.ndarray) -> list[Belief]:
-    course = course_of(simulator, readings)
-    return beliefs(search(course), course.floor, bundled_calibration())
+def judged(simulator: Pulley, readings: np.ndarray) -> list[Ranked]:
+    problem = problem_of(simulator, readings)
+    return posterior(search(problem), problem.floor, bundled_calibration())
 
 
 @cache
-def cogging() -> list[Belief]:
+def cogging() -> list[Ranked]:
     """A winch that pulls harder and softer as its teeth pass: in nobody's list."""
     simulator, readings = recorded({})
     teeth = np.sin(2.0 * np.pi * work().wound_m / 0.012)
@@ -104,8 +108,8 @@ def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
 
 
 def test_workers_find_what_one_process_finds() -> None:
-    course = course_of(*recorded({WEIGHT_GAIN: -0.04}))
-    alone, shared = search(course), search(course, workers=2)
+    problem = problem_of(*recorded({WEIGHT_GAIN: -0.04}))
+    alone, shared = search(problem), search(problem, workers=2)
     assert [h.effects for h in shared] == [h.effects for h in alone]
     for one, other in zip(alone, shared, strict=True):
         np.testing.assert_allclose(other.squares, one.squares, rtol=1e-9)
@@ -113,7 +117,7 @@ def test_workers_find_what_one_process_finds() -> None:
 
 def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
     told: list[tuple[str, float]] = []
-    search(course_of(*recorded({GAIN: 0.04})), lambda what, share: told.append((what, share)))
+    search(problem_of(*recorded({GAIN: 0.04})), lambda what, share: told.append((what, share)))
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert shares[0] == 0.0
@@ -123,10 +127,7 @@ def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
 
 def test_the_engine_needs_nothing_of_the_arm() -> None:
     """Imported in a fresh interpreter: no arm, no solver, no MuJoCo comes along."""
-    program = (
-        "import sys, pulley, cablesense_gap.diagnosis.belief, cablesense_gap.diagnosis.search\n"
-        "print(*sorted(sys.modules))"
-    )
+    program = "import sys, pulley, cablesense_gap.diagnosis.search\nprint(*sorted(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", program],
         cwd=Path(__file__).parents[1],
@@ -169,3 +170,16 @@ def test_creep_sinks_to_its_share_of_the_stretch() -> None:
     _, far, height = (still.predict([{SHARE: 0.6, TIME_S: 4.0}])[0] * NOISE).T
     stretch = far[-1] / 5e3 + 1.6 * far[-1] / 20e3
     assert 0.1 - height[-1] == pytest.approx(stretch, rel=1e-6)
+
+
+def test_a_term_is_called_by_effect_place_and_parameter():
+    assert str(Term("sensor_gain", "cable_3", "gain")) == "sensor_gain.cable_3.gain"
+
+
+def test_a_candidate_has_all_its_numbers_in_each_place():
+    tilt = Candidate("tilt", ("arm", "base"), (size("roll"), size("pitch")))
+    assert tilt.terms("base") == (Term("tilt", "base", "roll"), Term("tilt", "base", "pitch"))
+
+
+def test_what_is_not_said_to_remember_does_not():
+    assert not Candidate("tilt", ("arm",), (size("roll"),)).history_dependent

@@ -1,0 +1,250 @@
+"""How probable each hypothesis is, and which of them a recording cannot tell apart.
+
+The weights fall with a power of what is left beyond the sensors' floor on held-out trials, and by
+a factor for every effect that a hypothesis names:
+
+    log w = -κ log(excess) - τ log(s / m) - π_k - ν n,    k effects of n sizes in all,
+
+with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
+manufacturing tolerances should not have to be many deviations off,
+
+for tolerances alone, which are out where the gap is plain, with a power κ₀ of its own,
+
+    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m),    least = what can be resolved,
+
+and an effect that nobody listed is the hypothesis that a listed one stands in for it, which leaves
+a share φ of the gap, and γ floors where the gap is small:
+
+    log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
+
+The few numbers are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their mean log
+probability, so that the probabilities mean what they say.
+
+Two effects are alike where one can imitate what the other changes in the readings: its numbers
+are free, and tolerances may help as far as manufacturing leaves them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_gap.diagnosis.evidence import weight
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
+
+UNKNOWN = ("unknown",)
+LEAST, NEAR_BEST = 0.1, 0.2
+"""A rival has at least this probability, and this share of that of the best."""
+PARALLEL = 0.75
+"""What can be imitated to this share is not told apart by its shape."""
+_SLIGHT = 1e-6
+
+
+@dataclass(frozen=True)
+class ProbabilityCalibration:
+    """The numbers of the formula above.
+
+    Attributes:
+        power: κ.
+        none: κ₀, of tolerances alone.
+        one: π_1, of naming an effect.
+        two: π_2, of naming two.
+        size: ν.
+        tolerance_chi2: τ.
+        unknown: π of naming none that is listed.
+        share: φ, what of the gap remains where a listed effect stands in for an unlisted one.
+        stand_in: γ, by which a stand-in is off even where the gap is small, in floors.
+        floor_share: excess that no hypothesis can do without, as a share of the floor.
+    """
+
+    power: float
+    none: float
+    one: float
+    two: float
+    size: float
+    tolerance_chi2: float
+    unknown: float
+    share: float
+    stand_in: float
+    floor_share: float
+
+
+def bundled_calibration() -> ProbabilityCalibration:
+    """That of `calibration.json` beside this file."""
+    text = files("cablesense_gap.diagnosis").joinpath("calibration.json").read_text("utf-8")
+    return ProbabilityCalibration(**json.loads(text))
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A hypothesis, or that of an unlisted effect, with its probability."""
+
+    effects: tuple[str, ...]
+    probability: float
+    hypothesis: Hypothesis | None
+
+
+def posterior(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+) -> list[Ranked]:
+    """Probabilities of all hypotheses and of an unlisted effect, the most probable first.
+
+    `hypotheses` holds that of tolerances alone, which stands for `none`.
+    """
+    weights = log_weights(
+        np.array([h.held_out_rmse for h in hypotheses]),
+        np.array([len(h.effects) for h in hypotheses]),
+        np.array([h.sizes for h in hypotheses]),
+        np.array([h.tolerance_chi2 for h in hypotheses]),
+        max(len(hypotheses[0].tolerances), 1),
+        floor,
+        calibration,
+    )
+    shares = np.exp(weights - weights.max())
+    shares /= shares.sum()
+    found = [
+        Ranked(h.effects or ("none",), float(share), h)
+        for h, share in zip(hypotheses, shares, strict=False)
+    ]
+    found.append(Ranked(UNKNOWN, float(shares[-1]), None))
+    return sorted(found, key=lambda ranked: -ranked.probability)
+
+
+def log_weights(
+    held_out_rmse: Array,
+    counts: np.ndarray,
+    sizes: np.ndarray,
+    tolerance_chi2: Array,
+    tolerance_count: float,
+    floor: float,
+    calibration: ProbabilityCalibration,
+) -> Array:
+    """Of each hypothesis, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
+    c = calibration
+    floor_share = c.floor_share * floor
+    left = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
+    least = np.hypot(excess(0.0, floor), floor_share)
+    none = left[np.flatnonzero(counts == 0)[0]]
+    power = np.where(counts == 0, c.none, c.power)
+    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
+    penalty += c.tolerance_chi2 * np.log(np.maximum(tolerance_chi2 / tolerance_count, 1.0))
+    stand_in = np.hypot(c.share * none, c.stand_in * floor)
+    unknown = -c.power * np.log(stand_in / least) - c.unknown
+    return np.append(-power * np.log(left / least) - penalty, unknown)
+
+
+class Ambiguity(NamedTuple):
+    """Explanations between which the recording does not decide.
+
+    Attributes:
+        group: names of effects, joined by `+` where there are several; the best first.
+        reasons: one plain sentence for each rival of the best.
+    """
+
+    group: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+def ambiguity(problem: Problem, ranked: Sequence[Ranked], unit: str = "N") -> Ambiguity:
+    """The group of the best explanation, alone where it is clear.
+
+    `none` and an unlisted effect change nothing that could be compared: they stand alone, and are
+    in nobody's group. `unit` is that of the channels.
+    """
+    best, rivals = ranked[0], rivals_of(ranked)
+    return Ambiguity(
+        group=tuple("+".join(each.effects) for each in (best, *rivals)),
+        reasons=tuple(_reason(problem, best, rival, unit) for rival in rivals),
+    )
+
+
+def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+    """Explanations too probable to be dismissed beside the best, which is `ranked[0]`."""
+    best = ranked[0]
+    if not _names_an_effect(best):
+        return ()
+    least = max(LEAST, NEAR_BEST * best.probability)
+    return tuple(r for r in ranked[1:] if r.probability >= least and _names_an_effect(r))
+
+
+def _names_an_effect(ranked: Ranked) -> bool:
+    return ranked.hypothesis is not None and bool(ranked.hypothesis.effects)
+
+
+def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> float:
+    """Share of what one explanation changes that the other can imitate, 0 to 1.
+
+    Of the root mean square of the change, tolerances taken out; the other's numbers are free.
+    """
+    weight_ = weight(one.held_out_rmse**2, problem.floor)
+    change = _beyond_tolerances(problem, _change(problem, one), weight_)
+    whole = float(change @ change)
+    if whole == 0.0:
+        return 1.0
+    own = [_change(problem, other), *other.columns]
+    columns = np.array([_beyond_tolerances(problem, column, weight_) for column in own])
+    gram = columns @ columns.T
+    gram += _SLIGHT * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
+    moment = columns @ change
+    left = whole - float(moment @ np.linalg.lstsq(gram, moment, rcond=None)[0])
+    return 1.0 - float(np.sqrt(np.clip(left / whole, 0.0, 1.0)))
+
+
+def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
+    one, other = best.hypothesis, rival.hypothesis
+    assert one is not None
+    assert other is not None
+    small, large = sorted((one, other), key=lambda hypothesis: len(hypothesis.effects))
+    if set(small.effects) < set(large.effects):
+        more = "+".join(name for name in large.effects if name not in small.effects)
+        return (
+            f"Beside {'+'.join(small.effects)}, {more} takes what is left on trials that the fit "
+            f"has not seen from {small.held_out_rmse:.3g} to {large.held_out_rmse:.3g} {unit}, "
+            f"with a noise floor of {problem.floor:.2g} {unit}: too little to be sure that it is "
+            "there."
+        )
+    share = imitated_share(problem, one, other)
+    weight_ = weight(one.held_out_rmse**2, problem.floor)
+    change = _beyond_tolerances(problem, _change(problem, one), weight_)
+    size = float(np.sqrt((change**2).sum() / (problem.used.sum() * problem.nominal.shape[1])))
+    imitates = (
+        f"{'+'.join(rival.effects)}, with numbers of its own, imitates {100.0 * share:.0f} % of "
+        f"the {size:.2g} {unit} by which {'+'.join(best.effects)} changes the readings beyond "
+        "tolerances"
+    )
+    if share >= PARALLEL:
+        return f"{imitates}: this recording shows both alike."
+    return (
+        f"{imitates}, so they differ; yet they leave {one.held_out_rmse:.2g} and "
+        f"{other.held_out_rmse:.2g} {unit} on trials that they have not seen, too near each other "
+        f"to choose (the noise floor is {problem.floor:.2g} {unit})."
+    )
+
+
+def _change(problem: Problem, hypothesis: Hypothesis) -> Array:
+    """(R, C) what the effects change, at their fitted numbers."""
+    scaled = [
+        hypothesis.tolerances.get(term, 0.0) / std
+        for term, std in zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
+    ]
+    of_tolerances = np.tensordot(np.array(scaled), problem.tolerance_columns, axes=1)
+    return np.asarray(hypothesis.prediction - of_tolerances - problem.nominal)
+
+
+def _beyond_tolerances(problem: Problem, change: Array, weight_: float) -> Array:
+    """Over the used rows, flat: what tolerances leave of a change, at the cost of their priors.
+
+    The priors' cost is part of the vector, so that the products of two of them are those of the
+    readings' marginal likelihood.
+    """
+    tolerances = problem.tolerance_columns[:, problem.used]
+    flat = tolerances.reshape(len(tolerances), int(problem.used.sum()) * change.shape[1])
+    target = change[problem.used].ravel()
+    found = np.linalg.solve(flat @ flat.T + np.eye(len(flat)) / weight_, flat @ target)
+    return np.concatenate([target - found @ flat, found / np.sqrt(weight_)])

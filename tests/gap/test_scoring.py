@@ -1,0 +1,332 @@
+"""Answers and folders of verdicts as files.
+
+Reliability: none to find where outcomes are drawn as stated, the planted one where not.
+
+Proportions and their intervals, against SciPy and against draws.
+
+The score sheet, against counts done by hand.
+
+The folder that a diagnosis leaves.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from gap_recordings import LAB, small_recording
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+from typer.testing import CliRunner
+from verdict_cases import gap_of, verdict_of
+
+from cablesense_cli.app import app
+from cablesense_gap.arm_simulator import amended_arm
+from cablesense_gap.diagnose import Diagnosis
+from cablesense_gap.report.page import write_diagnosis
+from cablesense_gap.scoring import (
+    Answer,
+    Proportion,
+    ScoreError,
+    as_json,
+    read_answers,
+    read_verdicts,
+    reliability,
+    score,
+)
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import VerdictError, read_verdict, write_verdict
+from cablesense_sim.arm import load_arm
+
+HEADER = "recording,effects,where\n"
+
+
+def answers_of(tmp_path, text):
+    path = tmp_path / "answers.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_answers(path)
+
+
+def test_effects_and_places_are_found_however_they_are_written(tmp_path):
+    first, second, third = answers_of(
+        tmp_path,
+        "recording, effects, where, gap_over_floor, form\n"
+        "rec_01, payload+base_tilt, , 7.5, lump\n"
+        'rec_02.csv,sensor_gain,"cable_3, cable_12",,\n'
+        "rec_03,sensor_crosstalk,cable_2_into_cable_5,3,\n",
+    )
+    assert first.effects == ("base_tilt", "payload")
+    assert first.places == frozenset()
+    assert (first.gap_over_floor, first.form) == (7.5, "lump")
+    assert second.recording == "rec_02"
+    assert second.places == {"cable_3", "cable_12"}
+    assert second.gap_over_floor is None
+    assert third.places == {"cable_2", "cable_5"}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "misses column recording"),
+        ("recording,effects\na,none\n", "misses column where"),
+        (HEADER, "no rows"),
+        (HEADER + "a,none,\na,payload,\n", "stands twice"),
+        (HEADER + "a,,\n", "row 1: effects"),
+        (HEADER + "a,payload+payload,\n", "each once"),
+        (HEADER + "a,none+payload,\n", "must stand alone"),
+        (HEADER + "a,Payload!,\n", "must be names joined"),
+        (HEADER + ",payload,\n", "names no recording"),
+        ("recording,effects,where,gap_over_floor\na,none,,big\n", "gap_over_floor"),
+        ("recording,effects,where,gap_over_floor\na,none,,-1\n", "gap_over_floor"),
+    ],
+)
+def test_answers_that_cannot_be_are_refused_in_one_line(tmp_path, text, says):
+    with pytest.raises(ScoreError, match=says) as refused:
+        answers_of(tmp_path, text)
+    assert "\n" not in str(refused.value)
+
+
+def test_answers_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(ScoreError, match="cannot be read"):
+        read_answers(tmp_path / "answers.csv")
+
+
+def test_verdicts_lie_in_folders_or_as_files(tmp_path):
+    (tmp_path / "rec_01").mkdir()
+    write_verdict(tmp_path / "rec_01" / "verdict.json", verdict_of("none"))
+    write_verdict(tmp_path / "rec_02.json", verdict_of("payload"))
+    (tmp_path / "notes.json").write_text("{}")
+    found = read_verdicts(tmp_path, ["rec_01", "rec_02"])
+    assert found["rec_01"].effects == ("none",)
+    assert found["rec_02"].effects == ("payload",)
+    with pytest.raises(ScoreError, match=r"no verdict on rec_03 and 1 more"):
+        read_verdicts(tmp_path, ["rec_01", "rec_03", "rec_04"])
+    with pytest.raises(VerdictError):
+        read_verdicts(tmp_path, ["notes"])
+    write_verdict(tmp_path / "rec_01.json", verdict_of("payload"))
+    with pytest.raises(ScoreError, match="keep one"):
+        read_verdicts(tmp_path, ["rec_01"])
+    with pytest.raises(ScoreError, match="no such folder"):
+        read_verdicts(tmp_path / "nowhere", ["rec_01"])
+
+
+def test_the_verb_prints_a_table_or_json(tmp_path):
+    write_verdict(tmp_path / "a.json", verdict_of("payload", 0.8, segments=("segment_1",)))
+    write_verdict(tmp_path / "b.json", verdict_of("none", 0.7))
+    answers = tmp_path / "answers.csv"
+    answers.write_text(HEADER + "a,payload,segment_1\nb,sensor_lag,cable_1\n")
+    command = ["gap", "score", str(tmp_path), "--answers", str(answers)]
+    table = CliRunner().invoke(app, command)
+    assert table.exit_code == 0, table.output
+    assert "1 of 2" in table.output
+    result = CliRunner().invoke(app, [*command, "--json"])
+    figures = json.loads(result.stdout)
+    assert figures["exact"]["value"] == 0.5
+    assert figures["confusion"]["sensor_lag"] == {"none": 1}
+
+
+RNG = np.random.default_rng(8)
+STATED = RNG.uniform(0.0, 1.0, 40_000)
+
+
+def test_outcomes_drawn_as_stated_are_calibrated():
+    found = reliability(STATED, RNG.uniform(size=len(STATED)) < STATED)
+    assert found.expected_error < 0.015
+    assert found.brier == pytest.approx(1 / 6, abs=0.01)  # the mean of p (1 - p)
+    assert len(found.bins) == 10
+
+
+def test_too_much_confidence_is_found():
+    found = reliability(np.full(10_000, 0.95), RNG.uniform(size=10_000) < 0.75)
+    assert found.expected_error == pytest.approx(0.2, abs=0.02)
+    assert [b.count for b in found.bins] == [10_000]
+
+
+def test_certainty_belongs_to_the_last_bin_and_can_be_perfect():
+    found = reliability([0.0, 1.0, 1.0], [False, True, True])
+    assert (found.brier, found.expected_error) == (0.0, 0.0)
+    assert [(b.low, b.high, b.count) for b in found.bins] == [(0.0, 0.1, 1), (0.9, 1.0, 2)]
+
+
+@given(count=st.integers(1, 500), data=st.data())
+def test_the_interval_is_wilsons(count, data):
+    hits = data.draw(st.integers(0, count))
+    found = Proportion(hits, count)
+    expected = binomtest(hits, count).proportion_ci(method="wilson")
+    assert found.ci95 == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert found.ci95[0] <= found.value <= found.ci95[1]
+
+
+@pytest.mark.parametrize("truth", [0.05, 0.5, 0.9])
+def test_the_interval_holds_the_truth_about_as_often_as_it_says(truth):
+    drawn = np.random.default_rng(5).binomial(40, truth, 2000)
+    held = np.mean([low <= truth <= high for low, high in (Proportion(k, 40).ci95 for k in drawn)])
+    assert held == pytest.approx(0.95, abs=0.03)
+
+
+def test_outcomes_are_counted():
+    assert Proportion.of(k > 2 for k in range(5)) == Proportion(2, 5)
+
+
+def test_no_case_says_nothing():
+    nothing = Proportion.of([])
+    assert nothing.value is None
+    assert nothing.ci95 == (0.0, 1.0)
+
+
+def answer(name, effects, *places, **more):
+    return Answer(name, tuple(effects.split("+")), frozenset(places), **more)
+
+
+ANSWERS = (
+    answer("a", "payload", "segment_2", gap_over_floor=9.0, form="lump"),
+    answer("b", "sensor_gain", "cable_3", gap_over_floor=2.0, form="scale"),
+    answer("c", "sensor_gain", "cable_3", "cable_5", gap_over_floor=20.0, form="scale"),
+    answer("d", "base_tilt+payload"),
+    answer("e", "base_tilt+payload"),
+    answer("f", "none"),
+    answer("g", "none"),
+    answer("h", "unknown"),
+)
+VERDICTS = {
+    "a": verdict_of("payload", 0.8, segments=("segment_2",), gap=gap_of(1.1, 0.1)),
+    "b": verdict_of(
+        "sensor_offset", 0.6, others={"sensor_gain": 0.4}, ambiguity_group=("sensor_gain",)
+    ),
+    "c": verdict_of("sensor_gain", 1.0, cables=("cable_3",), gap=gap_of(1.1, 0.2)),
+    "d": verdict_of("payload", 0.7, others={"none": 0.2, "base_tilt+payload": 0.1}),
+    "e": verdict_of("base_tilt+payload", 0.9, gap=gap_of(1.1, 0.3)),
+    "f": verdict_of("none", 1.0, gap=gap_of(0.1, 0.1)),
+    "g": verdict_of("unknown", 0.5),
+    "h": verdict_of("unknown", 0.5),
+    "nobody asked": verdict_of("cable_creep"),
+}
+
+
+def test_every_count_is_the_one_done_by_hand():
+    found = score(VERDICTS, ANSWERS)
+    counts = {
+        name: (getattr(found, name).hits, getattr(found, name).count)
+        for name in (
+            "exact", "top2", "truth_in_group", "singles_exact", "clear_singles_exact",
+            "doubles_both", "doubles_one", "false_alarms", "unknown_recall", "where",
+        )
+    }  # fmt: skip
+    assert counts == {
+        "exact": (5, 8),  # a, c, e, f, h
+        "top2": (6, 8),  # b too
+        "truth_in_group": (6, 8),
+        "singles_exact": (2, 3),
+        "clear_singles_exact": (2, 2),
+        "doubles_both": (1, 2),
+        "doubles_one": (2, 2),
+        "false_alarms": (1, 2),
+        "unknown_recall": (1, 1),
+        "where": (1, 2),  # a, and c lacks a cable
+    }
+    assert found.cases == 8
+    assert found.wrong == ("b", "d", "g")
+    assert found.confusion["base_tilt+payload"] == {"payload": 1, "base_tilt+payload": 1}
+    assert found.confusion["none"] == {"none": 1, "unknown": 1}
+    assert found.by_effect["sensor_gain"].value == 0.5
+    assert found.by_form["lump"].count == 1
+    assert set(found.by_form) == {"lump", "scale"}
+
+
+def test_probabilities_and_removed_gap_are_means_over_the_right_cases():
+    found = score(VERDICTS, ANSWERS)
+    truth = [0.8, 0.4, 1.0, 0.1, 0.9, 1.0, 0.0, 0.5]
+    assert found.mean_probability_on_truth == pytest.approx(sum(truth) / 8)
+    stated = [0.8, 0.6, 1.0, 0.7, 0.9, 1.0, 0.5, 0.5]
+    right = [1, 0, 1, 0, 1, 1, 0, 1]
+    by_hand = sum((p - y) ** 2 for p, y in zip(stated, right, strict=True)) / 8
+    assert found.calibration.brier == pytest.approx(by_hand)
+    several = [0.2**2, 0.6**2 + 0.6**2, 0, 0.9**2 + 0.7**2 + 0.2**2, 0.1**2, 0, 1 + 0.5**2, 0.5**2]
+    assert found.brier_over_candidates == pytest.approx(sum(several) / 8)
+    assert found.median_removed_fraction == pytest.approx(0.9)  # of 1.0, 0.9 and 0.8
+
+
+def test_only_the_kinds_of_places_that_the_answer_names_count():
+    said = verdict_of("payload", segments=("segment_2",), cables=("cable_4", "cable_5"))
+    for places, right in (
+        (("segment_2",), 1),
+        (("segment_3",), 0),
+        (("segment_2", "joint_2"), 0),
+        (("cable_5", "cable_4"), 1),
+    ):
+        assert score({"a": said}, [answer("a", "payload", *places)]).where.hits == right
+    assert score({"a": said}, [answer("a", "payload")]).where.count == 0
+
+
+def test_a_silent_answer_takes_the_gap_as_the_verdict_measured_it():
+    large, small = gap_of(0.51, 0.1), gap_of(0.49, 0.1)
+    for gap, count in ((large, 1), (small, 0)):
+        found = score({"a": verdict_of("payload", gap=gap)}, [answer("a", "payload")])
+        assert found.clear_singles_exact.count == count
+
+
+def test_the_second_of_top2_is_the_best_beside_the_verdict():
+    said = verdict_of("payload", 0.3, others={"base_tilt": 0.5, "none": 0.2})
+    for truth, hits in (("payload", 1), ("base_tilt", 1), ("none", 0)):
+        assert score({"a": said}, [answer("a", truth)]).top2.hits == hits
+
+
+def test_without_a_case_there_is_no_figure():
+    found = score({"a": verdict_of("none")}, [answer("a", "none")])
+    assert found.singles_exact.value is None
+    assert found.median_removed_fraction is None
+    assert json.loads(json.dumps(as_json(found)))["doubles_both"] == {
+        "value": None,
+        "ci95": [0.0, 1.0],
+        "hits": 0,
+        "count": 0,
+    }
+
+
+def test_json_holds_every_figure():
+    figures = json.loads(json.dumps(as_json(score(VERDICTS, ANSWERS))))
+    assert figures["exact"]["value"] == 5 / 8
+    assert figures["confusion"]["payload"] == {"payload": 1}
+    assert figures["calibration"]["bins"]
+    assert figures["by_effect"]["payload"]["count"] == 1
+    assert figures["wrong"] == ["b", "d", "g"]
+
+
+def test_an_answer_without_a_verdict_is_refused():
+    with pytest.raises(ScoreError, match="no verdict on z"):
+        score(VERDICTS, [answer("z", "none")])
+    with pytest.raises(ScoreError, match="no answers"):
+        score(VERDICTS, [])
+
+
+RECORDING = small_recording()
+FOUND = Diagnosis(
+    verdict=verdict_of("payload", 0.95, segments=("segment_2",)),
+    amended=amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {}),
+    predicted_before_n=RECORDING.tensions_n - 3.0,
+    predicted_after_n=RECORDING.tensions_n + 0.2,
+    held_out_n=RECORDING.tensions_n + 0.2,
+    findings=("cable_3 stands still",),
+)
+
+
+@pytest.mark.slow  # the report's pictures
+def test_it_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
+    folder = tmp_path / "new" / "diagnosis"
+    write_diagnosis(folder, RECORDING, LAB, FOUND)
+    assert {path.name for path in folder.iterdir()} == {"verdict.json", "arm.yaml", "report.html"}
+    assert read_verdict(folder / "verdict.json") == FOUND.verdict
+    assert load_arm(folder / "arm.yaml") == FOUND.amended
+    headline = (folder / "arm.yaml").read_text(encoding="utf-8").splitlines()[0]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert headline.removeprefix("# ") in page
+    assert "cable_3 stands still" in page
+
+
+def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(VerdictError, match="cannot be made") as told:
+        write_diagnosis(tmp_path / "file" / "diagnosis", RECORDING, LAB, FOUND)
+    assert "\n" not in str(told.value)
