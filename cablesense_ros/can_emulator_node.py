@@ -23,7 +23,8 @@ from cablesense_msgs_py.joint_states import NamedOrder, put_joint_angles
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
-from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer, SlcanPort
+from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer
+from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.endpoints import overridable, qos_profile
 from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
 from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
@@ -102,7 +103,7 @@ class CanEmulatorNode(Node):
             )
         self._emulator = Emulator(channel_map, database, _sink_opener(given))
         try:
-            self._emulator.ask(given["fault"])
+            self._emulator.request(given["fault"])
         except CableSenseError:
             self._emulator.close()
             raise
@@ -175,7 +176,7 @@ class CanEmulatorNode(Node):
             if parameter.name != "fault":
                 continue
             try:
-                self._emulator.ask(parameter.value)
+                self._emulator.request(parameter.value)
             except CableSenseError as error:  # what was pulled cannot be plugged in again
                 self.get_logger().error(f"fault {parameter.value!r}: {error}")
                 continue

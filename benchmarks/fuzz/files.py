@@ -185,7 +185,7 @@ def _open_and_decode(path: Path) -> None:
                 data=fill * message.length,
             )
             decoded = decoder.decode(frame)
-            if decoded is None or decoded.spoilt:
+            if decoded is None or not decoded.valid:
                 continue
             for _, tension_n in decoded.readings:
                 if not low < tension_n < high:

@@ -16,11 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import can
 
-from cablesense_online.can.bus import CanInterface, frame_line, line_frame
+from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
-from cablesense_online.can.driver import SCATTER_OF_READING_S, TensionReader
 from cablesense_online.can.faults import FaultLedger
+from cablesense_online.can.slcan import frame_line, line_frame
+from cablesense_online.can.tension_reader import SCATTER_OF_READING_S, TensionReader
 from fuzz.mutation import mutated_bytes
 from fuzz.watched import FalseAnswerError, Outcome, Run, item_random
 

@@ -25,7 +25,8 @@ from cantools.database.can import Database
 from numpy.typing import NDArray
 
 from cablesense_online.can.channel_map import ChannelMap, channel_signal, open_channel_map
-from cablesense_online.can.emulator import Emulator, SlcanPort
+from cablesense_online.can.emulator import Emulator
+from cablesense_online.can.slcan import SlcanPort
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium

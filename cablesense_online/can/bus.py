@@ -1,156 +1,63 @@
-"""Which CAN interface to open, and how (python-can's names).
+"""A CAN interface: how it is opened, its error state, its clock, and CANopen's node control.
 
-Serial CAN adapters, read in bulk: python-can's `slcan` reads byte by byte.
-
-At a thousand cycles of four frames a second the driver takes some 0.3 of a core instead of 0.7.
-
-The protocol's lines bear no time, so a frame gets that of its reading. Frames that had to wait are
-spread over the time since the reading before, in which they came: else all of a backlog would
-bear one time, and nobody downstream could tell their order or their rate.
-
-Frames as lines of the slcan protocol, and back (after Lawicel's CAN232 manual).
-
-`t1234AABBCCDD` is id 123h with four bytes, `T` has an id of eight digits, `r` and `R` are remote
-frames; the carriage return between lines is not part of them.
-
-CANopen network management (CiA 301): amplifiers that send only once they were started.
+`CanInterface` opens any interface of python-can. `BusState` follows the controller's error state
+by error frames, whose classes are those of SocketCAN (`linux/can/error.h`); python-can passes
+them on in a frame's id and data. Other interfaces send error frames with codes of their own, or
+none. `BusClock` turns bus timestamps into this machine's time.
 """
 
 from __future__ import annotations
 
-import re
-import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
+from math import isfinite
 from typing import Any
 
 import can
-from can.exceptions import error_check
-from can.interfaces.slcan import slcanBus
 
 from cablesense_base.errors import CableSenseError
-
-FRAME_COMMANDS = b"tTrR"
-MAX_LINE_BYTES = 64
-"""More without an end is no line: the longest frame has 26 characters, and a stamp four."""
-
-_STAMP_DIGITS = 4
-_HEX = rb"[0-9A-Fa-f]"
-_LINE = re.compile(rb"([tr])(%b{3})([0-8])(%b*)" % (_HEX, _HEX))
-_LONG_LINE = re.compile(rb"([TR])(%b{8})([0-8])(%b*)" % (_HEX, _HEX))
-
-
-def frame_line(frame: can.Message) -> bytes | None:
-    """A frame as a line; None for error and CAN FD frames, which the protocol lacks."""
-    if frame.is_error_frame or frame.is_fd:
-        return None
-    letter = "r" if frame.is_remote_frame else "t"
-    if frame.is_extended_id:
-        head = f"{letter.upper()}{frame.arbitration_id:08X}{frame.dlc:d}"
-    else:
-        head = f"{letter}{frame.arbitration_id:03X}{frame.dlc:d}"
-    return (head if frame.is_remote_frame else head + bytes(frame.data).hex().upper()).encode()
-
-
-def line_frame(line: bytes, time_s: float = 0.0) -> can.Message:
-    """The frame of a line; a stamp of four digits at its end is left out.
-
-    Args:
-        line: begins with one of `FRAME_COMMANDS`, without its carriage return.
-        time_s: what the frame's timestamp shall be.
-
-    Raises:
-        ValueError: the line is no frame; shows it.
-    """
-    match = _LINE.fullmatch(line) or _LONG_LINE.fullmatch(line)
-    if match is not None:
-        command, number, digit, digits = match.groups()
-        extended, remote, length = command in b"TR", command in b"rR", int(digit)
-        shown = 0 if remote else 2 * length
-        fits = int(number, 16) < (1 << 29 if extended else 1 << 11)
-        if fits and len(digits) in (shown, shown + _STAMP_DIGITS):
-            return can.Message(
-                timestamp=time_s,
-                arbitration_id=int(number, 16),
-                is_extended_id=extended,
-                is_remote_frame=remote,
-                dlc=length,
-                data=None if remote else bytes.fromhex(digits[:shown].decode()),
-            )
-    raise ValueError(f"slcan: {line[:MAX_LINE_BYTES]!r} is no frame")
-
-
-TICK_S = 1e-6
-"""Least time from one frame to the next: stamps ascend."""
-
-CLOCK_SET_BACK_S = 0.1
-
-_END = b"\r"
-_BELL = b"\a"
-
-
-class SlcanBus(slcanBus):
-    """python-can's bus with another way of receiving; it opens, sends and closes as that does."""
-
-    def __init__(self, channel: str, **options: Any) -> None:
-        """`options` are those of python-can's `slcanBus`."""
-        self._begun = b""
-        self._lines: deque[tuple[bytes, float]] = deque()
-        self._read_s = self._last_s = 0.0
-        super().__init__(channel, **options)
-
-    def flush(self) -> None:
-        """Forget what was received but not taken."""
-        self._begun = b""
-        self._lines.clear()
-        super().flush()
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """One frame, or None when there was none in time; python-can's point to extend.
-
-        Raises:
-            ValueError: a line that begins as a frame and is none.
-            can.CanOperationError: the adapter is gone.
-        """
-        if not self._lines:
-            self._read_lines(timeout)
-        while self._lines:
-            line, time_s = self._lines.popleft()
-            if line[:1] in FRAME_COMMANDS:
-                return line_frame(line, time_s), False
-        return None, False
-
-    def _read_lines(self, timeout: float | None) -> None:
-        port = self.serialPortOrig
-        with error_check("Could not read from serial device"):
-            if port.timeout != timeout:
-                port.timeout = timeout
-            waiting = port.in_waiting
-            data = port.read(max(1, waiting))
-            data += port.read(port.in_waiting)
-        now_s = time.time()
-        since_s = self._read_s if waiting and 0.0 < self._read_s < now_s else now_s
-        self._read_s = now_s
-        *lines, rest = (self._begun + data.replace(_BELL, _END)).split(_END)
-        if len(rest) > MAX_LINE_BYTES:
-            lines.append(rest)
-            rest = b""
-        self._begun = rest
-        self._stamp([line for line in lines if line], since_s, now_s)
-
-    def _stamp(self, lines: list[bytes], since_s: float, now_s: float) -> None:
-        """Spread lines over a stretch of time."""
-        if self._last_s > now_s + CLOCK_SET_BACK_S:
-            self._last_s = 0.0
-        for number, line in enumerate(lines, start=1):
-            time_s = since_s + (now_s - since_s) * number / len(lines)
-            self._last_s = max(time_s, self._last_s + TICK_S)
-            self._lines.append((line, self._last_s))
-
+from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.slcan import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
 """Those that are tried or documented here; python-can's others may well work."""
+
+NMT_ID = 0x000
+START_REMOTE_NODE = 0x01
+HEARTBEAT_ID = 0x700
+_BOOT_UP = b"\x00"
+
+CONTROLLER_CLASS, BUS_OFF_CLASS, BUS_ERROR_CLASS, RESTARTED_CLASS = 0x04, 0x40, 0x80, 0x100
+_CLASSES = {
+    0x01: "transmit timeout",
+    0x02: "lost arbitration",
+    CONTROLLER_CLASS: "controller",
+    0x08: "protocol violation",
+    0x10: "transceiver",
+    0x20: "no acknowledge",
+    BUS_OFF_CLASS: "bus off",
+    BUS_ERROR_CLASS: "bus error",
+    RESTARTED_CLASS: "controller restarted",
+}
+_CONTROLLER_BITS = {
+    0x01: "receive buffer overflow",
+    0x02: "transmit buffer overflow",
+    0x04: "receive warning",
+    0x08: "transmit warning",
+    0x10: "receive passive",
+    0x20: "transmit passive",
+    0x40: "active again",
+}
+
+SAME_CLOCK_S = 0.05
+"""Timestamps that lag this machine's clock by no more are of that clock, as SocketCAN's are."""
+
+DRIFT = 200e-6
+"""The most by which two quartz clocks drift apart, with a margin."""
+
+JUMP_S = 2.0
+"""A lag that changes by more than this at once is a clock that was set, not a busy machine."""
 
 
 class CanInterfaceError(CableSenseError):
@@ -163,7 +70,7 @@ class CanInterface:
 
     Attributes:
         interface: python-can's name of the kind of adapter.
-        channel: `can0`, `/dev/ttyACM0`, `PCAN_USBBUS1`, …: what that kind calls its channels.
+        channel: `can0`, `/dev/ttyACM0`, `PCAN_USBBUS1`, …, as that kind names its channels.
         bitrate_bit_s: of the bus; 0 where the system sets it (SocketCAN) or there is none.
     """
 
@@ -204,8 +111,7 @@ class CanInterface:
     def classes_errors(self) -> bool:
         """Whether error frames bear SocketCAN's classes in their id.
 
-        Other drivers put codes of their own there, which must not be read as such. `virtual`
-        passes on whatever was put in, here by the emulator.
+        Other drivers put codes of their own there. `virtual` passes on the emulator's frames.
         """
         return self.interface in ("socketcan", "virtual")
 
@@ -215,13 +121,11 @@ class CanInterface:
         Raises:
             CanInterfaceError: it is not there, busy, or its driver is not installed.
         """
-        options: dict[str, Any] = {}
-        if self.bitrate_bit_s:
-            options["bitrate"] = self.bitrate_bit_s
+        options: dict[str, Any] = {"bitrate": self.bitrate_bit_s} if self.bitrate_bit_s else {}
         try:
             if self.interface == "slcan":
                 bus = SlcanBus(self.channel, sleep_after_open=0.0, **options)
-                bus.flush()  # what came before would be taken for new
+                bus.flush()  # what came before would be mistaken for new
                 return bus
             return can.Bus(
                 channel=self.channel, interface=self.interface, ignore_config=True, **options
@@ -231,14 +135,125 @@ class CanInterface:
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error
 
 
-NMT_ID = 0x000
-START_REMOTE_NODE = 0x01
-HEARTBEAT_ID = 0x700
-BOOT_UP = b"\x00"
+class BusCondition(Enum):
+    """The controller's error state (ISO 11898-1); the value is its name in diagnostics."""
+
+    ACTIVE = "error active"
+    WARNING = "error warning"
+    PASSIVE = "error passive"
+    OFF = "bus off"
+
+
+class BusState:
+    """Follows the error state of the bus.
+
+    Attributes:
+        condition: the present one.
+        recoveries: how often the controller came back from bus off.
+    """
+
+    def __init__(self, place: str, classes: bool, ledger: FaultLedger) -> None:
+        """`place` names the interface; `classes` is whether its error frames bear classes.
+
+        Without classes error frames are counted, and the condition stays active.
+        """
+        self._place = place
+        self._classes = classes
+        self._ledger = ledger
+        self.condition = BusCondition.ACTIVE
+        self.recoveries = 0
+
+    def error_frame(self, arbitration_id: int, data: bytes) -> None:
+        """Take an error frame in.
+
+        A controller that is off the bus neither sends nor receives until it is restarted: by the
+        kernel after `restart-ms`, by an adapter's own rule, or by reopening it.
+        """
+        if not self._classes:
+            self._ledger.note(FaultKind.ERROR_FRAME, self._place, "an error frame without class")
+            return
+        text = error_text(arbitration_id, data)
+        if arbitration_id & BUS_OFF_CLASS:
+            if self.condition is not BusCondition.OFF:
+                self._ledger.note(FaultKind.BUS_OFF, self._place, text)
+            self.condition = BusCondition.OFF
+            return
+        self._ledger.note(FaultKind.ERROR_FRAME, self._place, text)
+        if arbitration_id & RESTARTED_CLASS:
+            self.data_frame()
+            self.condition = BusCondition.ACTIVE
+        if arbitration_id & CONTROLLER_CLASS and len(data) > 1:
+            self._controller(data[1])
+
+    def data_frame(self) -> None:
+        """A data frame came, so the controller is on the bus."""
+        if self.condition is BusCondition.OFF:
+            self.recoveries += 1
+            self.condition = BusCondition.ACTIVE
+
+    def reopened(self) -> None:
+        """The interface was opened anew."""
+        self.condition = BusCondition.ACTIVE
+
+    def _controller(self, bits: int) -> None:
+        if self.condition is BusCondition.OFF:
+            return
+        for mask, condition in (
+            (0x30, BusCondition.PASSIVE),
+            (0x0C, BusCondition.WARNING),
+            (0x40, BusCondition.ACTIVE),
+        ):
+            if bits & mask:
+                self.condition = condition
+                return
+
+
+def error_text(arbitration_id: int, data: bytes) -> str:
+    """The meaning of an error frame as text."""
+    parts = [part for bit, part in _CLASSES.items() if arbitration_id & bit]
+    if arbitration_id & CONTROLLER_CLASS and len(data) > 1:
+        parts += [part for bit, part in _CONTROLLER_BITS.items() if data[1] & bit]
+    return ", ".join(parts) or f"error frame of class 0x{arbitration_id:X}"
+
+
+class BusClock:
+    """Gives every frame's time by this machine's clock.
+
+    Adapters stamp by this machine's clock, or by their own, which starts when they do. From the
+    latter the smallest lag of arrival behind stamp is taken off: it is the clocks' distance plus
+    the shortest delay, and follows their drift. Frames without a usable stamp count from arrival.
+    """
+
+    def __init__(self) -> None:
+        self._lag_s: float | None = None
+        self._last_now_s = 0.0
+
+    def time_s(self, stamp_s: float, now_s: float) -> float:
+        """The frame's time, s since the epoch.
+
+        Args:
+            stamp_s: as the bus interface gives it.
+            now_s: of its arrival, by this machine's clock, s since the epoch.
+        """
+        if not isfinite(stamp_s) or stamp_s <= 0.0:
+            return now_s
+        lag_s = now_s - stamp_s
+        known_s = self._lag_s
+        if known_s is None or lag_s - known_s > JUMP_S:
+            self._lag_s = lag_s
+        else:
+            self._lag_s = min(lag_s, known_s + DRIFT * max(0.0, now_s - self._last_now_s))
+        self._last_now_s = now_s
+        same_clock = 0.0 <= self._lag_s <= SAME_CLOCK_S
+        return stamp_s if same_clock else stamp_s + self._lag_s
+
+    def restart(self) -> None:
+        """The interface was opened again, and its clock may have started anew."""
+        self._lag_s = None
 
 
 def start_frames(nodes: Sequence[int]) -> list[can.Message]:
-    """One NMT start for each node, numbers 1 to 127."""
+    """One NMT start (CiA 301) for each CANopen node, numbers 1 to 127."""
     return [
         can.Message(arbitration_id=NMT_ID, is_extended_id=False, data=[START_REMOTE_NODE, node])
         for node in nodes
@@ -246,12 +261,10 @@ def start_frames(nodes: Sequence[int]) -> list[can.Message]:
 
 
 def booted_node(frame: can.Message, nodes: Sequence[int]) -> int | None:
-    """Which of the nodes says by this frame that it has just got power, if it is such a frame.
+    """Which of the nodes has just got power, if the frame is its boot-up message.
 
     It then waits in the state pre-operational, and must be started again.
     """
     node = frame.arbitration_id - HEARTBEAT_ID
     plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame)
-    if plain and node in nodes and bytes(frame.data) == BOOT_UP:
-        return node
-    return None
+    return node if plain and node in nodes and bytes(frame.data) == _BOOT_UP else None

@@ -1,10 +1,6 @@
-"""A calibration: scale and zero of single cables' sensors, in place of those of the channel map.
+"""A calibration file: scale and zero of single cables' sensors, in place of the channel map's.
 
-It says of which map and which signal it was made, so that it cannot be applied to another one.
-
-Calibrations as YAML files: data, bounded in size, written whole or not at all.
-
-Which calibration the driver's tensions rest on, for log and diagnostics.
+It names the map, signals and units it was made for, so that it cannot be applied to another one.
 """
 
 from __future__ import annotations
@@ -15,7 +11,7 @@ from typing import Annotated
 
 import yaml
 from cantools.database.can import Database
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
@@ -26,6 +22,7 @@ from cablesense_online.can.channel_map import (
     ChannelMap,
     ChannelMapError,
     Count,
+    FilePart,
     Name,
     Number,
     Scale,
@@ -35,20 +32,21 @@ from cablesense_online.can.channel_map import (
 
 UNIT_CHARACTERS = 32
 
+_HEAD = """\
+# Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
+# tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
+"""
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-
-class CalibratedSensor(_Part):
+class CalibratedSensor(FilePart):
     """One cable's sensor: `tension_n = scale_n_per_unit * (value - zero)`.
 
-    The rest says of what it was found and how sure it is (expanded, 95 %); it may be left out in
-    a file written by hand.
+    The rest is its origin and uncertainty (expanded, 95 %); it may be left out in a file written
+    by hand.
 
     Attributes:
-        message, signal: where the DBC file has the sensor's value.
-        signal_unit, signal_factor, signal_offset: what the DBC file made of its bits then.
+        message, signal: the DBC file's place of the sensor's value.
+        signal_unit, signal_factor, signal_offset: its conversion in the DBC file then.
         points, largest_force_n: how many known loads, up to where.
         tension_u95_n: of a tension up to there.
     """
@@ -78,13 +76,13 @@ class CalibratedSensor(_Part):
         return self
 
 
-class Calibration(_Part):
+class Calibration(FilePart):
     """A whole file.
 
     Attributes:
         map: name of the channel map it belongs to.
         made: when.
-        gravity_m_s2: with which masses were taken for forces, if they were.
+        gravity_m_s2: with which masses were converted to forces, if they were.
         common_relative_u: relative standard uncertainty that all loads shared.
         uncalibrated: cables of the map that keep its scale and zero, by name.
         cables: the others.
@@ -94,7 +92,7 @@ class Calibration(_Part):
     made: datetime
     gravity_m_s2: Number | None = None
     common_relative_u: Number | None = None
-    uncalibrated: Annotated[list[Name], Field(max_length=MAX_CHANNELS)] = []
+    uncalibrated: Annotated[list[Name], Field(max_length=MAX_CHANNELS)] = []  # noqa: RUF012
     cables: Annotated[dict[Name, CalibratedSensor], Field(min_length=1, max_length=MAX_CHANNELS)]
 
 
@@ -104,8 +102,8 @@ def calibrated(
     """The map with the calibration's scales and zeros; `source` names the calibration in errors.
 
     Raises:
-        ChannelMapError: it was made for another map, for other signals or units, or does not say
-            of every cable either its calibration or that it has none.
+        ChannelMapError: it was made for another map, for other signals or units, or leaves a
+            cable out that it names neither as calibrated nor as uncalibrated.
     """
     if calibration.map != channel_map.name:
         raise ChannelMapError(
@@ -151,15 +149,9 @@ def _check_cables(channel_map: ChannelMap, calibration: Calibration, source: str
         )
     if silent:
         raise ChannelMapError(
-            f"{source}: says nothing of {', '.join(silent)}; name them under uncalibrated, if "
+            f"{source}: leaves out {', '.join(silent)}; name them under uncalibrated, if "
             "they are to keep the map's scale and zero"
         )
-
-
-_HEAD = """\
-# Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
-# tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
-"""
 
 
 def load_calibration(path: str | Path) -> Calibration:

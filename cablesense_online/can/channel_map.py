@@ -1,17 +1,9 @@
-"""The channel map: which signal of a DBC file is which cable, and what may be believed of it.
+"""The channel map: which signal of a DBC file is which cable, and which readings are valid.
 
-Bounds on the numbers are those of any plausible amplifier; their purpose is to catch a wrong unit.
-
-Channel maps as files: bundled ones by name, any other by path; YAML is data and bounded.
-
-Sizes in a DBC file, looked at before cantools does.
-
-cantools takes memory for every bit of a message before it compares a signal with its message, so
-that one line of text could ask for all there is.
-
-The DBC file of a channel map, read by cantools, and whether the map fits it.
-
-The format is Vector's DBC (an open text format in practice, never published as a standard).
+Maps are YAML files, bundled ones by name and any other by path; bounds on their numbers are those
+of any plausible amplifier, to catch a wrong unit. The DBC file beside a map (Vector's text format)
+is read by cantools; its sizes are bounded before, since cantools takes memory for every bit of a
+message before it compares a signal with its message.
 """
 
 from __future__ import annotations
@@ -39,13 +31,25 @@ from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 
 MAX_CHANNELS = 256
+MAX_MAP_BYTES = 200_000
+"""A map is a page of text."""
+MAX_DBC_BYTES = 2_000_000
+"""A car's whole DBC file is a megabyte."""
+MOST_BYTES = 1785
+"""Of the longest message that travels over CAN: that of J1939's transport protocol."""
+MOST_SIGNAL_BITS = 64
+
+_LARGEST_FACTOR = 1e30
+_SHOWN_NAMES = 8
 
 
 class ChannelMapError(CableSenseError):
-    """A channel map, DBC or calibration file that does not fit: says which, where, what would."""
+    """A channel map, DBC or calibration file that does not fit: names which, where, what would."""
 
 
-class _Part(BaseModel):
+class FilePart(BaseModel):
+    """A part of a map or calibration file: every key known, every number finite."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
@@ -65,7 +69,7 @@ Scale = Annotated[Number, Field(ge=-1e9, le=1e9)]
 Zero = Annotated[Number, Field(ge=-1e12, le=1e12)]
 
 
-class Channel(_Part):
+class Channel(FilePart):
     """One cable's signal: `tension_n = scale_n_per_unit * (value - zero)`.
 
     `value` and `zero` are in the unit that the DBC file gives the signal. `status` names a signal
@@ -96,22 +100,22 @@ class Channel(_Part):
         return tension_n / self.scale_n_per_unit + self.zero
 
 
-class CounterSignal(_Part):
+class CounterSignal(FilePart):
     """The signal that counts cycles, in a message that opens each cycle."""
 
     message: Name
     signal: Name
 
 
-class StatusMasks(_Part):
-    """Bits of the status signals; a reading whose status has one of them set is not believed."""
+class StatusMasks(FilePart):
+    """Bits of the status signals; a reading whose status has one of them set is invalid."""
 
     invalid: Mask = 0
     over_range: Mask = 0
     under_range: Mask = 0
 
 
-class StuckLimits(_Part):
+class StuckLimits(FilePart):
     """When a reading that stays the same to the last bit counts as stuck.
 
     Attributes:
@@ -123,7 +127,7 @@ class StuckLimits(_Part):
     others_moved_n: Annotated[Number, Field(gt=0.0, le=1e5)]
 
 
-class ChannelMap(_Part):
+class ChannelMap(FilePart):
     """The whole map; `channels` go by cable name.
 
     Attributes:
@@ -131,7 +135,7 @@ class ChannelMap(_Part):
         cycle_time_s: from one sample to the next.
         skew_limit_s: from the first to the last frame of one sample.
         flood_frames_s: rate of frames, of any id, from which on the bus counts as flooded.
-        range_n: lowest and highest tension; at or beyond either a reading is not believed.
+        range_n: lowest and highest tension; at or beyond either a reading is invalid.
         counter: the message that opens a cycle and counts it, if the amplifier sends one.
         nmt_start_nodes: CANopen nodes that send only after an NMT start (CiA 301).
     """
@@ -164,10 +168,10 @@ class ChannelMap(_Part):
         missing = [name for name in cable_names if name not in self.channels]
         unknown = [name for name in self.channels if name not in cable_names]
         if missing or unknown:
-            said = [f"lacks {', '.join(missing)}"] if missing else []
-            said += [f"has {', '.join(unknown)}, which the arm has not"] if unknown else []
+            parts = [f"lacks {', '.join(missing)}"] if missing else []
+            parts += [f"has {', '.join(unknown)}, which the arm has not"] if unknown else []
             raise ChannelMapError(
-                f"map {self.name} {' and '.join(said)}; the cables of this arm are "
+                f"map {self.name} {' and '.join(parts)}; the cables of this arm are "
                 f"{cable_names[0]} … {cable_names[-1]}, each with one channel"
             )
         channels = {name: self.channels[name] for name in cable_names}
@@ -198,12 +202,6 @@ class ChannelMap(_Part):
                 )
         return self
 
-
-MAX_MAP_BYTES = 200_000
-"""A map is a page of text."""
-
-MAX_DBC_BYTES = 2_000_000
-"""A car's whole DBC file is a megabyte."""
 
 _BUNDLED = BundledFiles("channel map", "can", (".yaml", ".yml"), ChannelMapError)
 
@@ -249,11 +247,6 @@ def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
         raise ChannelMapError(f"{source}: {describe_problem(error, ChannelMap)}") from None
 
 
-MOST_BYTES = 1785
-"""Of the longest message that travels over CAN: that of J1939's transport protocol."""
-
-MOST_SIGNAL_BITS = 64
-
 _TOKEN = re.compile(
     r'"(?:\\"|[^"])*"|(?P<comment>//.*)|(?P<number>\d+)|(?P<sign>[:|@])|\w+|[^\s\w]'
 )
@@ -265,7 +258,7 @@ _LIMITS = {
 """The most that a number between two signs may be, and what it is; None stands for no sign."""
 
 
-def require_bounded_sizes(text: str, source: str) -> None:
+def _require_bounded_sizes(text: str, source: str) -> None:
     """Refuse DBC text with messages or signals that no bus carries; `source` names it in errors.
 
     Raises:
@@ -289,13 +282,9 @@ def require_bounded_sizes(text: str, source: str) -> None:
             sign, number = token["sign"], None
 
 
-_SHOWN_NAMES = 8
-_LARGEST_FACTOR = 1e30
-
-
 @dataclass(frozen=True)
 class ChannelSignal:
-    """What the DBC file makes of a channel's bits: `value = factor * bits + offset`, in `unit`."""
+    """A channel's value by the DBC file: `value = factor * bits + offset`, in `unit`."""
 
     unit: str
     factor: float
@@ -321,7 +310,7 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
     Raises:
         ChannelMapError: not DBC, or signals that overlap or leave their message.
     """
-    require_bounded_sizes(text, source)
+    _require_bounded_sizes(text, source)
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
     except Exception as error:  # the parser raises whatever a broken file trips it over
@@ -343,11 +332,11 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
     """
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
-        message = message_of(database, channel.message, where)
-        _require_credible(_signal_of(message, channel.signal, where), where)
+        message = _message_of(database, channel.message, where)
+        _require_plausible(_signal_of(message, channel.signal, where), where)
         if channel.status is not None:
             status = _signal_of(message, channel.status, where)
-            _require_credible(status, where)
+            _require_plausible(status, where)
             if status.is_float:
                 raise ChannelMapError(
                     f"{where}: status {channel.status} is a floating value; it must be of whole "
@@ -355,9 +344,9 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
                 )
     if channel_map.counter is not None:
         where = f"{source}: counter"
-        message = message_of(database, channel_map.counter.message, where)
+        message = _message_of(database, channel_map.counter.message, where)
         counter = _signal_of(message, channel_map.counter.signal, where)
-        _require_credible(counter, where)
+        _require_plausible(counter, where)
         if counter.is_float or counter.is_signed or counter.length < 2:
             raise ChannelMapError(
                 f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
@@ -371,50 +360,47 @@ def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
     Raises:
         ChannelMapError: the database lacks its message or signal.
     """
-    message = message_of(database, channel.message, "DBC file")
+    message = _message_of(database, channel.message, "DBC file")
     signal = _signal_of(message, channel.signal, "DBC file")
     return ChannelSignal(signal.unit or "", float(signal.scale), float(signal.offset))
 
 
-def message_of(database: Database, name: str, where: str) -> Message:
+def _message_of(database: Database, name: str, where: str) -> Message:
     """The message of that name.
 
     Raises:
         ChannelMapError: there is none, or it is multiplexed or not of classical CAN.
     """
-    found = [message for message in database.messages if message.name == name]
-    if not found:
-        names = [message.name for message in database.messages]
+    names = [message.name for message in database.messages]
+    if name not in names:
         raise ChannelMapError(f"{where}: no message {name}; there are {_listed(names)}")
+    found = database.messages[names.index(name)]
+    number = (found.frame_id, found.is_extended_frame)
     same = [
-        message.name
-        for message in database.messages
-        if message is not found[0]
-        and (message.name == name or _id_of(message) == _id_of(found[0]))
+        other.name
+        for other in database.messages
+        if other is not found
+        and (other.name == name or (other.frame_id, other.is_extended_frame) == number)
     ]
     if same:
         raise ChannelMapError(
             f"{where}: {name} and {same[0]} have the same name or the same id; a frame is of one "
             "message"
         )
-    if found[0].is_multiplexed() or found[0].is_fd or found[0].is_container:
+    if found.is_multiplexed() or found.is_fd or found.is_container:
         raise ChannelMapError(
             f"{where}: message {name} is multiplexed, a container or of CAN FD; only plain "
             "messages of at most 8 bytes are read"
         )
-    return found[0]
+    return found
 
 
-def _require_credible(signal: Signal, where: str) -> None:
+def _require_plausible(signal: Signal, where: str) -> None:
     if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
         raise ChannelMapError(
             f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
             f"both must be finite, at most {_LARGEST_FACTOR:g}"
         )
-
-
-def _id_of(message: Message) -> tuple[int, bool]:
-    return message.frame_id, message.is_extended_frame
 
 
 def _signal_of(message: Message, name: str, where: str) -> Signal:

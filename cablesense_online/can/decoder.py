@@ -1,8 +1,6 @@
-"""Frames to readings in N, by the channel map and its DBC file (cantools decodes).
+"""Frames of the map to readings in N (cantools decodes), and readings of one cycle to a sample.
 
-Whether a single reading can be true.
-
-Frames of one cycle to one sample; what is not whole is never filled up and never given.
+A sample that is not whole, late, or not valid is never filled up and never given.
 """
 
 from __future__ import annotations
@@ -20,35 +18,25 @@ from numpy.typing import NDArray
 from cablesense_online.can.channel_map import ChannelMap, StatusMasks
 from cablesense_online.can.faults import FaultKind, FaultLedger
 
+CUT_SAMPLES = 8
+WIDER = 2.0
+"""A pause within a sample must be so much wider than that before it to count."""
 
-def reading_fault(tension_n: float, range_n: tuple[float, float]) -> FaultKind | None:
-    """What is wrong with a reading in N, if anything.
-
-    At or beyond an end of the range it says only that the tension lies there or further, so any
-    force made of it would be false.
-    """
-    if not isfinite(tension_n):
-        return FaultKind.NOT_FINITE
-    low, high = range_n
-    if tension_n >= high:
-        return FaultKind.OVER_RANGE
-    if tension_n <= low:
-        return FaultKind.UNDER_RANGE
-    return None
+_COUNTER_PLACE = "cycle counter"
 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What one frame tells.
+    """The content of one frame.
 
     Attributes:
         readings: (channel, N) pairs; the channel is its position in the map.
-        spoilt: whether one of them cannot be believed.
+        valid: whether all of them are.
         counter: of the cycle that the frame opens, if it does.
     """
 
     readings: Sequence[tuple[int, float]] = ()
-    spoilt: bool = False
+    valid: bool = True
     counter: int | None = None
 
 
@@ -70,7 +58,7 @@ class _Plan:
 
 
 class FrameDecoder:
-    """Decodes the frames of the map; notes what cannot be one of them.
+    """Decodes the frames of the map; notes frames that cannot be one of them.
 
     Attributes:
         counter_modulo: the counter starts again at 0 when it would reach this; 0 without one.
@@ -78,7 +66,7 @@ class FrameDecoder:
     """
 
     def __init__(self, channel_map: ChannelMap, database: Database, ledger: FaultLedger) -> None:
-        """`channel_map` must fit `database` (`signal_database.check_fit`)."""
+        """`channel_map` must fit `database` (`channel_map.check_fit`)."""
         self._ledger = ledger
         self._range_n = channel_map.range_n
         self._masks = channel_map.status_masks
@@ -102,9 +90,9 @@ class FrameDecoder:
         return (frame.arbitration_id, frame.is_extended_id) in self._plans
 
     def decode(self, frame: can.Message) -> Decoded | None:
-        """What a frame tells; None for one that tells nothing, which is noted unless described.
+        """A frame's content; None for one without, which is noted unless the DBC describes it.
 
-        A frame of the right id whose length is wrong tells nothing: what its bytes mean is open.
+        A frame of the right id whose length is wrong has none: what its bytes mean is open.
         """
         key = (frame.arbitration_id, frame.is_extended_id)
         plan = self._plans.get(key)
@@ -112,55 +100,59 @@ class FrameDecoder:
             if key not in self._described:
                 self._ledger.note(FaultKind.UNKNOWN_ID, f"0x{frame.arbitration_id:X}")
             return None
+        name, length = plan.message.name, plan.message.length
         if frame.is_remote_frame or frame.is_fd:
-            self._ledger.note(
-                FaultKind.UNREADABLE,
-                plan.message.name,
-                f"{plan.message.name} came as a remote or CAN FD frame, not as a data frame",
-            )
+            detail = f"{name} came as a remote or CAN FD frame, not as a data frame"
+            self._ledger.note(FaultKind.UNREADABLE, name, detail)
             return None
-        if len(frame.data) != plan.message.length:
-            self._ledger.note(
-                FaultKind.WRONG_LENGTH,
-                plan.message.name,
-                f"{plan.message.name} came with {len(frame.data)} bytes; the DBC file says "
-                f"{plan.message.length}",
-            )
+        if len(frame.data) != length:
+            detail = f"{name} came with {len(frame.data)} bytes; the DBC file gives it {length}"
+            self._ledger.note(FaultKind.WRONG_LENGTH, name, detail)
             return None
         values = plan.message.decode(bytes(frame.data), decode_choices=False)
         return self._readings(plan, values)  # type: ignore[arg-type]  # no container, no choices
 
     def _readings(self, plan: _Plan, values: dict[str, float]) -> Decoded:
         low, high = self._range_n
-        readings, spoilt = [], False
+        readings, valid = [], True
         for place in plan.places:
             tension_n = place.scale_n_per_unit * (values[place.signal] - place.zero)
             status = int(values[place.status]) if place.status is not None else 0
             if status or not low < tension_n < high:
                 fault = _fault(tension_n, status, self._range_n, self._masks)
                 if fault is not None:
-                    spoilt = True
+                    valid = False
                     self._ledger.note(fault, place.cable, _sentence(place, tension_n, status))
             readings.append((place.channel, tension_n))
         counter = int(values[plan.counter]) if plan.counter is not None else None
-        return Decoded(readings, spoilt, counter)
+        return Decoded(readings, valid, counter)
 
 
 def _fault(
     tension_n: float, status: int, range_n: tuple[float, float], masks: StatusMasks
 ) -> FaultKind | None:
-    if status & masks.over_range:
-        return FaultKind.OVER_RANGE
-    if status & masks.under_range:
-        return FaultKind.UNDER_RANGE
-    if status & masks.invalid:
-        return FaultKind.INVALID_STATUS
-    return reading_fault(tension_n, range_n)
+    """The fault of a reading by its status bits and its range, if any.
+
+    At or beyond an end of the range a reading means only that the tension lies there or further,
+    so any force computed from it would be false.
+    """
+    low, high = range_n
+    for applies, kind in (
+        (status & masks.over_range, FaultKind.OVER_RANGE),
+        (status & masks.under_range, FaultKind.UNDER_RANGE),
+        (status & masks.invalid, FaultKind.INVALID_STATUS),
+        (not isfinite(tension_n), FaultKind.NOT_FINITE),
+        (tension_n >= high, FaultKind.OVER_RANGE),
+        (tension_n <= low, FaultKind.UNDER_RANGE),
+    ):
+        if applies:
+            return kind
+    return None
 
 
 def _sentence(place: _Place, tension_n: float, status: int) -> str:
-    said = f", status 0x{status:02X}" if status else ""
-    return f"{place.cable} reads {tension_n:g} N{said}"
+    suffix = f", status 0x{status:02X}" if status else ""
+    return f"{place.cable} reads {tension_n:g} N{suffix}"
 
 
 def _places(channel_map: ChannelMap, message: str) -> tuple[_Place, ...]:
@@ -171,14 +163,6 @@ def _places(channel_map: ChannelMap, message: str) -> tuple[_Place, ...]:
         for position, (cable, channel) in enumerate(channel_map.channels.items())
         if channel.message == message
     )
-
-
-COUNTER_PLACE = "cycle counter"
-
-
-CUT_SAMPLES = 8
-WIDER = 2.0
-"""A pause within a sample must be so much wider than that before it to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +193,7 @@ class SampleAssembler:
     is dropped, and the channels that it lacks are named.
 
     Attributes:
-        dropped: samples dropped so far because they were late, not whole, or not to be believed.
+        dropped: samples dropped so far because they were late, not whole, or not valid.
     """
 
     def __init__(
@@ -228,7 +212,7 @@ class SampleAssembler:
         self._missing = set(range(len(self._names)))
         self._open_s: float | None = None
         self._earliest_s = self._latest_s = 0.0
-        self._spoilt = False
+        self._valid = True
         self._late = False
         self._last_count: int | None = None
         self._frames: list[tuple[float, Decoded]] = []
@@ -240,7 +224,7 @@ class SampleAssembler:
         """Put a frame in; give the sample that it completes.
 
         Args:
-            decoded: what the frame tells.
+            decoded: the frame.
             time_s: its bus time, s.
         """
         if decoded.counter is not None:
@@ -251,7 +235,7 @@ class SampleAssembler:
             return None
         if self._open_s is None:
             if self._modulo:
-                return None  # the rest of a cycle whose beginning was not heard
+                return None  # the rest of a cycle whose beginning did not come
             self._open(time_s)
         return self._put(decoded, time_s)
 
@@ -285,7 +269,7 @@ class SampleAssembler:
         for channel, tension_n in decoded.readings:
             self._tensions_n[channel] = tension_n
             self._missing.discard(channel)
-        self._spoilt = self._spoilt or decoded.spoilt
+        self._valid = self._valid and decoded.valid
         if not self._modulo:
             self._frames.append((time_s, decoded))
 
@@ -293,7 +277,7 @@ class SampleAssembler:
         if not self._modulo and self._begins_anew():
             return None
         opened_s, self._open_s = self._open_s, None
-        if self._spoilt or self._late or opened_s is None:
+        if not self._valid or self._late or opened_s is None:
             self.dropped += 1
             return None
         return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
@@ -314,8 +298,8 @@ class SampleAssembler:
             self._fill(decoded, time_s)
             for channel, _ in decoded.readings:
                 name = self._names[channel]
-                said = f"{name} was taken into the cycle before its own; samples begin anew"
-                self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+                detail = f"{name} was taken into the cycle before its own; samples begin anew"
+                self._ledger.note(FaultKind.LATE_CHANNEL, name, detail)
         self.dropped += 1
         return True
 
@@ -323,7 +307,7 @@ class SampleAssembler:
         self._open_s = self._earliest_s = self._latest_s = time_s
         self._frames.clear()
         self._missing = set(range(len(self._names)))
-        self._spoilt = self._late = False
+        self._valid, self._late = True, False
 
     def _close(self) -> None:
         if self._open_s is None:
@@ -338,14 +322,14 @@ class SampleAssembler:
         for channel, _ in decoded.readings:
             name = self._names[channel]
             if late and channel in self._missing:
-                said = f"{name} came {after_ms:.2f} ms after the sample's first frame"
-                said += f"; the skew limit is {self._skew_limit_s * 1e3:g} ms"
+                detail = f"{name} came {after_ms:.2f} ms after the sample's first frame"
+                detail += f"; the skew limit is {self._skew_limit_s * 1e3:g} ms"
                 self._missing.discard(channel)  # named once: as late, not as missing too
             elif self._modulo:
-                said = f"{name} came twice in one cycle, so that the first was of the one before"
+                detail = f"{name} came twice in one cycle, so that the first was of the one before"
             else:
                 continue  # of the next sample; what the open one lacks is named when it is closed
-            self._ledger.note(FaultKind.LATE_CHANNEL, name, said)
+            self._ledger.note(FaultKind.LATE_CHANNEL, name, detail)
 
     def _count(self, count: int) -> None:
         last, self._last_count = self._last_count, count
@@ -353,14 +337,10 @@ class SampleAssembler:
             return
         steps = (count - last) % self._modulo
         if steps == 0:
-            # the amplifier sends old values again
-            self._spoilt = True
-            self._ledger.note(
-                FaultKind.COUNTER_GAP, COUNTER_PLACE, f"the cycle counter stands still at {count}"
-            )
+            self._valid = False  # the amplifier sends old values again
+            detail = f"the cycle counter stands still at {count}"
         elif steps > 1:
-            self._ledger.note(
-                FaultKind.COUNTER_GAP,
-                COUNTER_PLACE,
-                f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost",
-            )
+            detail = f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost"
+        else:
+            return
+        self._ledger.note(FaultKind.COUNTER_GAP, _COUNTER_PLACE, detail)

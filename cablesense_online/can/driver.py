@@ -1,40 +1,53 @@
-"""The driver without ROS: receives while it runs, hands out samples, reports on itself.
+"""The CAN driver without ROS: a receiving thread, samples handed out, its diagnostics.
 
-From received frames to samples of tensions: everything between the interface and the node.
-
-What the driver says of itself on `/diagnostics`.
+python-can's own Notifier thread ends for good at the first error, so the receive loop is our own:
+it opens the interface again when it is lost.
 """
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from time import monotonic
+from typing import Protocol
 
 import can
 from cantools.database.can import Database
 
+from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_online.can.bus import CanInterface, booted_node, start_frames
+from cablesense_online.can.bus import BusCondition, CanInterface, booted_node, start_frames
 from cablesense_online.can.channel_map import ChannelMap
-from cablesense_online.can.decoder import FrameDecoder, Sample, SampleAssembler
-from cablesense_online.can.faults import WITHHOLDS, FaultKind, FaultLedger, FaultReport
-from cablesense_online.can.receive_loop import ReceiveLoop
-from cablesense_online.can.watches import BusClock, BusCondition, BusWatch, FloodWatch, StuckWatch
+from cablesense_online.can.decoder import Sample
+from cablesense_online.can.faults import FaultKind, FaultLedger, FaultReport
+from cablesense_online.can.tension_reader import TensionReader
 
-SCATTER_OF_READING_S = 0.1
-"""Skew limit where frames bear the time of reading: any pause of the process would look late. The
-order of the frames then bounds the skew, as no channel comes twice in a sample: to one cycle."""
+FIRST_BACK_OFF_S = 0.05
+LAST_BACK_OFF_S = 0.5
+"""Short enough that samples are there again within a second of the interface's return."""
+
+WAKE_S = 0.05
+WAITS_OF_SILENCE = 2
+"""The first wait may have ended in a pause of this process, with frames already there: only what
+the next one still does not find has not come."""
+
+REOPEN_AFTER_SILENCE_S = 2.0
+"""Adapters that lost power at times neither raise nor deliver; opening them anew sets them up."""
+
+UNREADABLE_IN_A_ROW = 10
+"""So many lines that are no frames, one after the other, are an adapter out of step."""
+
+_SHOWN_PLACES = 4
 
 
-class TensionReader:
-    """Takes frames as they come; gives a sample only when all of it can be believed.
+class CanDriver:
+    """Joins the receiving thread, the reader, and the starts that CANopen amplifiers need.
 
-    Attributes:
-        frames: taken so far, of any kind.
-        samples: given so far.
-        largest_skew_s: of the samples given since the reporter last set it to zero.
-        bus: the condition of the bus.
+    Nodes of the map's `nmt_start_nodes` are started whenever the interface is opened, and each
+    again when its boot-up message shows that it lost power.
     """
 
     def __init__(
@@ -42,87 +55,198 @@ class TensionReader:
         channel_map: ChannelMap,
         database: Database,
         interface: CanInterface,
-        ledger: FaultLedger,
+        on_sample: Callable[[Sample], None],
     ) -> None:
-        """`interface` is where the frames come from; it is not opened here."""
-        self._ledger = ledger
-        self._names = channel_map.cable_names
-        self._decoder = FrameDecoder(channel_map, database, ledger)
-        skew_limit_s = channel_map.skew_limit_s
-        if not interface.stamps_frames:
-            skew_limit_s = max(skew_limit_s, SCATTER_OF_READING_S)
-        self._assembler = SampleAssembler(
-            self._names, skew_limit_s, self._decoder.counter_modulo, ledger
-        )
-        self._stuck = StuckWatch(len(self._names), channel_map.stuck)
-        self._clock = BusClock()
-        known_frames_s = self._decoder.frames_per_cycle / channel_map.cycle_time_s
-        self._flood = FloodWatch(channel_map.flood_frames_s, known_frames_s, ledger)
-        self.bus = BusWatch(interface.name, interface.classes_errors, ledger)
-        self.frames = 0
-        self.samples = 0
-        self._stuck_samples = 0
-        self._cycle_time_s = channel_map.cycle_time_s
-        self._last_frame_s = 0.0
-        self.largest_skew_s = 0.0
+        """`on_sample` is called in the receiving thread."""
+        self._nodes = tuple(channel_map.nmt_start_nodes)
+        self._on_sample = on_sample
+        self._ledger = FaultLedger()
+        self._reader = TensionReader(channel_map, database, interface, self._ledger)
+        self._loop = ReceiveLoop(interface.name, interface.open, self, self._ledger)
+        self._name = interface.name
+        self._send: Callable[[can.Message], None] | None = None
+        self._last_sample_s = self._report_s = monotonic()
+        self._reported = SampleCounts()
 
-    @property
-    def withheld(self) -> int:
-        """Samples not given so far: not whole, late, or not to be believed."""
-        return self._assembler.dropped + self._stuck_samples
+    def start(self) -> None:
+        """Begin to receive; an interface that is not there is waited for."""
+        self._last_sample_s = self._report_s = monotonic()
+        self._loop.start()
 
-    def take(self, frame: can.Message, now_s: float, monotonic_s: float) -> Sample | None:
-        """Take a frame; give the sample that it completes, if every reading can be believed.
+    def stop(self) -> None:
+        """Receive no more, and close the interface."""
+        self._loop.stop()
+
+    def opened(self, send: Callable[[can.Message], None]) -> None:
+        """The interface is open (called by the loop)."""
+        self._reader.reopened()
+        self._send = send
+        for frame in start_frames(self._nodes):
+            send(frame)
+
+    def received(self, frame: can.Message) -> None:
+        """A frame came (called by the loop)."""
+        monotonic_s = monotonic()
+        if self._nodes and self._send is not None:
+            node = booted_node(frame, self._nodes)
+            if node is not None:
+                self._send(start_frames([node])[0])
+        sample = self._reader.take(frame, time.time(), monotonic_s)
+        if sample is not None:
+            self._last_sample_s = monotonic_s
+            self._on_sample(sample)
+
+    def silence(self) -> None:
+        """No frame for a while (called by the loop)."""
+        self._reader.silence(monotonic())
+
+    def report(self, stale_after_s: float) -> tuple[list[Status], FaultReport]:
+        """The driver's health and faults since the report before.
 
         Args:
-            frame: as received.
-            now_s: arrival by this machine's clock, s since the epoch.
-            monotonic_s: arrival by the monotonic clock.
+            stale_after_s: without a sample for so long, samples count as stale.
         """
-        self.frames += 1
-        self._last_frame_s = monotonic_s
-        if frame.is_error_frame:
-            self.bus.error_frame(frame.arbitration_id, bytes(frame.data))
-            return None
-        self.bus.data_frame()
-        if not self._flood.admit(self._decoder.knows(frame), monotonic_s):
-            return None
-        decoded = self._decoder.decode(frame)
-        if decoded is None:
-            return None
-        sample = self._assembler.take(decoded, self._clock.time_s(frame.timestamp, now_s))
-        if sample is None or self._has_stuck(sample):
-            return None
-        self.samples += 1
-        self.largest_skew_s = max(self.largest_skew_s, sample.skew_s)
-        return sample
-
-    def silence(self, monotonic_s: float) -> None:
-        """No frame came for a while; after a whole cycle of it an open sample is given up."""
-        if monotonic_s - self._last_frame_s > self._cycle_time_s:
-            self._assembler.silence()
-
-    def reopened(self) -> None:
-        """The interface was opened again: clocks, counters and condition start anew."""
-        self._clock.restart()
-        self._assembler.restart()
-        self._stuck.restart()
-        self.bus.reopened()
-
-    def _has_stuck(self, sample: Sample) -> bool:
-        stuck = self._stuck.stuck(sample.tensions_n, sample.time_s)
-        for channel in stuck:
-            name = self._names[channel]
-            self._ledger.note(
-                FaultKind.STUCK_VALUE,
-                name,
-                f"{name} stands at {sample.tensions_n[channel]:g} N while the others move",
-            )
-        self._stuck_samples += bool(stuck)
-        return bool(stuck)
+        now_s = monotonic()
+        reader, loop, faults = self._reader, self._loop, self._ledger.report()
+        counts = SampleCounts(reader.frames, reader.samples, reader.withheld)
+        recent, self._reported = counts - self._reported, counts
+        skew_s, reader.largest_skew_s = reader.largest_skew_s, 0.0
+        period_s, self._report_s = max(now_s - self._report_s, 1e-9), now_s
+        silence_s = now_s - self._last_sample_s
+        interface = InterfaceState(
+            self._name,
+            loop.connected,
+            loop.openings,
+            loop.last_problem,
+            reader.bus.condition,
+            reader.bus.recoveries,
+        )
+        statuses = [
+            interface_status(interface, recent, counts, period_s),
+            sample_status(
+                recent, counts, period_s, silence_s, silence_s > stale_after_s, skew_s, faults
+            ),
+        ]
+        return statuses, faults
 
 
-_SHOWN_PLACES = 4
+class Receiver(Protocol):
+    """What a `ReceiveLoop` serves."""
+
+    def opened(self, send: Callable[[can.Message], None]) -> None:
+        """The interface is open; `send` sends a frame on it."""
+
+    def received(self, frame: can.Message) -> None:
+        """A frame came."""
+
+    def silence(self) -> None:
+        """No frame in the last two waits of `WAKE_S`."""
+
+
+class ReceiveLoop:
+    """A thread between `start` and `stop` that opens, reads and reopens an interface.
+
+    Attributes:
+        connected: whether the interface is open now.
+        openings: how often it was opened so far.
+        last_problem: why it was lost, or could not be opened, the last time.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_bus: Callable[[], can.BusABC],
+        receiver: Receiver,
+        ledger: FaultLedger,
+    ) -> None:
+        """`open_bus` raises when the interface cannot be opened; `name` names it in faults."""
+        self._name = name
+        self._open_bus = open_bus
+        self._receiver = receiver
+        self._ledger = ledger
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._any_frame = False
+        self.connected = False
+        self.openings = 0
+        self.last_problem = ""
+
+    def start(self) -> None:
+        """Begin to receive, in a thread of its own."""
+        self._ended.clear()
+        self._thread = threading.Thread(
+            target=self._run, name=f"receive {self._name}", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and close the interface; safe to call twice."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+            self._thread = None
+
+    def _run(self) -> None:
+        back_off_s = FIRST_BACK_OFF_S
+        while not self._ended.is_set():
+            self._any_frame = False
+            try:
+                bus = self._open_bus()
+            except Exception as error:  # whatever keeps it shut, it is tried again
+                self._lost(error)
+            else:
+                self._serve(bus)
+            if self._any_frame:
+                back_off_s = FIRST_BACK_OFF_S
+            self._ended.wait(back_off_s)
+            back_off_s = min(2.0 * back_off_s, LAST_BACK_OFF_S)
+
+    def _serve(self, bus: can.BusABC) -> None:
+        """Receive until the interface is lost."""
+        self.openings += 1
+        try:
+            self._receiver.opened(bus.send)
+            self.connected = True
+            self._receive(bus)
+        except Exception as error:  # drivers raise errors of many kinds when a device is pulled
+            self._lost(error)
+        finally:
+            self.connected = False
+            with contextlib.suppress(Exception):  # closing what is gone may fail as well
+                bus.shutdown()
+
+    def _receive(self, bus: can.BusABC) -> None:
+        last_s, unreadable, in_vain = monotonic(), 0, 0
+        while not self._ended.is_set():
+            try:
+                frame = bus.recv(WAKE_S)
+            except (ValueError, IndexError) as error:  # slcan: a line that is no frame
+                unreadable += 1
+                self._ledger.note(FaultKind.UNREADABLE, self._name, f"{self._name}: {error}")
+                if unreadable >= UNREADABLE_IN_A_ROW:
+                    raise
+                continue
+            if frame is not None:
+                unreadable, in_vain = 0, 0
+                last_s, self._any_frame = monotonic(), True
+                self._receiver.received(frame)
+                continue
+            in_vain += 1
+            if in_vain < WAITS_OF_SILENCE:
+                continue
+            self._receiver.silence()
+            if monotonic() - last_s > REOPEN_AFTER_SILENCE_S:
+                self._ledger.note(
+                    FaultKind.SILENT_BUS,
+                    self._name,
+                    f"{self._name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is opened anew",
+                )
+                break
+
+    def _lost(self, error: Exception) -> None:
+        text = " ".join(str(error).split())[:300] or type(error).__name__
+        self.last_problem = text if isinstance(error, CableSenseError) else f"{self._name}: {text}"
+        self._ledger.note(FaultKind.INTERFACE_LOST, self._name, self.last_problem)
 
 
 @dataclass(frozen=True)
@@ -143,7 +267,7 @@ class SampleCounts:
 
 @dataclass(frozen=True)
 class InterfaceState:
-    """The interface at present: whether it is open, how often it was, and how the bus stands."""
+    """The interface at present: whether it is open, how often it was, and the bus's condition."""
 
     name: str
     connected: bool
@@ -153,37 +277,10 @@ class InterfaceState:
     recoveries: int
 
 
-def driver_statuses(
-    interface: InterfaceState,
-    recent: SampleCounts,
-    total: SampleCounts,
-    period_s: float,
-    silence_s: float,
-    stale: bool,
-    skew_s: float,
-    faults: FaultReport,
-) -> list[Status]:
-    """The statuses `interface` and `samples`.
-
-    Args:
-        interface: at present.
-        recent: counts of the last `period_s`.
-        total: counts since the node was configured.
-        period_s: length of that time.
-        silence_s: time since the last sample.
-        stale: whether that is too long.
-        skew_s: largest of the samples of the period.
-        faults: of the period.
-    """
-    return [
-        _interface_status(interface, recent, total, period_s),
-        _sample_status(recent, total, period_s, silence_s, stale, skew_s, faults),
-    ]
-
-
-def _interface_status(
+def interface_status(
     interface: InterfaceState, recent: SampleCounts, total: SampleCounts, period_s: float
 ) -> Status:
+    """The status `interface`; counts of the last `period_s`, and since the node was configured."""
     level, message = Level.OK, f"receiving on {interface.name}"
     if not interface.connected:
         level, message = Level.ERROR, f"{interface.name} is not open: {interface.last_problem}"
@@ -206,7 +303,7 @@ def _interface_status(
     return Status("interface", level, message, values)
 
 
-def _sample_status(
+def sample_status(
     recent: SampleCounts,
     total: SampleCounts,
     period_s: float,
@@ -215,20 +312,30 @@ def _sample_status(
     skew_s: float,
     faults: FaultReport,
 ) -> Status:
+    """The status `samples`.
+
+    Args:
+        recent: counts of the last `period_s`.
+        total: counts since the node was configured.
+        period_s: length of that time.
+        silence_s: time since the last sample.
+        stale: whether that is too long.
+        skew_s: largest of the samples of the period.
+        faults: of the period.
+    """
     level, message = Level.OK, "every sample whole"
-    words = "; ".join(
+    text = "; ".join(
         f"{count} {kind.value} ({_listed(faults.places[kind])})"
         for kind, count in faults.recent.items()
     )
     if stale:
         level = Level.STALE
-        message = f"no sample for {silence_s:.1f} s" + (f": {words}" if words else "")
-    elif recent.withheld or WITHHOLDS & set(faults.recent):
-        level, message = Level.ERROR, words
-        if recent.withheld:
-            message = f"{recent.withheld} samples withheld: {words or 'not whole'}"
+        message = f"no sample for {silence_s:.1f} s" + (f": {text}" if text else "")
+    elif recent.withheld:
+        level, message = Level.ERROR, f"{recent.withheld} samples withheld: {text or 'not whole'}"
     elif faults.recent:
-        level, message = Level.WARN, words
+        level = Level.ERROR if any(kind.withholds for kind in faults.recent) else Level.WARN
+        message = text
     values = {
         "rate (Hz)": f"{recent.samples / period_s:.1f}",
         "samples in all": str(total.samples),
@@ -245,94 +352,3 @@ def _listed(places: Mapping[str, int]) -> str:
     shown = ", ".join(sorted(places)[:_SHOWN_PLACES])
     more = len(places) - _SHOWN_PLACES
     return f"{shown} and {more} more" if more > 0 else shown
-
-
-class CanDriver:
-    """Joins the receiving thread, the reader, and what CANopen amplifiers want to be told.
-
-    Nodes of the map's `nmt_start_nodes` are started whenever the interface is opened, and each
-    again when its boot-up message says that it lost power.
-    """
-
-    def __init__(
-        self,
-        channel_map: ChannelMap,
-        database: Database,
-        interface: CanInterface,
-        on_sample: Callable[[Sample], None],
-    ) -> None:
-        """`on_sample` is called in the receiving thread."""
-        self._nodes = tuple(channel_map.nmt_start_nodes)
-        self._on_sample = on_sample
-        self._ledger = FaultLedger()
-        self._reader = TensionReader(channel_map, database, interface, self._ledger)
-        self._loop = ReceiveLoop(interface.name, interface.open, self, self._ledger)
-        self._name = interface.name
-        self._send: Callable[[can.Message], None] | None = None
-        self._last_sample_s = self._report_s = time.monotonic()
-        self._reported = SampleCounts()
-
-    def start(self) -> None:
-        """Begin to receive; an interface that is not there is waited for."""
-        self._last_sample_s = self._report_s = time.monotonic()
-        self._loop.start()
-
-    def stop(self) -> None:
-        """Receive no more, and close the interface."""
-        self._loop.stop()
-
-    def opened(self, send: Callable[[can.Message], None]) -> None:
-        """The interface is open (called by the loop)."""
-        self._reader.reopened()
-        self._send = send
-        for frame in start_frames(self._nodes):
-            send(frame)
-
-    def received(self, frame: can.Message) -> None:
-        """A frame came (called by the loop)."""
-        monotonic_s = time.monotonic()
-        if self._nodes and self._send is not None:
-            node = booted_node(frame, self._nodes)
-            if node is not None:
-                self._send(start_frames([node])[0])
-        sample = self._reader.take(frame, time.time(), monotonic_s)
-        if sample is not None:
-            self._last_sample_s = monotonic_s
-            self._on_sample(sample)
-
-    def silence(self) -> None:
-        """No frame for a while (called by the loop)."""
-        self._reader.silence(time.monotonic())
-
-    def report(self, stale_after_s: float) -> tuple[list[Status], FaultReport]:
-        """The driver's health and faults since this was last asked.
-
-        Args:
-            stale_after_s: without a sample for so long, samples count as stale.
-        """
-        now_s = time.monotonic()
-        reader, faults = self._reader, self._ledger.report()
-        counts = SampleCounts(reader.frames, reader.samples, reader.withheld)
-        recent, self._reported = counts - self._reported, counts
-        skew_s, reader.largest_skew_s = reader.largest_skew_s, 0.0
-        interface = InterfaceState(
-            self._name,
-            self._loop.connected,
-            self._loop.openings,
-            self._loop.last_problem,
-            reader.bus.condition,
-            reader.bus.recoveries,
-        )
-        period_s, self._report_s = max(now_s - self._report_s, 1e-9), now_s
-        silence_s = now_s - self._last_sample_s
-        statuses = driver_statuses(
-            interface,
-            recent,
-            counts,
-            period_s,
-            silence_s,
-            silence_s > stale_after_s,
-            skew_s,
-            faults,
-        )
-        return statuses, faults

@@ -1,8 +1,7 @@
-"""An amplifier that sends its cycle for every set of tensions, faulty as long as it is asked.
+"""An emulated amplifier: tensions to frames by the channel map, with a fault on request.
 
-A fault asked of the emulated amplifier, as text: its kind, and a cable where it has one.
-
-Tensions to frames, by the channel map and its DBC file: the inverse of the decoder.
+`FrameEncoder` is the inverse of the decoder. `EmulatedAmplifier` gives the frames of each cycle;
+a fault is requested as text: its kind, and a cable where it concerns one.
 """
 
 from __future__ import annotations
@@ -15,29 +14,178 @@ import can
 from cantools.database.can import Database, Signal
 
 from cablesense_base.errors import CableSenseError
-from cablesense_online.can.bus import HEARTBEAT_ID, NMT_ID, START_REMOTE_NODE
+from cablesense_online.can.bus import (
+    BUS_ERROR_CLASS,
+    BUS_OFF_CLASS,
+    HEARTBEAT_ID,
+    NMT_ID,
+    RESTARTED_CLASS,
+    START_REMOTE_NODE,
+)
 from cablesense_online.can.channel_map import ChannelMap, ChannelMapError
 from cablesense_online.can.faults import FaultKind
-from cablesense_online.can.watches import BUS_OFF_CLASS, RESTARTED_CLASS
 
-OF_A_CABLE = frozenset(
-    {
-        FaultKind.MISSING_CHANNEL,
-        FaultKind.LATE_CHANNEL,
-        FaultKind.WRONG_LENGTH,
-        FaultKind.UNREADABLE,
-        FaultKind.OVER_RANGE,
-        FaultKind.UNDER_RANGE,
-        FaultKind.STUCK_VALUE,
-        FaultKind.NOT_FINITE,
-        FaultKind.INVALID_STATUS,
-    }
-)
-"""Kinds that need a cable; the others concern the whole bus."""
+GAP_CYCLES = 3
+CYCLES_PER_GAP = 50
+LATE_FACTOR = 1.5
+FLOOD_FACTOR = 2.0
+BEYOND_N = 1.0
+_NODE_BITS = 0x7F
+
+
+@dataclass(frozen=True)
+class PlannedFrame:
+    """A frame and how long after the one before it is sent."""
+
+    frame: can.Message
+    wait_s: float = 0.0
+
+
+class EmulatedAmplifier:
+    """Gives the frames of each cycle.
+
+    Amplifiers of a map with `nmt_start_nodes` are silent until each node was started, as CANopen
+    wants (CiA 301).
+
+    Attributes:
+        fault: what goes wrong at present; None for nothing.
+    """
+
+    def __init__(self, channel_map: ChannelMap, database: Database) -> None:
+        self._map = channel_map
+        self._encoder = FrameEncoder(channel_map, database)
+        self._described = {message.frame_id for message in database.messages}
+        self._cycle = 0
+        self._frozen_n: float | None = None
+        self._was_off = False
+        self._started: set[int] = set()
+        self.fault: FaultRequest | None = None
+
+    def requested(self, text: str) -> FaultRequest | None:
+        """The fault that a text requests, as `parse_fault`; changes nothing.
+
+        Raises:
+            FaultRequestError: no such fault, or NaN of a signal that holds whole numbers.
+        """
+        fault = parse_fault(text, self._map)
+        if (
+            fault
+            and fault.kind is FaultKind.NOT_FINITE
+            and not self._encoder.is_float(fault.cable)
+        ):
+            raise FaultRequestError(
+                f"{fault.cable} is sent as a whole number, which cannot be NaN; request over_range"
+            )
+        return fault
+
+    def request(self, text: str) -> None:
+        """Show a fault (`missing_channel cable_5`) from the next cycle on; empty text ends it.
+
+        Raises:
+            FaultRequestError: as `requested`.
+        """
+        self.fault = self.requested(text)
+        self._frozen_n = None
+
+    def power_up(self) -> list[can.Message]:
+        """The frames of nodes that get power: the boot-up messages of CANopen ones."""
+        self._started.clear()
+        return [
+            can.Message(arbitration_id=HEARTBEAT_ID + node, is_extended_id=False, data=[0])
+            for node in self._map.nmt_start_nodes
+        ]
+
+    def take(self, frame: can.Message) -> None:
+        """Take a frame that someone else sent: an NMT start, or nothing of interest."""
+        if frame.arbitration_id != NMT_ID or len(frame.data) != 2 or frame.is_error_frame:
+            return
+        command, node = frame.data
+        if command == START_REMOTE_NODE:
+            nodes = set(self._map.nmt_start_nodes)
+            self._started |= nodes if node == 0 else nodes & {node}
+
+    def cycle(self, tensions_n: Sequence[float]) -> list[PlannedFrame]:
+        """The frames of one cycle, in their order; (M,) tensions in the order of the map."""
+        kind = self.fault.kind if self.fault else None
+        self._cycle += 1
+        if kind is FaultKind.COUNTER_GAP and self._cycle % CYCLES_PER_GAP == 0:
+            self._cycle += GAP_CYCLES
+        if kind is FaultKind.BUS_OFF:
+            first, self._was_off = not self._was_off, True
+            return [_error_frame(BUS_OFF_CLASS)] if first else []
+        planned = [_error_frame(RESTARTED_CLASS)] if self._was_off else []
+        self._was_off = False
+        if kind in (FaultKind.SILENT_BUS, FaultKind.INTERFACE_LOST):
+            return planned
+        values, statuses = self._faulty_readings(tensions_n)
+        frames = self._encoder.cycle(values, self._cycle, statuses)
+        if self._map.nmt_start_nodes:
+            frames = [f for f in frames if f.arbitration_id & _NODE_BITS in self._started]
+        return planned + self._faulty_frames(frames)
+
+    def _faulty_readings(self, tensions_n: Sequence[float]) -> tuple[list[float], dict[str, int]]:
+        values = [float(tension_n) for tension_n in tensions_n]
+        if self.fault is None or not self.fault.cable:
+            return values, {}
+        cable, masks = self.fault.cable, self._map.status_masks
+        at = self._map.cable_names.index(cable)
+        low, high = self._map.range_n
+        match self.fault.kind:
+            case FaultKind.OVER_RANGE:
+                values[at] = high + BEYOND_N
+                return values, {cable: masks.over_range}
+            case FaultKind.UNDER_RANGE:
+                values[at] = low - BEYOND_N
+                return values, {cable: masks.under_range}
+            case FaultKind.STUCK_VALUE:
+                self._frozen_n = values[at] if self._frozen_n is None else self._frozen_n
+                values[at] = self._frozen_n
+            case FaultKind.NOT_FINITE:
+                values[at] = float("nan")
+            case FaultKind.INVALID_STATUS:
+                return values, {cable: masks.invalid}
+        return values, {}
+
+    def _faulty_frames(self, frames: list[can.Message]) -> list[PlannedFrame]:
+        planned = [PlannedFrame(frame) for frame in frames]
+        if self.fault is None:
+            return planned
+        match self.fault.kind:
+            case FaultKind.UNKNOWN_ID:
+                return [*planned, PlannedFrame(self._undescribed())]
+            case FaultKind.ERROR_FRAME:
+                return [*planned, _error_frame(BUS_ERROR_CLASS)]
+            case FaultKind.FLOODED:
+                count = int(FLOOD_FACTOR * self._map.flood_frames_s * self._map.cycle_time_s)
+                return planned + [PlannedFrame(self._undescribed())] * max(1, count)
+        if not self.fault.cable:
+            return planned
+        number = self._encoder.frame_id(self.fault.cable)
+        others = [one for one in planned if one.frame.arbitration_id != number]
+        ours = [one.frame for one in planned if one.frame.arbitration_id == number]
+        match self.fault.kind:
+            case FaultKind.MISSING_CHANNEL:
+                return others
+            case FaultKind.LATE_CHANNEL:
+                late_s = LATE_FACTOR * self._map.skew_limit_s
+                return others + [PlannedFrame(frame, late_s) for frame in ours]
+            case FaultKind.WRONG_LENGTH:
+                return others + [PlannedFrame(_shortened(frame)) for frame in ours]
+            case FaultKind.UNREADABLE:
+                remote = can.Message(
+                    arbitration_id=number, is_extended_id=False, is_remote_frame=True, dlc=8
+                )
+                return [*others, PlannedFrame(remote)]
+        return planned
+
+    def _undescribed(self) -> can.Message:
+        """A frame that the DBC file does not describe, of the lowest priority there is."""
+        number = next(n for n in range(0x7FF, 0, -1) if n not in self._described)
+        return can.Message(arbitration_id=number, is_extended_id=False, data=bytes(8))
 
 
 class FaultRequestError(CableSenseError):
-    """A fault that cannot be asked for: says what can."""
+    """A fault that cannot be shown: lists those that can."""
 
 
 @dataclass(frozen=True)
@@ -49,30 +197,30 @@ class FaultRequest:
 
 
 def parse_fault(text: str, channel_map: ChannelMap) -> FaultRequest | None:
-    """Read `missing_channel cable_5`, `bus_off` or the like; an empty text asks for none.
+    """Read `missing_channel cable_5`, `bus_off` or the like; an empty text requests none.
 
     Raises:
         FaultRequestError: an unknown fault or cable, or one that these amplifiers cannot show.
     """
-    words = text.split()
-    if not words:
+    parts = text.split()
+    if not parts:
         return None
+    name = parts[0]
     kinds = {kind.name.lower(): kind for kind in FaultKind}
-    kind = kinds.get(words[0])
+    kind = kinds.get(name)
     if kind is None:
-        raise FaultRequestError(f"unknown fault {words[0][:40]!r}; there are {', '.join(kinds)}")
-    if kind not in OF_A_CABLE:
-        if len(words) > 1:
-            raise FaultRequestError(f"{words[0]} concerns the whole bus; leave the cable out")
+        raise FaultRequestError(f"unknown fault {name[:40]!r}; there are {', '.join(kinds)}")
+    if not kind.of_cable:
+        if len(parts) > 1:
+            raise FaultRequestError(f"{name} concerns the whole bus; leave the cable out")
         if kind is FaultKind.COUNTER_GAP and channel_map.counter is None:
             raise FaultRequestError(f"map {channel_map.name} has no cycle counter to leave a gap")
         return FaultRequest(kind)
-    cable = words[1] if len(words) == 2 else ""
+    cable = parts[1] if len(parts) == 2 else ""
     if cable not in channel_map.channels:
         names = channel_map.cable_names
         raise FaultRequestError(
-            f"{words[0]} needs one cable of {names[0]} … {names[-1]}, as in "
-            f"'{words[0]} {names[0]}'"
+            f"{name} needs one cable of {names[0]} … {names[-1]}, as in '{name} {names[0]}'"
         )
     if kind is FaultKind.INVALID_STATUS and channel_map.channels[cable].status is None:
         raise FaultRequestError(f"{cable} has no status in map {channel_map.name}")
@@ -87,7 +235,7 @@ class FrameEncoder:
     """
 
     def __init__(self, channel_map: ChannelMap, database: Database) -> None:
-        """`channel_map` must fit `database` (`signal_database.check_fit`)."""
+        """`channel_map` must fit `database` (`channel_map.check_fit`)."""
         self._map = channel_map
         self._counter = channel_map.counter
         names = {channel.message for channel in channel_map.channels.values()}
@@ -162,165 +310,6 @@ def _raw(signal: Signal, value: float) -> float:
     lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
     highest = (1 << (signal.length - signal.is_signed)) - 1
     return max(lowest, min(highest, round(scaled)))
-
-
-GAP_CYCLES = 3
-CYCLES_PER_GAP = 50
-LATE_FACTOR = 1.5
-FLOOD_FACTOR = 2.0
-BEYOND_N = 1.0
-_BUS_ERROR_CLASS = 0x80
-_NODE_BITS = 0x7F
-
-
-@dataclass(frozen=True)
-class PlannedFrame:
-    """A frame and how long after the one before it is sent."""
-
-    frame: can.Message
-    wait_s: float = 0.0
-
-
-class EmulatedAmplifier:
-    """Gives the frames of each cycle.
-
-    Amplifiers of a map with `nmt_start_nodes` are silent until each node was started, as CANopen
-    wants (CiA 301).
-
-    Attributes:
-        fault: what goes wrong at present; None for nothing.
-    """
-
-    def __init__(self, channel_map: ChannelMap, database: Database) -> None:
-        self._map = channel_map
-        self._encoder = FrameEncoder(channel_map, database)
-        self._described = {message.frame_id for message in database.messages}
-        self._cycle = 0
-        self._frozen_n: float | None = None
-        self._was_off = False
-        self._started: set[int] = set()
-        self.fault: FaultRequest | None = None
-
-    def check(self, fault: FaultRequest | None) -> None:
-        """Whether a fault can be shown; changes nothing.
-
-        Raises:
-            FaultRequestError: NaN asked of a signal that holds whole numbers.
-        """
-        if (
-            fault
-            and fault.kind is FaultKind.NOT_FINITE
-            and not self._encoder.is_float(fault.cable)
-        ):
-            raise FaultRequestError(
-                f"{fault.cable} is sent as a whole number, which cannot be NaN; ask for over_range"
-            )
-
-    def ask(self, fault: FaultRequest | None) -> None:
-        """Be faulty in this way from the next cycle on; None ends it.
-
-        Raises:
-            FaultRequestError: as `check`.
-        """
-        self.check(fault)
-        self.fault = fault
-        self._frozen_n = None
-
-    def power_up(self) -> list[can.Message]:
-        """What the nodes send when they get power: the boot-up messages of CANopen ones."""
-        self._started.clear()
-        return [
-            can.Message(arbitration_id=HEARTBEAT_ID + node, is_extended_id=False, data=[0])
-            for node in self._map.nmt_start_nodes
-        ]
-
-    def take(self, frame: can.Message) -> None:
-        """Take a frame that someone else sent: an NMT start, or nothing of interest."""
-        if frame.arbitration_id != NMT_ID or len(frame.data) != 2 or frame.is_error_frame:
-            return
-        command, node = frame.data
-        if command == START_REMOTE_NODE:
-            nodes = set(self._map.nmt_start_nodes)
-            self._started |= nodes if node == 0 else nodes & {node}
-
-    def cycle(self, tensions_n: Sequence[float]) -> list[PlannedFrame]:
-        """The frames of one cycle, in their order; (M,) tensions in the order of the map."""
-        kind = self.fault.kind if self.fault else None
-        self._cycle += 1
-        if kind is FaultKind.COUNTER_GAP and self._cycle % CYCLES_PER_GAP == 0:
-            self._cycle += GAP_CYCLES
-        if kind is FaultKind.BUS_OFF:
-            first, self._was_off = not self._was_off, True
-            return [_error_frame(BUS_OFF_CLASS)] if first else []
-        planned = [_error_frame(RESTARTED_CLASS)] if self._was_off else []
-        self._was_off = False
-        if kind in (FaultKind.SILENT_BUS, FaultKind.INTERFACE_LOST):
-            return planned
-        values, statuses = self._faulty_readings(tensions_n)
-        frames = self._encoder.cycle(values, self._cycle, statuses)
-        if self._map.nmt_start_nodes:
-            frames = [f for f in frames if f.arbitration_id & _NODE_BITS in self._started]
-        return planned + self._faulty_frames(frames)
-
-    def _faulty_readings(self, tensions_n: Sequence[float]) -> tuple[list[float], dict[str, int]]:
-        values = [float(tension_n) for tension_n in tensions_n]
-        if self.fault is None or not self.fault.cable:
-            return values, {}
-        cable, masks = self.fault.cable, self._map.status_masks
-        at = self._map.cable_names.index(cable)
-        low, high = self._map.range_n
-        match self.fault.kind:
-            case FaultKind.OVER_RANGE:
-                values[at] = high + BEYOND_N
-                return values, {cable: masks.over_range}
-            case FaultKind.UNDER_RANGE:
-                values[at] = low - BEYOND_N
-                return values, {cable: masks.under_range}
-            case FaultKind.STUCK_VALUE:
-                self._frozen_n = values[at] if self._frozen_n is None else self._frozen_n
-                values[at] = self._frozen_n
-            case FaultKind.NOT_FINITE:
-                values[at] = float("nan")
-            case FaultKind.INVALID_STATUS:
-                return values, {cable: masks.invalid}
-        return values, {}
-
-    def _faulty_frames(self, frames: list[can.Message]) -> list[PlannedFrame]:
-        planned = [PlannedFrame(frame) for frame in frames]
-        if self.fault is None:
-            return planned
-        match self.fault.kind:
-            case FaultKind.UNKNOWN_ID:
-                return [*planned, PlannedFrame(self._stranger())]
-            case FaultKind.ERROR_FRAME:
-                return [*planned, _error_frame(_BUS_ERROR_CLASS)]
-            case FaultKind.FLOODED:
-                count = int(FLOOD_FACTOR * self._map.flood_frames_s * self._map.cycle_time_s)
-                return planned + [PlannedFrame(self._stranger())] * max(1, count)
-        if not self.fault.cable:
-            return planned
-        number = self._encoder.frame_id(self.fault.cable)
-        others = [one for one in planned if one.frame.arbitration_id != number]
-        ours = [one.frame for one in planned if one.frame.arbitration_id == number]
-        match self.fault.kind:
-            case FaultKind.MISSING_CHANNEL:
-                return others
-            case FaultKind.LATE_CHANNEL:
-                late_s = LATE_FACTOR * self._map.skew_limit_s
-                return others + [PlannedFrame(frame, late_s) for frame in ours]
-            case FaultKind.WRONG_LENGTH:
-                return others + [PlannedFrame(_shortened(frame)) for frame in ours]
-            case FaultKind.UNREADABLE:
-                remote = can.Message(
-                    arbitration_id=number, is_extended_id=False, is_remote_frame=True, dlc=8
-                )
-                return [*others, PlannedFrame(remote)]
-        return planned
-
-    def _stranger(self) -> can.Message:
-        """A frame that the DBC file does not describe, of the lowest priority there is."""
-        number = next(n for n in range(0x7FF, 0, -1) if n not in self._described)
-        return can.Message(arbitration_id=number, is_extended_id=False, data=bytes(8))
 
 
 def _shortened(frame: can.Message) -> can.Message:

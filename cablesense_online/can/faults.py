@@ -1,6 +1,6 @@
-"""What can go wrong between a sensor and a sample; each kind is counted and has one behaviour.
+"""Faults between a sensor and a sample: their kinds as one table, and their count.
 
-The count of faults by kind and place, written by the receiving thread, read by diagnostics.
+The receiving thread counts, diagnostics read.
 """
 
 from __future__ import annotations
@@ -11,51 +11,47 @@ from dataclasses import dataclass
 from enum import Enum
 from threading import Lock
 
-
-class FaultKind(Enum):
-    """A kind of fault; the value is what diagnostics call it."""
-
-    MISSING_CHANNEL = "missing channel"
-    LATE_CHANNEL = "late channel"
-    COUNTER_GAP = "counter gap"
-    WRONG_LENGTH = "wrong length"
-    UNKNOWN_ID = "unknown id"
-    UNREADABLE = "unreadable frame"
-    ERROR_FRAME = "error frame"
-    BUS_OFF = "bus off"
-    OVER_RANGE = "over range"
-    UNDER_RANGE = "under range"
-    STUCK_VALUE = "stuck value"
-    NOT_FINITE = "not finite"
-    INVALID_STATUS = "invalid by its status"
-    FLOODED = "flooded bus"
-    SILENT_BUS = "silent bus"
-    INTERFACE_LOST = "interface lost"
-
-
-WITHHOLDS = frozenset(
-    {
-        FaultKind.MISSING_CHANNEL,
-        FaultKind.LATE_CHANNEL,
-        FaultKind.WRONG_LENGTH,
-        FaultKind.UNREADABLE,
-        FaultKind.BUS_OFF,
-        FaultKind.OVER_RANGE,
-        FaultKind.UNDER_RANGE,
-        FaultKind.STUCK_VALUE,
-        FaultKind.NOT_FINITE,
-        FaultKind.INVALID_STATUS,
-        FaultKind.SILENT_BUS,
-        FaultKind.INTERFACE_LOST,
-    }
-)
-"""Kinds that cost samples; the others are reported and the samples go on."""
-
-
 PLACES_KEPT = 32
 """Places counted by name for each kind; a bus full of unknown ids must not fill the memory."""
 
 ELSEWHERE = "elsewhere"
+
+
+class FaultKind(Enum):
+    """A kind of fault; its value is its name in diagnostics.
+
+    Attributes:
+        withholds: whether it costs samples; otherwise it is reported and the samples go on.
+        of_cable: whether it concerns one cable's channel; otherwise the whole bus.
+    """
+
+    #                  in diagnostics          withholds, of_cable
+    MISSING_CHANNEL = ("missing channel", True, True)
+    LATE_CHANNEL = ("late channel", True, True)
+    COUNTER_GAP = ("counter gap", False, False)
+    WRONG_LENGTH = ("wrong length", True, True)
+    UNKNOWN_ID = ("unknown id", False, False)
+    UNREADABLE = ("unreadable frame", True, True)
+    ERROR_FRAME = ("error frame", False, False)
+    BUS_OFF = ("bus off", True, False)
+    OVER_RANGE = ("over range", True, True)
+    UNDER_RANGE = ("under range", True, True)
+    STUCK_VALUE = ("stuck value", True, True)
+    NOT_FINITE = ("not finite", True, True)
+    INVALID_STATUS = ("invalid by its status", True, True)
+    FLOODED = ("flooded bus", False, False)
+    SILENT_BUS = ("silent bus", True, False)
+    INTERFACE_LOST = ("interface lost", True, False)
+
+    withholds: bool
+    of_cable: bool
+
+    def __new__(cls, text: str, withholds: bool, of_cable: bool) -> FaultKind:
+        """A row of the table."""
+        kind = object.__new__(cls)
+        kind._value_ = text
+        kind.withholds, kind.of_cable = withholds, of_cable
+        return kind
 
 
 @dataclass(frozen=True)
@@ -84,34 +80,23 @@ class FaultLedger:
         self._total: Counter[FaultKind] = Counter()
         self._last: dict[FaultKind, str] = {}
 
-    def note(self, kind: FaultKind, place: str, detail: str = "", count: int = 1) -> None:
+    def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
         """Count a fault.
 
         Args:
             kind: what went wrong.
             place: where: the cable, id, message or interface.
             detail: a sentence for people; the latest of a kind is kept.
-            count: how many at once.
         """
         with self._lock:
             places = self._places.setdefault(kind, Counter())
-            known = place in places or len(places) < PLACES_KEPT
-            places[place if known else ELSEWHERE] += count
-            self._total[kind] += count
+            places[place if place in places or len(places) < PLACES_KEPT else ELSEWHERE] += 1
+            self._total[kind] += 1
             self._last[kind] = detail or place
 
-    def total(self, kind: FaultKind) -> int:
-        """How many of a kind so far."""
-        with self._lock:
-            return self._total[kind]
-
     def report(self) -> FaultReport:
-        """The faults since this was last asked; totals go on."""
+        """The faults since the report before; totals go on."""
         with self._lock:
             places, self._places = self._places, {}
-            return FaultReport(
-                recent={kind: counted.total() for kind, counted in places.items()},
-                places=places,
-                total=dict(self._total),
-                last=dict(self._last),
-            )
+            recent = {kind: counted.total() for kind, counted in places.items()}
+            return FaultReport(recent, places, dict(self._total), dict(self._last))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_online.can.watches import BusClock
+from cablesense_online.can.bus import BusClock
 
 NOW_S = 1.7e9
 

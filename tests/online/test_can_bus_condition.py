@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cablesense_online.can.bus import BusCondition, BusState, error_text
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.watches import BusCondition, BusWatch, error_words
 
 
 @pytest.fixture
 def watch():
-    watch = BusWatch("can0", True, FaultLedger())
+    watch = BusState("can0", True, FaultLedger())
     watch.ledger = watch._ledger
     return watch
 
@@ -52,7 +52,7 @@ def test_a_data_frame_proves_that_the_controller_is_back(watch):
 
 def test_codes_of_other_drivers_are_not_read_as_classes():
     ledger = FaultLedger()
-    watch = BusWatch("PCAN_USBBUS1", False, ledger)
+    watch = BusState("PCAN_USBBUS1", False, ledger)
     watch.error_frame(0x44, bytes([0, 0x30]))
     assert watch.condition is BusCondition.ACTIVE
     assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
@@ -66,15 +66,15 @@ def test_reopening_is_no_recovery(watch):
 
 
 def test_an_error_frame_is_put_in_words():
-    assert error_words(0x24, bytes([0, 0x01])) == (
+    assert error_text(0x24, bytes([0, 0x01])) == (
         "controller, no acknowledge, receive buffer overflow"
     )
-    assert "0x200" in error_words(0x200, b"")
+    assert "0x200" in error_text(0x200, b"")
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**29 - 1), st.binary(max_size=8)), max_size=20))
 def test_any_error_frame_is_counted(frames):
-    watch = BusWatch("can0", True, FaultLedger())
+    watch = BusState("can0", True, FaultLedger())
     for number, data in frames:
         watch.error_frame(number, data)
     noted = watch._ledger.report().recent

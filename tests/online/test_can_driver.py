@@ -10,8 +10,9 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 from cablesense_msgs_py.diagnostics import Level
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.driver import CanDriver
-from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, parse_fault
-from cablesense_online.can.emulator import BusSink, SlcanPort, play
+from cablesense_online.can.emulated_amplifier import EmulatedAmplifier
+from cablesense_online.can.emulator import BusSink, play
+from cablesense_online.can.slcan import SlcanPort
 
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
 _numbers = itertools.count()
@@ -55,8 +56,8 @@ class Bench:
 
         until(enough)
 
-    def ask(self, text):
-        self.amplifier.ask(parse_fault(text, self.map))
+    def request(self, text):
+        self.amplifier.request(text)
 
     @property
     def statuses(self):
@@ -100,7 +101,7 @@ def test_canopen_nodes_are_started_and_started_again_after_a_loss_of_power(singl
 
 def test_a_missing_channel_stops_the_samples_and_is_reported(packed):
     packed.cycles(20)
-    packed.ask("missing_channel cable_6")
+    packed.request("missing_channel cable_6")
     time.sleep(0.05)
     count = len(packed.samples)
     packed.statuses  # noqa: B018 (a report clears what is recent)
@@ -114,12 +115,12 @@ def test_a_missing_channel_stops_the_samples_and_is_reported(packed):
 
 def test_bus_off_is_reported_and_its_end_as_well(packed):
     packed.cycles(5)
-    packed.ask("bus_off")
+    packed.request("bus_off")
     packed.cycles(5)
     time.sleep(0.05)
     interface = packed.statuses["interface"]
     assert (interface.level, interface.values["bus"]) == (Level.ERROR, "bus off")
-    packed.ask("")
+    packed.request("")
     packed.cycles(5)
     time.sleep(0.05)
     assert packed.statuses["interface"].values["recoveries from bus off"] == "1"

@@ -5,9 +5,14 @@ from dataclasses import replace
 import pytest
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_online.can.driver import InterfaceState, SampleCounts, driver_statuses
+from cablesense_online.can.bus import BusCondition
+from cablesense_online.can.driver import (
+    InterfaceState,
+    SampleCounts,
+    interface_status,
+    sample_status,
+)
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.watches import BusCondition
 
 INTERFACE = InterfaceState("socketcan can0", True, 1, "", BusCondition.ACTIVE, 0)
 COUNTS = SampleCounts(frames=4000, samples=1000, withheld=0)
@@ -17,7 +22,8 @@ def statuses(interface=INTERFACE, recent=COUNTS, total=COUNTS, stale=False, faul
     ledger = FaultLedger()
     for kind, place in faults:
         ledger.note(kind, place)
-    return driver_statuses(interface, recent, total, 1.0, 0.3, stale, 3e-4, ledger.report())
+    samples = sample_status(recent, total, 1.0, 0.3, stale, 3e-4, ledger.report())
+    return interface_status(interface, recent, total, 1.0), samples
 
 
 def test_all_is_well():

@@ -7,13 +7,12 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 from cablesense_base.installation import config_path
 from cablesense_online.can.bus import CanInterface, booted_node, start_frames
 from cablesense_online.can.channel_map import parse_database
-from cablesense_online.can.driver import TensionReader
 from cablesense_online.can.emulated_amplifier import (
     EmulatedAmplifier,
     FaultRequestError,
-    parse_fault,
 )
 from cablesense_online.can.faults import FaultKind, FaultLedger
+from cablesense_online.can.tension_reader import TensionReader
 
 NOW_S = 1.7e9
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
@@ -46,8 +45,8 @@ class Bench:
             self.time_s = max(self.time_s, begin_s + self.map.cycle_time_s)
         return samples
 
-    def ask(self, text):
-        self.amplifier.ask(parse_fault(text, self.map))
+    def request(self, text):
+        self.amplifier.request(text)
 
 
 @pytest.fixture
@@ -89,10 +88,10 @@ def test_without_a_fault_every_cycle_is_a_sample(bench):
 )
 def test_each_fault_is_named_and_ends_with_its_cause(packed, text, kind, share_given):
     packed.cycles(20)
-    packed.ask(text)
+    packed.request(text)
     assert len(packed.cycles(100)) == pytest.approx(100 * share_given, abs=1)
     assert kind in packed.ledger.report().recent
-    packed.ask("")
+    packed.request("")
     packed.cycles(2)  # the fault's last sample is named with the next one
     packed.ledger.report()
     samples = packed.cycles(100)
@@ -102,14 +101,14 @@ def test_each_fault_is_named_and_ends_with_its_cause(packed, text, kind, share_g
 
 
 def test_a_stuck_channel_is_found_while_the_others_move(packed):
-    packed.ask("stuck_value cable_6")
+    packed.request("stuck_value cable_6")
     given = sum(len(packed.cycles(1, TENSIONS_N + 0.05 * number)) for number in range(2500))
     assert 1900 < given < 2100
     assert packed.ledger.report().places == {FaultKind.STUCK_VALUE: {"cable_6": 2500 - given}}
 
 
 def test_a_flood_is_named_and_costs_no_sample(packed):
-    packed.ask("flooded")
+    packed.request("flooded")
     assert len(packed.cycles(2000)) == 2000
     assert set(packed.ledger.report().recent) == {FaultKind.FLOODED, FaultKind.UNKNOWN_ID}
 
@@ -124,7 +123,7 @@ def test_a_flood_is_named_and_costs_no_sample(packed):
     ],
 )
 def test_faults_of_a_node_are_told_by_its_status(single, text, kind):
-    single.ask(text)
+    single.request(text)
     assert single.cycles(20) == []
     single.reader.silence(single.time_s + 1.0)
     assert set(single.ledger.report().places[kind]) == {"cable_6"}
@@ -132,16 +131,16 @@ def test_faults_of_a_node_are_told_by_its_status(single, text, kind):
 
 def test_nan_is_told_from_a_signal_that_can_carry_it(packed):
     with pytest.raises(FaultRequestError, match="whole number"):
-        packed.ask("not_finite cable_3")
+        packed.request("not_finite cable_3")
     text = config_path("can/cia404_amplifier.dbc").read_text(encoding="utf-8")
     floating = Bench(SINGLE, parse_database(text + "SIG_VALTYPE_ 387 VALUE_3 : 1;\n"))
-    floating.ask("not_finite cable_3")
+    floating.request("not_finite cable_3")
     assert floating.cycles(5) == []
     assert floating.ledger.report().places == {FaultKind.NOT_FINITE: {"cable_3": 5}}
 
 
 def test_silence_sends_nothing(packed):
-    packed.ask("silent_bus")
+    packed.request("silent_bus")
     assert packed.amplifier.cycle(TENSIONS_N) == []
 
 

@@ -60,11 +60,11 @@ def test_canopen_nodes_boot_and_wait_to_be_started():
 
 
 def test_an_interface_is_pulled_and_plugged_in_again_on_request(bench):
-    bench.emulator.ask("interface_lost")
+    bench.emulator.request("interface_lost")
     assert bench.sinks[0].closed
     bench.emulator.cycle(TENSIONS_N)
     assert bench.emulator.dropped == 0
-    bench.emulator.ask("")
+    bench.emulator.request("")
     bench.emulator.cycle(TENSIONS_N)
     assert len(bench.sinks[1].sent) == 4
     bench.emulator.close()
@@ -73,12 +73,12 @@ def test_an_interface_is_pulled_and_plugged_in_again_on_request(bench):
 
 
 def test_a_fault_that_cannot_be_is_refused_and_changes_nothing(bench):
-    bench.emulator.ask(" missing_channel  cable_1 ")
+    bench.emulator.request(" missing_channel  cable_1 ")
     for wrong in ("explosion", "not_finite cable_2"):
         with pytest.raises(FaultRequestError):
             bench.emulator.check(wrong)
         with pytest.raises(FaultRequestError):
-            bench.emulator.ask(wrong)
+            bench.emulator.request(wrong)
     bench.emulator.check("")
     assert bench.emulator.fault == "missing_channel  cable_1"
     bench.emulator.cycle(TENSIONS_N)

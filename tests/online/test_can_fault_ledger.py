@@ -42,4 +42,4 @@ def test_two_threads_lose_no_count():
     while any(thread.is_alive() for thread in threads):
         seen += ledger.report().recent.get(FaultKind.ERROR_FRAME, 0)
     seen += ledger.report().recent.get(FaultKind.ERROR_FRAME, 0)
-    assert seen == ledger.total(FaultKind.ERROR_FRAME) == 4_000
+    assert seen == ledger.report().total[FaultKind.ERROR_FRAME] == 4_000

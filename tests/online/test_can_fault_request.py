@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_online.can.emulated_amplifier import (
-    OF_A_CABLE,
     FaultRequest,
     FaultRequestError,
     parse_fault,
@@ -17,9 +16,8 @@ from cablesense_online.can.faults import FaultKind
 @pytest.mark.parametrize("kind", FaultKind)
 def test_every_kind_can_be_asked_for(kind):
     name = kind.name.lower()
-    if kind in OF_A_CABLE:
-        channel_map = SINGLE
-        asked = parse_fault(f" {name}  cable_5 ", channel_map)
+    if kind.of_cable:
+        asked = parse_fault(f" {name}  cable_5 ", SINGLE)
         assert asked == FaultRequest(kind, "cable_5")
     else:
         assert parse_fault(name, PACKED) == FaultRequest(kind)

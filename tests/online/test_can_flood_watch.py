@@ -4,11 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.watches import FloodWatch
+from cablesense_online.can.tension_reader import RateLimit
 
 
 def make(ledger):
-    return FloodWatch(limit_frames_s=8000.0, known_frames_s=4000.0, ledger=ledger)
+    return RateLimit(limit_frames_s=8000.0, known_frames_s=4000.0, ledger=ledger)
 
 
 def test_a_normal_bus_is_never_flooded():
@@ -44,7 +44,7 @@ def test_a_babbling_amplifier_is_held_to_twice_its_rate():
 
 @given(st.lists(st.floats(0.0, 0.1), min_size=1, max_size=200), st.integers(1, 50))
 def test_admission_never_exceeds_rate_and_allowance(waits_s, burst):
-    watch = FloodWatch(100.0, 50.0, FaultLedger())
+    watch = RateLimit(100.0, 50.0, FaultLedger())
     time_s, admitted = 0.0, 0
     for wait_s in waits_s:
         time_s += wait_s

@@ -71,10 +71,10 @@ def test_scale_and_zero_are_applied_and_names_may_be_crossed(ledger):
 @pytest.mark.parametrize(
     ("raw", "fault"), [(32767, FaultKind.OVER_RANGE), (-32768, FaultKind.UNDER_RANGE)]
 )
-def test_a_reading_at_the_converters_end_spoils_the_frame(packed, ledger, raw, fault):
+def test_a_reading_at_the_converters_end_makes_the_frame_invalid(packed, ledger, raw, fault):
     message = packed_cycle(TENSIONS_N, 0)[1]
     message.data[2:4] = struct.pack("<h", raw)
-    assert packed.decode(message).spoilt
+    assert not packed.decode(message).valid
     assert ledger.report().places == {fault: {"cable_2": 1}}
 
 
@@ -92,18 +92,18 @@ def test_a_status_byte_is_believed(ledger, status, fault):
     statuses = [0] * 12
     statuses[4] = status
     decoded = [decoder.decode(one) for one in single_cycle(TENSIONS_N, statuses=statuses)]
-    assert [one.spoilt for one in decoded].index(True) == 4 if fault else True
+    assert [one.valid for one in decoded] == [True] * 4 + [fault is None] + [True] * 7
     assert set(ledger.report().recent) == ({fault} if fault else set())
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_float_that_is_no_number_spoils_the_frame(ledger, bad):
+def test_a_float_that_is_no_number_makes_the_frame_invalid(ledger, bad):
     text = config_path("can/cia404_amplifier.dbc").read_text(encoding="utf-8")
     text = text.replace("0|32@1- (0.001,0)", "0|32@1- (1,0)") + "SIG_VALTYPE_ 387 VALUE_3 : 1;\n"
     database = parse_database(text)
     decoder = FrameDecoder(SINGLE, database, ledger)
     message = frame(database, "TPDO_3", {"VALUE_3": bad, "STATUS_3": 0})
-    assert decoder.decode(message).spoilt
+    assert not decoder.decode(message).valid
     assert ledger.report().places == {FaultKind.NOT_FINITE: {"cable_3": 1}}
 
 
@@ -142,7 +142,7 @@ def test_an_unknown_id_is_named_and_one_that_the_dbc_describes_is_not(ledger):
     st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_any_frame_gives_readings_within_the_range_or_is_spoilt_or_none(number, data, extended):
+def test_any_frame_gives_readings_within_the_range_or_is_invalid_or_none(number, data, extended):
     extended = extended or number > 0x7FF
     ledger = FaultLedger()
     decoder = FrameDecoder(PACKED, PACKED_DATABASE, ledger)
@@ -150,6 +150,6 @@ def test_any_frame_gives_readings_within_the_range_or_is_spoilt_or_none(number, 
     decoded = decoder.decode(message)
     if decoded is None:
         assert sum(ledger.report().recent.values()) == 1
-    elif not decoded.spoilt:
+    elif decoded.valid:
         low, high = PACKED.range_n
         assert all(low < tension_n < high for _, tension_n in decoded.readings)

@@ -32,7 +32,7 @@ def test_what_is_encoded_is_decoded_to_half_a_step(
     ]
     readings = dict(pair for one in decoded for pair in one.readings)
     assert [readings[i] for i in range(12)] == pytest.approx(tensions_n, abs=half_step_n + 1e-9)
-    assert not any(one.spoilt for one in decoded)
+    assert all(one.valid for one in decoded)
     if channel_map is PACKED:
         assert decoded[0].counter == counter % 256
 

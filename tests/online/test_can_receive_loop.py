@@ -6,10 +6,10 @@ from queue import Empty, Queue
 import can
 import pytest
 
-from cablesense_online.can import receive_loop
+from cablesense_online.can import driver as driver_module
 from cablesense_online.can.bus import CanInterfaceError
+from cablesense_online.can.driver import ReceiveLoop
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.receive_loop import ReceiveLoop
 
 FRAME = can.Message(arbitration_id=1, is_extended_id=False)
 
@@ -98,7 +98,7 @@ def test_frames_are_passed_on_and_the_bus_can_be_sent_on(bench):
 def test_an_interface_that_vanishes_is_opened_again_until_it_is_there(bench, error):
     bench.shut = True
     bench.buses[0].coming.put(error)
-    bench.until(lambda: bench.ledger.total(FaultKind.INTERFACE_LOST) >= 3)
+    bench.until(lambda: bench.ledger.report().total.get(FaultKind.INTERFACE_LOST, 0) >= 3)
     assert not bench.loop.connected
     assert bench.loop.last_problem == "fake is not there"
     bench.shut = False
@@ -138,13 +138,13 @@ def test_a_line_that_is_no_frame_is_counted_and_the_next_one_taken(bench):
 
 
 def test_an_adapter_out_of_step_is_opened_again(bench):
-    for _ in range(receive_loop.UNREADABLE_IN_A_ROW):
+    for _ in range(driver_module.UNREADABLE_IN_A_ROW):
         bench.buses[0].coming.put(ValueError("not hexadecimal"))
     bench.until(lambda: bench.loop.openings == 2)
 
 
 def test_a_silent_interface_is_opened_again(monkeypatch):
-    monkeypatch.setattr(receive_loop, "REOPEN_AFTER_SILENCE_S", 0.1)
+    monkeypatch.setattr(driver_module, "REOPEN_AFTER_SILENCE_S", 0.1)
     bench = Bench()
     bench.loop.start()
     bench.until(lambda: bench.loop.openings >= 2)
@@ -156,7 +156,7 @@ def test_it_ends_at_once_while_the_interface_is_away():
     bench = Bench()
     bench.shut = True
     bench.loop.start()
-    bench.until(lambda: bench.ledger.total(FaultKind.INTERFACE_LOST) >= 2)
+    bench.until(lambda: bench.ledger.report().total.get(FaultKind.INTERFACE_LOST, 0) >= 2)
     began_s = time.monotonic()
     bench.loop.stop()
     bench.loop.stop()

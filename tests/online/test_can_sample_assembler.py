@@ -12,9 +12,9 @@ SKEW_S = 0.4e-3
 CYCLE_S = 1e-3
 
 
-def data(group, value=0.0, spoilt=False):
+def data(group, value=0.0, valid=True):
     """Channels 0-1, 2-3 or 4-5."""
-    return Decoded(readings=[(2 * group, value), (2 * group + 1, value)], spoilt=spoilt)
+    return Decoded(readings=[(2 * group, value), (2 * group + 1, value)], valid=valid)
 
 
 def opening(count):
@@ -175,7 +175,7 @@ def test_a_reading_not_to_be_believed_costs_its_sample_without_a_missing_channel
     if bench.counted:
         bench.take(opening(1), 1e-3)
     for group in range(3):
-        bench.take(data(group, spoilt=group == 1), 1e-3 + (group + 1) * 1e-4)
+        bench.take(data(group, valid=group != 1), 1e-3 + (group + 1) * 1e-4)
     bench.cycle(2)
     assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 2.0]
     assert bench.faults == {}
@@ -208,19 +208,19 @@ def test_a_restart_takes_any_counter(counted):
 )
 @settings(max_examples=150, deadline=None)
 def test_any_course_of_frames_gives_only_whole_samples_within_the_limit(modulo, course):
-    bench, time_s, marks, spoilt_marks = Bench(modulo), 0.0, {}, set()
-    for mark, (kind, wait_s, spoilt, count) in enumerate(course, start=1):
+    bench, time_s, marks, invalid_marks = Bench(modulo), 0.0, {}, set()
+    for mark, (kind, wait_s, valid, count) in enumerate(course, start=1):
         time_s += wait_s
         marks[float(mark)] = time_s
         if kind == 3:
             bench.take(opening(count) if modulo else data(0, float(mark)), time_s)
             continue
-        if spoilt:
-            spoilt_marks.add(float(mark))
-        bench.take(data(kind, float(mark), spoilt), time_s)
+        if not valid:
+            invalid_marks.add(float(mark))
+        bench.take(data(kind, float(mark), valid), time_s)
     for sample in bench.samples:
         values = sample.tensions_n.tolist()
         times_s = [marks[value] for value in values]  # each value was sent, and by whom is known
         assert max(times_s) - min(times_s) <= SKEW_S + 1e-12
-        assert not spoilt_marks & set(values)
+        assert not invalid_marks & set(values)
         assert all(value in marks for value in values)

@@ -8,7 +8,7 @@ import tty
 import can
 import pytest
 
-from cablesense_online.can.bus import SlcanBus
+from cablesense_online.can.slcan import SlcanBus
 
 
 class Adapter:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_online.can.bus import frame_line, line_frame
+from cablesense_online.can.slcan import frame_line, line_frame
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cablesense_online.can.bus import CanInterface
-from cablesense_online.can.emulator import SlcanPort, SlcanPortError
+from cablesense_online.can.slcan import SlcanPort, SlcanPortError
 
 
 @pytest.fixture

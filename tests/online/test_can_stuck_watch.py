@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from cablesense_online.can.channel_map import StuckLimits
-from cablesense_online.can.watches import StuckWatch
+from cablesense_online.can.tension_reader import StuckDetector
 
 LIMITS = StuckLimits(after_s=2.0, others_moved_n=20.0)
 
 
 @pytest.fixture
 def watch():
-    return StuckWatch(12, LIMITS)
+    return StuckDetector(12, LIMITS)
 
 
 def play(watch, samples, start_s=0.0, step_s=0.1):
@@ -49,4 +49,4 @@ def test_a_restart_forgets(watch):
 
 
 def test_a_lone_channel_is_never_stuck():
-    assert set(play(StuckWatch(1, LIMITS), [np.array([50.0])] * 100)) == {()}
+    assert set(play(StuckDetector(1, LIMITS), [np.array([50.0])] * 100)) == {()}

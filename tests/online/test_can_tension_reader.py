@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_cycle, single_cycle
 
-from cablesense_online.can.bus import CanInterface
-from cablesense_online.can.driver import TensionReader
+from cablesense_online.can.bus import BusCondition, CanInterface
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.watches import BusCondition
+from cablesense_online.can.tension_reader import TensionReader
 
 NOW_S = 1.7e9
 TENSIONS_N = np.linspace(40.0, 62.0, 12)

@@ -11,8 +11,9 @@ from ros_graph import Graph, NodeProcess
 
 from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
 from cablesense_online.can.channel_map import channel_signal
-from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, parse_fault
-from cablesense_online.can.emulator import SlcanPort, play
+from cablesense_online.can.emulated_amplifier import EmulatedAmplifier
+from cablesense_online.can.emulator import play
+from cablesense_online.can.slcan import SlcanPort
 from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
@@ -41,8 +42,8 @@ class Adapter:
         play(self.port, self.amplifier.cycle(tensions_n))
         time.sleep(0.005)
 
-    def ask(self, text):
-        self.amplifier.ask(parse_fault(text, PACKED))
+    def request(self, text):
+        self.amplifier.request(text)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +113,7 @@ def test_diagnostics_say_how_it_is_and_which_arm(graph, adapter, driver):
 
 
 def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, driver):
-    adapter.ask("missing_channel cable_6")
+    adapter.request("missing_channel cable_6")
     for _ in range(5):
         adapter.send()
     graph.spin(0.3)
@@ -124,7 +125,7 @@ def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, d
 
     graph.until(told, "the missing channels in diagnostics")
     assert graph.tensions == []
-    adapter.ask("")
+    adapter.request("")
     tensions_come(graph, adapter)
 
 
