@@ -1,13 +1,16 @@
-"""The whole way from frames to samples, with every fault that frames can carry."""
+"""Frames to valid samples: rates limited, stuck channels found, anything in doubt withheld."""
 
 import can
 import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_cycle, single_cycle
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cablesense_online.can.bus import BusCondition, CanInterface
+from cablesense_online.can.channel_map import StuckLimits
 from cablesense_online.can.faults import FaultKind, FaultLedger
-from cablesense_online.can.tension_reader import TensionReader
+from cablesense_online.can.tension_reader import RateLimit, StuckDetector, TensionReader
 
 NOW_S = 1.7e9
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
@@ -150,3 +153,94 @@ def test_after_reopening_any_counter_and_clock_is_taken(bench):
     samples = [bench.reader.take(f, NOW_S + 9.0, NOW_S + 9.0) for f in frames]
     assert samples[-1].time_s == pytest.approx(NOW_S + 9.0, abs=1e-3)
     assert bench.faults == set()
+
+
+def make(ledger):
+    return RateLimit(limit_frames_s=8000.0, known_frames_s=4000.0, ledger=ledger)
+
+
+def test_a_normal_bus_is_never_flooded():
+    ledger = FaultLedger()
+    watch = make(ledger)
+    assert all(watch.admit(True, number / 4000.0) for number in range(20_000))
+    assert ledger.report().recent == {}
+
+
+def test_a_backlog_of_a_pause_is_taken_whole():
+    ledger = FaultLedger()
+    watch = make(ledger)
+    watch.admit(True, 0.0)
+    assert all(watch.admit(True, 0.3) for _ in range(1200))
+    assert ledger.report().recent == {}
+
+
+def test_unknown_frames_beyond_the_limit_are_noted_and_known_ones_still_admitted():
+    ledger = FaultLedger()
+    watch = make(ledger)
+    admitted = [watch.admit(number % 5 == 0, number / 20_000.0) for number in range(40_000)]
+    assert all(admitted)
+    assert set(ledger.report().places[FaultKind.FLOODED]) == {"bus"}
+
+
+def test_a_babbling_amplifier_is_held_to_twice_its_rate():
+    ledger = FaultLedger()
+    watch = make(ledger)
+    admitted = sum(watch.admit(True, number / 40_000.0) for number in range(400_000))
+    assert admitted / 10.0 < 8000.0 * 1.1
+    assert "amplifier" in ledger.report().places[FaultKind.FLOODED]
+
+
+@given(st.lists(st.floats(0.0, 0.1), min_size=1, max_size=200), st.integers(1, 50))
+def test_admission_never_exceeds_rate_and_allowance(waits_s, burst):
+    watch = RateLimit(100.0, 50.0, FaultLedger())
+    time_s, admitted = 0.0, 0
+    for wait_s in waits_s:
+        time_s += wait_s
+        admitted += sum(watch.admit(True, time_s) for _ in range(burst))
+    assert admitted <= 100.0 * (time_s + 0.5) + 1.0
+
+
+LIMITS = StuckLimits(after_s=2.0, others_moved_n=20.0)
+
+
+@pytest.fixture
+def watch():
+    return StuckDetector(12, LIMITS)
+
+
+def play(watch, samples, start_s=0.0, step_s=0.1):
+    return [watch.stuck(sample, start_s + i * step_s) for i, sample in enumerate(samples)]
+
+
+def test_a_resting_arm_is_not_stuck(watch):
+    assert set(play(watch, [np.full(12, 50.0)] * 100)) == {()}
+
+
+def test_a_channel_that_stands_still_while_the_others_move_is_found_and_released(watch):
+    moving = np.linspace(50.0, 100.0, 40)[:, None] * np.ones(12)
+    moving[:, 4] = 50.0
+    found = play(watch, moving)
+    assert found[19] == ()  # two seconds have not passed
+    assert found[-1] == (4,)
+    back = np.full(12, 50.0)
+    assert watch.stuck(back, 5.0) == (4,)  # the others came back; it has still not moved
+    back[4] = 50.1
+    assert watch.stuck(back, 5.1) == ()
+
+
+def test_few_others_that_move_prove_nothing(watch):
+    moving = np.full((40, 12), 50.0)
+    moving[:, :5] += np.linspace(0.0, 50.0, 40)[:, None]
+    assert set(play(watch, moving)) == {()}
+
+
+def test_a_restart_forgets(watch):
+    moving = np.linspace(50.0, 100.0, 40)[:, None] * np.ones(12)
+    moving[:, 4] = 50.0
+    play(watch, moving)
+    watch.restart()
+    assert watch.stuck(moving[-1], 9.0) == ()
+
+
+def test_a_lone_channel_is_never_stuck():
+    assert set(play(StuckDetector(1, LIMITS), [np.array([50.0])] * 100)) == {()}
