@@ -192,7 +192,7 @@ def test_a_calibration_takes_the_place_of_the_maps_scale_and_zero(graph, tmp_pat
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"map": "none"}, "bundled maps are"),
+        ({"map": "none"}, "bundled channel maps are"),
         ({"calibration": "none.yaml"}, "none.yaml: cannot be read"),
         ({"interface": "none"}, "unknown to python-can"),
     ],
