@@ -27,10 +27,10 @@ from cablesense_base.arrays import Array
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
-from cablesense_training.evaluation.sequence_figures import (
-    CourseFigures,
-    course_answer,
-    course_figures,
+from cablesense_training.evaluation.sequence_metrics import (
+    SequenceMetrics,
+    sequence_answer,
+    sequence_metrics,
     unsettled,
 )
 from cablesense_training.inference.metadata import find_model
@@ -115,15 +115,15 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
     figures: dict[str, Any] = {}
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
-        answer = course_answer(estimator, sequences)
-        figures[name] = _plain(course_figures(answer, sequences))
-        error_n = _force_error_n(course_answer(estimator, long), long)
+        answer = sequence_answer(estimator, sequences)
+        figures[name] = _plain(sequence_metrics(answer, sequences))
+        error_n = _force_error_n(sequence_answer(estimator, long), long)
         figures[name]["by_tenth_of_the_long_courses"] = _tenths(error_n)
         if case.long_courses > 1:
             figures[name]["of_long_courses_started"] = _by_start(error_n, long)
         figures[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
-            figures[GATED] = _plain(course_figures(_gated(answer, sequences), sequences))
+            figures[GATED] = _plain(sequence_metrics(_gated(answer, sequences), sequences))
         _draw(axis, name, answer, sequences)
     axis.set_title(f"arm {case.arm}", fontsize=9)
     axis.set_xlabel("error of the force, N")
@@ -150,7 +150,7 @@ def _gated(answer: ContactAnswer, sequences: Sequences) -> ContactAnswer:
     return replace(answer, segment=np.where(silent, 0, answer.segment))
 
 
-def _plain(figures: CourseFigures) -> dict[str, Any]:
+def _plain(figures: SequenceMetrics) -> dict[str, Any]:
     plain = asdict(figures)
     for part in ("every", "moving", "rest"):
         for bulky in ("confusion", "bins"):

@@ -56,7 +56,7 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimates, Estimator
 from cablesense_training.recipes import adjusted, recipe_for
-from cablesense_training.train_model import draw_samples, train_model
+from cablesense_training.train_model import draw_training_data, train_model
 
 AT_PEAK = 0.9
 """Rows count as being at a trial's peak from this share of its highest load on."""
@@ -342,7 +342,7 @@ def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
         train_model(
             path,
             NETWORK,
-            draw_samples(arm, NETWORK, options, seed=0),
+            draw_training_data(arm, NETWORK, options, seed=0),
             settings,
             command="cablesense gap diagnose --retrain",
             test_samples=_TEST_SAMPLES,

@@ -62,7 +62,7 @@ def temporal_model_file(tmp_path_factory):
     import torch
 
     from cablesense_training.export import export_model
-    from cablesense_training.inference.metadata import COURSE_UNITS
+    from cablesense_training.inference.metadata import SEQUENCE_UNITS
     from cablesense_training.networks.temporal import TemporalNetwork
 
     arm = open_arm("cdsm")
@@ -70,7 +70,7 @@ def temporal_model_file(tmp_path_factory):
     metadata = metadata_for(
         arm,
         network="temporal",
-        units=dict(COURSE_UNITS),
+        units=dict(SEQUENCE_UNITS),
         memory=TemporalNetwork.for_arm(arm).memory,
         hidden=TemporalNetwork.for_arm(arm).hidden,
         tick_s=0.02,

@@ -1,13 +1,12 @@
-"""Training of a network with memory: along sequences, with the state carried from part to part.
+"""Training of a history-dependent network along sequences in motion.
 
-Sequences as tensors, with the torques that statics makes of them and those that are true.
+`SequenceSamples` are sequences as tensors, with the joint torques that statics makes of their
+tensions and the true ones. The objective carries the network's state from part to part of them.
 """
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -15,11 +14,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from cablesense_training.errors import TrainingError
-from cablesense_training.fit import NORMAL_95, EpochRecord, FitHistory
+from cablesense_training.fit import (
+    FitHistory,
+    LoopSettings,
+    Objective,
+    OnEpoch,
+    run_epochs,
+    single_contact_ratios,
+    split_rows,
+    torch_threads,
+)
 from cablesense_training.losses import (
     LossTerms,
     SingleContactTarget,
-    angle_error_deg,
     direction_of,
     gaussian_nll,
 )
@@ -130,21 +137,17 @@ def _past(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceFitSettings:
-    """How to train.
+class SequenceFitSettings(LoopSettings):
+    """How to train on sequences; the learning rate falls to nothing along a cosine.
 
     Attributes:
-        seed: of the validation split, the order and the resets.
-        epochs: passes over all sequences; the learning rate falls to nothing along a cosine.
-        batch_size: sequences side by side.
         part_ticks: ticks through which gradients flow; the state flows on through all.
-        judged_every: the loss looks at one tick in so many, as neighbours say the same.
+        judged_every: the loss takes one tick in so many, as neighbours are alike.
         reset_share: of the parts that begin with an empty state, so that the network learns to
-            find its way without a past.
+            answer without a past.
         force_scale_n: an error of the force that weighs as much as a nat of the contact.
     """
 
-    seed: int = 0
     epochs: int = 20
     batch_size: int = 32
     part_ticks: int = 60
@@ -152,8 +155,6 @@ class SequenceFitSettings:
     reset_share: float = 0.05
     learning_rate: float = 3e-3
     force_scale_n: float = 1.0
-    validation_share: float = 0.1
-    threads: int = 2
 
 
 _LARGEST_GRADIENT = 1.0
@@ -163,7 +164,7 @@ def fit_sequences(
     network: TemporalNetwork,
     sequences: Sequences,
     settings: SequenceFitSettings,
-    on_epoch: Callable[[EpochRecord], None] | None = None,
+    on_epoch: OnEpoch | None = None,
 ) -> FitHistory:
     """Train in place; the network keeps the weights of its best epoch, calibrated.
 
@@ -172,79 +173,45 @@ def fit_sequences(
     """
     if len(sequences) < 4:
         raise TrainingError(f"{len(sequences)} sequences are too few to train on; give at least 4")
-    before = torch.get_num_threads()
-    torch.set_num_threads(settings.threads)
-    try:
-        return _Fit(network, sequences, settings).run(on_epoch)
-    finally:
-        torch.set_num_threads(before)
+    with torch_threads(settings.threads):
+        return run_epochs(_SequenceObjective(network, sequences, settings), settings, on_epoch)
 
 
-class _Fit:
+class _SequenceObjective(Objective):
+    """Truncated backpropagation through time: parts of sequences, the state carried on."""
+
+    network: TemporalNetwork
+    optimiser: torch.optim.Optimizer
+
     def __init__(
         self, network: TemporalNetwork, sequences: Sequences, settings: SequenceFitSettings
     ) -> None:
-        self.network, self.settings = network, settings
-        self.generator = torch.Generator().manual_seed(settings.seed)
+        self.network, self._settings = network, settings
+        self._generator = torch.Generator().manual_seed(settings.seed)
         samples = SequenceSamples.of(network, sequences)
-        order = torch.randperm(len(samples), generator=self.generator)
-        held_out = max(1, round(settings.validation_share * len(samples)))
+        training, held_out = split_rows(len(samples), settings, self._generator)
         every = slice(None)
-        self.validation = samples.part(order[:held_out], every)
-        self.training = samples.part(order[held_out:], every)
-        error = self.training.torque_n_m - self.training.true_torque_n_m
+        self._training = samples.part(training, every)
+        self._held_out = samples.part(held_out, every)
+        error = self._training.torque_n_m - self._training.true_torque_n_m
         network.adapt(
-            self.training.torque_n_m.flatten(0, 1),
-            self.training.ticks.flat(),
+            self._training.torque_n_m.flatten(0, 1),
+            self._training.ticks.flat(),
             error.flatten(0, 1),
         )
         self.optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-        self.scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(
+        self._scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(
             self.optimiser, settings.epochs
         )
 
-    def run(self, on_epoch: Callable[[EpochRecord], None] | None) -> FitHistory:
-        start, records = time.perf_counter(), []
-        best, best_state = math.inf, {}
-        best_epoch = 0
-        for epoch in range(1, self.settings.epochs + 1):
-            rate = float(self.optimiser.param_groups[0]["lr"])
-            means = self._epoch()
-            held_out = self._held_out_loss()
-            if not math.isfinite(held_out):
-                raise TrainingError(
-                    f"the loss is not finite in epoch {epoch}; lower the rate of {rate:g}"
-                )
-            self.scheduler.step()
-            records.append(
-                EpochRecord(
-                    epoch=epoch,
-                    learning_rate=rate,
-                    validation=held_out,
-                    seconds=time.perf_counter() - start,
-                    **{name: float(value) for name, value in means._asdict().items()},
-                )
-            )
-            if on_epoch is not None:
-                on_epoch(records[-1])
-            if held_out < best:
-                best, best_epoch = held_out, epoch
-                state = self.network.state_dict()
-                best_state = {name: value.clone() for name, value in state.items()}
-        self.network.load_state_dict(best_state)
-        self.network.eval()
-        self._calibrate()
-        return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
-
-    def _epoch(self) -> LossTerms:
-        self.network.train()
-        settings, generator = self.settings, self.generator
-        order = torch.randperm(len(self.training), generator=generator)
+    def train_epoch(self) -> LossTerms:
+        settings, generator = self._settings, self._generator
+        order = torch.randperm(len(self._training), generator=generator)
         sums, count = torch.zeros(len(LossTerms._fields)), 0
         for rows in order.split(settings.batch_size):
             state = torch.zeros(len(rows), self.network.hidden)
-            for ticks in _parts(self.training.tick_count, settings.part_ticks):
-                part = self.training.part(rows, ticks)
+            for ticks in self._parts(self._training):
+                part = self._training.part(rows, ticks)
                 lost = torch.rand(len(rows), 1, generator=generator) < settings.reset_share
                 state = torch.where(lost, torch.zeros_like(state), state)
                 phase = int(torch.randint(settings.judged_every, (1,), generator=generator))
@@ -257,11 +224,37 @@ class _Fit:
                 sums, count = sums + torch.stack(terms).detach(), count + 1
         return LossTerms(*(sums / count))
 
+    def held_out_loss(self) -> float:
+        totals = []
+        state = torch.zeros(len(self._held_out), self.network.hidden)
+        for ticks in self._parts(self._held_out):
+            terms, state = self._terms(self._held_out.part(slice(None), ticks), state, 0)
+            totals.append(float(terms.total))
+        return sum(totals) / len(totals)
+
+    def end_epoch(self, held_out_loss: float) -> bool:
+        self._scheduler.step()
+        return False
+
+    def error_ratios(self) -> Tensor:
+        ratios = []
+        state = torch.zeros(len(self._held_out), self.network.hidden)
+        for ticks in self._parts(self._held_out):
+            part = self._held_out.part(slice(None), ticks)
+            answer, target, _, state = self._answers(part, state, 0)
+            ratios.append(single_contact_ratios(answer.output, target))
+        return torch.cat(ratios)
+
+    def _parts(self, samples: SequenceSamples) -> Iterator[slice]:
+        ticks, size = samples.tick_count, self._settings.part_ticks
+        for start in range(0, ticks, size):
+            yield slice(start, min(start + size, ticks))
+
     def _terms(self, part: SequenceSamples, state: Tensor, phase: int) -> tuple[LossTerms, Tensor]:
         """The loss of the judged ticks, and the last state.
 
-        The force is judged on the segment that is truly touched: where another was believed in,
-        its force says nothing of what to correct.
+        The force is judged on the segment that is truly touched: where another was chosen, its
+        force holds nothing about what to correct.
         """
         answer, target, true_torque, following = self._answers(part, state, phase)
         contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
@@ -272,7 +265,7 @@ class _Fit:
         scale = self.network.error.std.double()
         error = self.network.in_joint_order(answer.torque_n_m) - true_torque
         spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
-        total = contact + off_n / self.settings.force_scale_n
+        total = contact + off_n / self._settings.force_scale_n
         return LossTerms(total, contact, torch.zeros_like(total), off_n, spread), following
 
     def _answers(
@@ -286,7 +279,7 @@ class _Fit:
             Ticks(*(value.to(kind) for value in part.ticks)),
         )
         states, following = network.remember(encoded, state)
-        judged = slice(phase, None, self.settings.judged_every)
+        judged = slice(phase, None, self._settings.judged_every)
         seen = part.part(slice(None), judged)
         balance = network.balance(seen.ticks.flat())
         answer = network.answer(
@@ -294,35 +287,3 @@ class _Fit:
         )
         target = SingleContactTarget(*(value.flatten() for value in seen.target))
         return answer, target, seen.true_torque_n_m.flatten(0, 1), following
-
-    def _held_out_loss(self) -> float:
-        """The loss along whole sequences."""
-        with torch.no_grad():
-            totals = []
-            state = torch.zeros(len(self.validation), self.network.hidden)
-            for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
-                terms, state = self._terms(self.validation.part(slice(None), ticks), state, 0)
-                totals.append(float(terms.total))
-        return sum(totals) / len(totals)
-
-    def _calibrate(self) -> None:
-        """Scale the stated deviations until 95 % of the held-out errors lie within 1.96."""
-        ratios = []
-        state = torch.zeros(len(self.validation), self.network.hidden)
-        with torch.no_grad():
-            for ticks in _parts(self.validation.tick_count, self.settings.part_ticks):
-                part = self.validation.part(slice(None), ticks)
-                answer, target, _, state = self._answers(part, state, 0)
-                output = answer.output
-                found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
-                off_n = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
-                turned = angle_error_deg(output.direction, target.angle_deg).abs()
-                ratios.append(torch.stack([off_n, turned / output.angle_std_deg], -1)[found])
-            together = torch.cat(ratios)
-            if len(together):
-                self.network.spread.factor *= torch.quantile(together, 0.95, dim=0) / NORMAL_95
-
-
-def _parts(ticks: int, size: int) -> Iterator[slice]:
-    for start in range(0, ticks, size):
-        yield slice(start, min(start + size, ticks))

@@ -1,18 +1,17 @@
-"""How each network is trained unless told otherwise: the least that reached its figures.
-
-The networks by the name that commands and model files use.
-"""
+"""The networks by the names that commands and model files use: how each is made and trained."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeVar
 
 import torch
 
 from cablesense_sim.arm import Arm
 from cablesense_training.errors import TrainingError
-from cablesense_training.fit import FitSettings
+from cablesense_training.fit import FitSettings, LoopSettings
+from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.networks import Network
 from cablesense_training.networks.corrected import CorrectedClosedForm, PlainClosedForm
 from cablesense_training.networks.multi_contact import (
@@ -21,103 +20,134 @@ from cablesense_training.networks.multi_contact import (
 )
 from cablesense_training.networks.single_contact import (
     DecoupledNetwork,
+    LearntNetwork,
     ScaleAwareNetwork,
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
+from cablesense_training.networks.temporal import TemporalNetwork
+
+Settings = TypeVar("Settings", bound=LoopSettings)
+Builder = Callable[[Arm, int], Network | TemporalNetwork]
+"""Makes a network from an arm and the number of readings averaged into a tare."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Number of samples to draw, and the training settings."""
+    """How a network is trained unless chosen otherwise: the least that reached its accuracy.
 
+    Attributes:
+        learns_from: kind of the protocol of its samples, or `motion` for sequences.
+        build: makes it for an arm.
+        samples: how many samples, or sequences, to draw.
+        settings: of the training.
+    """
+
+    learns_from: Literal["single", "multi", "motion"]
+    build: Builder
     samples: int
-    settings: FitSettings
+    settings: FitSettings | SequenceFitSettings
 
 
-_PAPER = Recipe(100_000, FitSettings())
+def _from_tensions(network: type[LearntNetwork | TwoStageMultiContactNetwork]) -> Builder:
+    return lambda arm, tare_samples: network(arm.cable_count, arm.segment_count)  # type: ignore[call-arg]
+
+
+_PAPER = FitSettings()
+_SEQUENCES = 256
 
 RECIPES: dict[str, Recipe] = {
-    "closed-form": Recipe(20_000, FitSettings()),
+    "closed-form": Recipe("single", PlainClosedForm.for_arm, 20_000, _PAPER),
     "closed-form-corrected": Recipe(
-        40_000, FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4)
+        "single",
+        CorrectedClosedForm.for_arm,
+        40_000,
+        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
     ),
-    "decoupled": _PAPER,
-    "shared-backbone": _PAPER,
-    "two-stage": _PAPER,
+    "decoupled": Recipe("single", _from_tensions(DecoupledNetwork), 100_000, _PAPER),
+    "shared-backbone": Recipe("single", _from_tensions(SharedBackboneNetwork), 100_000, _PAPER),
+    "two-stage": Recipe("single", _from_tensions(TwoStageNetwork), 100_000, _PAPER),
     "scale-aware": Recipe(
-        300_000, FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6)
+        "single",
+        _from_tensions(ScaleAwareNetwork),
+        300_000,
+        FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6),
     ),
-    "multi-contact": _PAPER,
+    "multi-contact": Recipe("multi", _from_tensions(TwoStageMultiContactNetwork), 100_000, _PAPER),
     "multi-contact-closed-form": Recipe(
-        50_000, FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2)
+        "multi",
+        MultiContactClosedForm.for_arm,
+        50_000,
+        FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2),
+    ),
+    "temporal": Recipe("motion", TemporalNetwork.for_arm, _SEQUENCES, SequenceFitSettings()),
+    "memoryless": Recipe(
+        "motion",
+        lambda arm, tare_samples: TemporalNetwork.for_arm(arm, tare_samples, recurrent=False),
+        _SEQUENCES,
+        SequenceFitSettings(),
     ),
 }
-"""Recipes by the names of `networks.registry.NETWORKS`."""
+
+_OLD_NAMES = {"momentary": "memoryless"}
+"""Names in older commands and model files."""
 
 
-def recipe_for(network_name: str) -> Recipe:
+def network_name(name: str) -> str:
+    """The network that a name stands for, today's or an older one.
+
+    Raises:
+        TrainingError: there is no network of that name; the message lists those there are.
+    """
+    name = _OLD_NAMES.get(name, name)
+    if name not in RECIPES:
+        raise TrainingError(f"no network {name!r}; there are: {', '.join(RECIPES)}")
+    return name
+
+
+def recipe_for(name: str) -> Recipe:
     """The recipe of a network.
 
     Raises:
         TrainingError: there is no network of that name; the message lists those there are.
     """
-    if network_name not in RECIPES:
-        raise TrainingError(f"no network {network_name!r}; there are: {', '.join(RECIPES)}")
-    return RECIPES[network_name]
+    return RECIPES[network_name(name)]
+
+
+def build_network(
+    name: str, arm: Arm, seed: int = 0, tare_samples: int = 50
+) -> Network | TemporalNetwork:
+    """A network for an arm with the initial weights that the seed gives.
+
+    Raises:
+        TrainingError: there is no network of that name; the message lists those there are.
+    """
+    recipe = recipe_for(name)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return recipe.build(arm, tare_samples)
 
 
 def adjusted(
-    settings: FitSettings,
+    settings: Settings,
     *,
     seed: int,
     threads: int,
     epochs: int | None = None,
     batch_size: int | None = None,
     learning_rate: float | None = None,
-) -> FitSettings:
+) -> Settings:
     """A recipe's settings with what a caller chose otherwise.
 
     Raises:
         TrainingError: a value out of range.
     """
-    chosen = replace(
-        settings,
-        seed=seed,
-        threads=threads,
-        epochs=settings.epochs if epochs is None else epochs,
-        batch_size=settings.batch_size if batch_size is None else batch_size,
-        learning_rate=settings.learning_rate if learning_rate is None else learning_rate,
-    )
+    chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
+    given: dict[str, Any] = {name: value for name, value in chosen.items() if value is not None}
+    settings = replace(settings, seed=seed, threads=threads, **given)
     for name in ("epochs", "batch_size", "threads"):
-        if getattr(chosen, name) < 1:
-            raise TrainingError(f"{name} = {getattr(chosen, name)}: must be at least 1")
-    if not 0.0 < chosen.learning_rate <= 1.0:
-        raise TrainingError(f"learning_rate = {chosen.learning_rate:g}: must be in (0, 1]")
-    return chosen
-
-
-NETWORKS: dict[str, Callable[[Arm], Network]] = {
-    "closed-form": PlainClosedForm.for_arm,
-    "closed-form-corrected": CorrectedClosedForm.for_arm,
-    "decoupled": lambda arm: DecoupledNetwork(arm.cable_count, arm.segment_count),
-    "shared-backbone": lambda arm: SharedBackboneNetwork(arm.cable_count, arm.segment_count),
-    "two-stage": lambda arm: TwoStageNetwork(arm.cable_count, arm.segment_count),
-    "scale-aware": lambda arm: ScaleAwareNetwork(arm.cable_count, arm.segment_count),
-    "multi-contact-closed-form": MultiContactClosedForm.for_arm,
-    "multi-contact": lambda arm: TwoStageMultiContactNetwork(arm.cable_count, arm.segment_count),
-}
-"""How each network is made for an arm."""
-
-
-def build_network(name: str, arm: Arm, seed: int = 0) -> Network:
-    """A network for an arm with the initial weights that the seed gives.
-
-    Raises:
-        TrainingError: there is no network of that name; the message lists those there are.
-    """
-    if name not in NETWORKS:
-        raise TrainingError(f"no network {name!r}; there are: {', '.join(NETWORKS)}")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return NETWORKS[name](arm)
+        if getattr(settings, name) < 1:
+            raise TrainingError(f"{name} = {getattr(settings, name)}: must be at least 1")
+    if not 0.0 < settings.learning_rate <= 1.0:
+        raise TrainingError(f"learning_rate = {settings.learning_rate:g}: must be in (0, 1]")
+    return settings

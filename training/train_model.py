@@ -1,23 +1,19 @@
-"""From a dataset to a model file with its figures: train, test on fresh samples, export.
-
-What a network is trained on: a dataset file, or fresh samples of the protocol that suits it.
-"""
+"""From an arm to a model file with its errors on fresh data: draw, train, test, export."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
-from cablesense_training.data.parquet import read_dataset
-from cablesense_training.data.protocols import MultiContact, SingleContact, protocol_from_options
+from cablesense_training.data.protocols import protocol_from_options
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.answers import (
     multi_contact_answer,
@@ -30,15 +26,26 @@ from cablesense_training.evaluation.metrics import (
     multi_contact_metrics,
     single_contact_metrics,
 )
+from cablesense_training.evaluation.sequence_metrics import (
+    SequenceMetrics,
+    sequence_answer,
+    sequence_metrics,
+)
 from cablesense_training.export import export_model
-from cablesense_training.fit import EpochRecord, FitHistory, FitSettings, fit
-from cablesense_training.inference.metadata import ModelMetadata
+from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit
+from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
+from cablesense_training.inference.metadata import SEQUENCE_UNITS, UNITS, ModelMetadata
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
+from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.sequences import Sequences, draw_sequences
 from cablesense_training.networks import MultiContactNetwork, Network
-from cablesense_training.recipes import build_network
+from cablesense_training.networks.temporal import TemporalNetwork
+from cablesense_training.recipes import build_network, network_name, recipe_for
 
 TEST_SAMPLES = 20_000
+TEST_SHARE_OF_SEQUENCES = 0.125
 TEST_SEED_OFFSET = 1_000_000
-"""The test set follows the training set's protocol, with its seed plus this."""
+"""Test data follow the protocol of the training data, with its seed plus this."""
 
 WEAKEST_JUDGED_N = 5.0
 """Multi-contact recognition is also reported for contacts of at least this force."""
@@ -46,27 +53,32 @@ WEAKEST_JUDGED_N = 5.0
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """What came of a training run.
+    """What came of a training run, with the model's errors on test data of its kind.
 
     Attributes:
         path: the model file.
         network: its network's name.
         parameters: number of trained numbers.
         history: losses epoch by epoch.
-        single: figures on the test set, of a single-contact network.
-        multi: the same of a multi-contact network, all contacts counted.
+        single: errors of a single-contact network on samples.
+        multi: errors of a multi-contact network, all contacts counted.
         multi_firm: the same, contacts below `WEAKEST_JUDGED_N` left out.
+        motion: errors of a network for sequences.
+        sequences, test_sequences: how many of them it was trained and tested on.
     """
 
     path: Path
     network: str
     parameters: int
     history: FitHistory
-    single: SingleContactMetrics | None
-    multi: MultiContactMetrics | None
-    multi_firm: MultiContactMetrics | None
+    single: SingleContactMetrics | None = None
+    multi: MultiContactMetrics | None = None
+    multi_firm: MultiContactMetrics | None = None
+    motion: SequenceMetrics | None = None
+    sequences: int = 0
+    test_sequences: int = 0
 
-    def figures(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """As plain values; what does not apply to the network is left out, NaN becomes None."""
         plain: dict[str, Any] = {
             "out": str(self.path),
@@ -79,117 +91,14 @@ class TrainingReport:
             "training_seconds": self.history.seconds,
         }
         for name in ("single", "multi", "multi_firm"):
-            metrics = getattr(self, name)
-            if metrics is not None:
-                plain[name] = _without_nan(asdict(metrics))
+            if (metrics := getattr(self, name)) is not None:
+                plain[name] = asdict(metrics)
         if self.single is not None:
             plain["single"]["coverage95"] = self.single.coverage95
-        return plain
-
-
-def train_model(
-    path: str | Path,
-    network_name: str,
-    dataset: Dataset,
-    settings: FitSettings,
-    *,
-    command: str,
-    test_samples: int | None = None,
-    on_epoch: Callable[[EpochRecord], None] | None = None,
-) -> TrainingReport:
-    """Train the named network on a dataset and write it as a model file.
-
-    Args:
-        path: the ONNX file to write.
-        network_name: one of `networks.registry.NETWORKS`.
-        dataset: what to train on; its arm is the model's arm.
-        settings: how to train; the seed also fixes the initial weights.
-        command: what makes the file again, kept in it.
-        test_samples: size of the test set, drawn afresh by the dataset's own protocol; None stands
-            for `TEST_SAMPLES`.
-        on_epoch: called after every epoch.
-
-    Raises:
-        TrainingError: unknown network, or data that does not fit it; nothing is written then.
-    """
-    network = build_network(network_name, dataset.arm, settings.seed)
-    _require_protocol(network_name, network, dataset)
-    _require_folder(Path(path))
-    history = fit(network, dataset, settings, on_epoch)
-    network.double()
-    protocol = replace(dataset.protocol, samples=test_samples or TEST_SAMPLES)
-    test = draw_dataset(dataset.arm, protocol, dataset.seed + TEST_SEED_OFFSET)
-    single, multi, firm = _figures(network, test)
-    export_model(network, Path(path), _metadata(network_name, network, dataset, settings, command))
-    return TrainingReport(
-        path=Path(path),
-        network=network_name,
-        parameters=sum(p.numel() for p in network.parameters() if p.requires_grad),
-        history=history,
-        single=single,
-        multi=multi,
-        multi_firm=firm,
-    )
-
-
-def _figures(
-    network: Network, test: Dataset
-) -> tuple[SingleContactMetrics | None, MultiContactMetrics | None, MultiContactMetrics | None]:
-    if isinstance(network, MultiContactNetwork):
-        touched, magnitude = multi_contact_answer(network, test)
-        every, firm = (
-            multi_contact_metrics(test.contacts, test.magnitudes_n, touched, magnitude, weakest)
-            for weakest in (0.0, WEAKEST_JUDGED_N)
-        )
-        return None, every, firm
-    answer = single_contact_answer(network, test)
-    truth = single_contact_truth(test)
-    return single_contact_metrics(truth, answer, test.arm.segment_count), None, None
-
-
-def _metadata(
-    name: str, network: Network, dataset: Dataset, settings: FitSettings, command: str
-) -> ModelMetadata:
-    arm, protocol = dataset.arm, dataset.protocol
-    return ModelMetadata(
-        kind="multi-contact" if isinstance(network, MultiContactNetwork) else "single-contact",
-        network=name,
-        arm=arm,
-        arm_identity=arm.identity,
-        cable_names=arm.cable_names,
-        joint_names=arm.joint_names,
-        pose_aware=network.pose_aware,
-        pose_range_deg=protocol.pose_range_deg if protocol.pose == "random" else 0.0,
-        force_range_n=protocol.force_high_n,
-        tare_samples=protocol.tare_samples,
-        command=command,
-        seed=settings.seed,
-        version=_version(),
-    )
-
-
-def _require_protocol(name: str, network: Network, dataset: Dataset) -> None:
-    wanted = MultiContact if isinstance(network, MultiContactNetwork) else SingleContact
-    if not isinstance(dataset.protocol, wanted):
-        raise TrainingError(
-            f"network {name} is for protocol {wanted.kind}; the dataset follows "
-            f"{dataset.protocol.kind} (cablesense dataset --protocol {wanted.kind})"
-        )
-
-
-def _require_folder(path: Path) -> None:
-    """Better before an hour of training than after it."""
-    if not path.parent.is_dir():
-        raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise TrainingError(f"{path} is a folder; give the name of the file to write")
-
-
-def _version() -> str:
-    try:
-        return version("cablesense_ros")
-    except PackageNotFoundError:
-        return "uninstalled"
+        if self.motion is not None:
+            plain |= {"sequences": self.sequences, "test_sequences": self.test_sequences}
+            plain |= asdict(self.motion)
+        return _without_nan(plain)
 
 
 def _without_nan(value: Any) -> Any:
@@ -201,39 +110,179 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def protocol_kind(network_name: str) -> str:
-    """Kind of the protocol that a network learns from."""
-    return "multi" if network_name.startswith("multi-contact") else "single"
-
-
-def read_samples(path: Path, arm: Arm) -> Dataset:
-    """A dataset file of that arm.
-
-    Raises:
-        DatasetError: not a dataset, or one of another arm.
-    """
-    return read_dataset(path, arm)
-
-
-def draw_samples(
+def draw_training_data(
     arm: Arm,
-    network_name: str,
+    network: str,
     options: dict[str, Any],
     seed: int,
     *,
     workers: int = 1,
     show_progress: bool = False,
-) -> Dataset:
-    """Fresh samples for a network; `options` are the protocol's, None standing for its default.
+) -> Dataset | Sequences:
+    """Fresh samples or sequences for a network.
+
+    Args:
+        arm: the arm.
+        network: its name.
+        options: of the protocol, None standing for its default; `samples` counts sequences where
+            the network learns from them.
+        seed: of the draw.
+        workers: processes.
+        show_progress: draw a bar.
 
     Raises:
-        DatasetError: an option out of range.
+        TrainingError: there is no such network.
+        DatasetError: an option out of range, or one that the protocol does not have.
     """
+    recipe = recipe_for(network)
     given = {name: value for name, value in options.items() if value is not None}
-    protocol = protocol_from_options({"kind": protocol_kind(network_name), **given})
+    if recipe.learns_from == "motion":
+        motion = MotionProtocol(sequences=given.pop("samples", recipe.samples), **given)
+        with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
+            return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)
+    protocol = protocol_from_options({"kind": recipe.learns_from, **given})
     parts = []
     with progress_bar(protocol.samples, shown=show_progress) as advance:
         for part in generate(arm, protocol, seed, workers=workers):
             parts.append(part)
             advance(len(part))
     return Dataset.concatenate(parts)
+
+
+def train_model(
+    path: str | Path,
+    network: str,
+    data: Dataset | Sequences,
+    settings: FitSettings | SequenceFitSettings,
+    *,
+    command: str,
+    test_samples: int | None = None,
+    on_epoch: OnEpoch | None = None,
+) -> TrainingReport:
+    """Train a network and write the model file; nothing is written when anything fails.
+
+    Args:
+        path: of the file.
+        network: name of the network.
+        data: what to train on; its arm is the model's arm.
+        settings: how to train; the seed also fixes the initial weights.
+        command: what makes the file again, kept in it.
+        test_samples: size of the test set, drawn afresh by the data's own protocol; None stands
+            for `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
+        on_epoch: called after every epoch.
+
+    Raises:
+        TrainingError: unknown network, data or settings that do not fit it, no such folder, or a
+            loss that is not finite.
+    """
+    path, name = Path(path), network_name(network)
+    _require_fit(name, data, settings)
+    _require_folder(path)
+    built = build_network(name, data.arm, settings.seed, data.protocol.tare_samples)
+    metadata = _metadata(name, built, data, settings.seed, command)
+    parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
+    if isinstance(built, TemporalNetwork):
+        assert isinstance(data, Sequences)
+        assert isinstance(settings, SequenceFitSettings)
+        history = fit_sequences(built, data, settings, on_epoch)
+        export_model(built, path, metadata)
+        test = _test_sequences(data, test_samples)
+        answer = sequence_answer(TemporalEstimator.load(path, data.arm), test)
+        errors: dict[str, Any] = {
+            "motion": sequence_metrics(answer, test),
+            "sequences": len(data),
+            "test_sequences": len(test),
+        }
+    else:
+        assert isinstance(data, Dataset)
+        assert isinstance(settings, FitSettings)
+        history = fit(built, data, settings, on_epoch)
+        built.double()
+        protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
+        errors = _sample_errors(
+            built, draw_dataset(data.arm, protocol, data.seed + TEST_SEED_OFFSET)
+        )
+        export_model(built, path, metadata)
+    return TrainingReport(path, name, parameters, history, **errors)
+
+
+def _test_sequences(training: Sequences, count: int | None) -> Sequences:
+    count = count or max(1, round(TEST_SHARE_OF_SEQUENCES * training.protocol.sequences))
+    protocol = replace(training.protocol, sequences=count)
+    seed = training.seed + TEST_SEED_OFFSET
+    return draw_sequences(training.arm, protocol, seed, workers=os.cpu_count() or 1)
+
+
+def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:
+    if isinstance(network, MultiContactNetwork):
+        touched, magnitude = multi_contact_answer(network, test)
+        return {
+            key: multi_contact_metrics(
+                test.contacts, test.magnitudes_n, touched, magnitude, weakest_n
+            )
+            for key, weakest_n in (("multi", 0.0), ("multi_firm", WEAKEST_JUDGED_N))
+        }
+    answer, truth = single_contact_answer(network, test), single_contact_truth(test)
+    return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
+
+
+def _metadata(
+    name: str,
+    network: Network | TemporalNetwork,
+    data: Dataset | Sequences,
+    seed: int,
+    command: str,
+) -> ModelMetadata:
+    arm, protocol = data.arm, data.protocol
+    of_sequences: dict[str, Any] = {}
+    if isinstance(network, TemporalNetwork) and isinstance(protocol, MotionProtocol):
+        of_sequences = {
+            "memory": network.memory,
+            "hidden": network.hidden,
+            "tick_s": protocol.tick_s,
+            "joint_speed_deg_s": protocol.joint_speed_deg_s,
+        }
+    straight = not isinstance(protocol, MotionProtocol) and protocol.pose == "straight"
+    return ModelMetadata(
+        kind="multi-contact" if isinstance(network, MultiContactNetwork) else "single-contact",
+        network=name,
+        arm=arm,
+        arm_identity=arm.identity,
+        cable_names=arm.cable_names,
+        joint_names=arm.joint_names,
+        units=dict(SEQUENCE_UNITS if of_sequences else UNITS),
+        pose_aware=network.pose_aware,
+        pose_range_deg=0.0 if straight else protocol.pose_range_deg,
+        force_range_n=protocol.force_high_n,
+        tare_samples=protocol.tare_samples,
+        command=command,
+        seed=seed,
+        version=package_version(),
+        **of_sequences,
+    )
+
+
+def _require_fit(
+    name: str, data: Dataset | Sequences, settings: FitSettings | SequenceFitSettings
+) -> None:
+    recipe = recipe_for(name)
+    wanted = recipe.learns_from
+    found = "motion" if isinstance(data, Sequences) else data.protocol.kind
+    if found != wanted:
+        remedy = f" (cablesense dataset --protocol {wanted})" if wanted != "motion" else ""
+        raise TrainingError(
+            f"network {name} is for protocol {wanted}; the data follow {found}{remedy}"
+        )
+    if not isinstance(settings, type(recipe.settings)):
+        raise TrainingError(
+            f"network {name} is trained with {type(recipe.settings).__name__}, "
+            f"not {type(settings).__name__}"
+        )
+
+
+def _require_folder(path: Path) -> None:
+    """Better before an hour of training than after it."""
+    if not path.parent.is_dir():
+        raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise TrainingError(f"{path} is a folder; give the name of the file to write")

@@ -12,6 +12,7 @@ from cablesense_cli.dataset import command_line
 from cablesense_cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
@@ -93,3 +94,27 @@ def test_the_command_names_what_was_chosen_and_quotes_it():
     assert command_line("train", options) == (
         "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
     )
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--pose", "straight"), ("--randomise", "payload"), ("--data", "data.parquet")],
+)
+def test_options_of_samples_are_refused_for_a_network_for_sequences(option, value):
+    result = _run("--network", "temporal", option, value)
+    assert isinstance(result.exception, TrainingError)
+    assert f"{option} {value}: network temporal learns from sequences" in str(result.exception)
+
+
+def test_a_network_for_sequences_is_trained_and_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "cablesense_training.motion.motion_protocol.MotionProtocol.duration_s", 0.5
+    )
+    path = tmp_path / "memoryless.onnx"
+    words = ["--network", "momentary", "--arm", "cdsm_lab", "--samples", "4", "--epochs", "1"]
+    result = _run(*words, "--threads", "1", "--json", "--out", str(path))
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert figures["sequences"] == 4
+    assert 0.0 <= figures["every"]["contact_accuracy"] <= 1.0
+    assert "--network momentary" in TemporalEstimator.load(path).metadata.command

@@ -6,7 +6,7 @@ import torch
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.sequence_figures import course_figures
+from cablesense_training.evaluation.sequence_metrics import sequence_metrics
 from cablesense_training.fit_sequences import SequenceFitSettings, SequenceSamples, fit_sequences
 from cablesense_training.motion.motion_protocol import MotionProtocol
 from cablesense_training.motion.sequences import draw_sequences
@@ -62,7 +62,7 @@ def test_figures_of_a_perfect_answer_are_perfect(sequences):
     from cablesense_training.evaluation.metrics import ContactAnswer
 
     shape = sequences.segment.size
-    figures = course_figures(
+    figures = sequence_metrics(
         ContactAnswer(
             sequences.segment.ravel(),
             sequences.angle_deg.ravel(),

@@ -53,7 +53,7 @@ def test_courses_side_by_side_are_answered_as_one_by_one(estimator, course):
     estimator.estimate(np.zeros(12), course[1][0], STILL, STILL, 0.0)
     estimator.tare()
     single = _through(estimator, course, 0.02 * np.arange(1, 61))
-    both = estimator.estimate_courses(
+    both = estimator.estimate_sequences(
         *(np.stack([part, 0.5 * part]) for part in course), np.zeros((2, 0, 8))
     )
     np.testing.assert_allclose(both.magnitude_n[0], [e.magnitude_n for e in single], rtol=1e-9)

@@ -91,7 +91,7 @@ def test_the_two_orders_of_joints_are_inverse(network):
 
 
 def test_the_peer_without_memory_answers_the_same_in_any_state():
-    peer = TemporalNetwork.for_arm(CDSM, remembers=False).double().eval()
+    peer = TemporalNetwork.for_arm(CDSM, recurrent=False).double().eval()
     ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=20, pose="random")))
     with torch.no_grad():
         here, _ = peer(ticks, torch.zeros(20, peer.memory).double())

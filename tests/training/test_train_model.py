@@ -2,20 +2,21 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.data.parquet import write_dataset
 from cablesense_training.errors import DatasetError, TrainingError
 from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
 from cablesense_training.fit import FitSettings
+from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
+from cablesense_training.motion.motion_protocol import MotionProtocol
+from cablesense_training.motion.sequences import draw_sequences
 from cablesense_training.train_model import (
     TEST_SEED_OFFSET,
-    draw_samples,
-    read_samples,
+    draw_training_data,
     train_model,
 )
 
@@ -34,7 +35,7 @@ def stub_export(monkeypatch):
 
 @pytest.fixture(scope="module")
 def single():
-    return draw_samples(ARM, "two-stage", FEW, seed=0)
+    return draw_training_data(ARM, "two-stage", FEW, seed=0)
 
 
 @pytest.mark.parametrize("name", ["two-stage", "scale-aware"])
@@ -45,7 +46,7 @@ def test_the_model_file_answers_as_the_report_says(name, single, tmp_path):
     assert estimator.metadata.command == "made so"
     assert estimator.metadata.pose_range_deg == 5.0
     assert estimator.metadata.network == name
-    fresh = draw_samples(ARM, name, {**FEW, "samples": 200}, seed=TEST_SEED_OFFSET)
+    fresh = draw_training_data(ARM, name, {**FEW, "samples": 200}, seed=TEST_SEED_OFFSET)
     answers = estimator.estimate_batch(fresh.tension_difference_n)
     found = single_contact_metrics(
         single_contact_truth(fresh),
@@ -65,10 +66,10 @@ def test_the_model_file_answers_as_the_report_says(name, single, tmp_path):
 
 
 def test_a_multi_contact_model_opens_and_answers(tmp_path):
-    dataset = draw_samples(ARM, "multi-contact", {"samples": 400}, seed=0)
+    dataset = draw_training_data(ARM, "multi-contact", {"samples": 400}, seed=0)
     path = tmp_path / "model.onnx"
     report = train_model(path, "multi-contact", dataset, QUICK, command="", test_samples=200)
-    figures = report.figures()
+    figures = report.as_json()
     assert figures["multi"]["judged"] == 800
     assert figures["multi_firm"]["judged"] <= 800
     assert "single" not in figures
@@ -80,14 +81,41 @@ def test_the_figures_are_plain_json_values(single, tmp_path, stub_export):
     report = train_model(
         tmp_path / "m.onnx", "two-stage", single, QUICK, command="", test_samples=20
     )
-    figures = json.loads(json.dumps(report.figures(), allow_nan=False))
+    figures = json.loads(json.dumps(report.as_json(), allow_nan=False))
     assert figures["parameters"] > 1000
     assert len(figures["single"]["bins"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("name", "stored"), [("temporal", "temporal"), ("momentary", "memoryless")]
+)
+def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(name, stored, tmp_path):
+    arm = open_arm("cdsm_lab")
+    sequences = draw_sequences(arm, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
+    settings = SequenceFitSettings(epochs=1, batch_size=4, threads=1)
+    path = tmp_path / "model.onnx"
+    report = train_model(path, name, sequences, settings, command="made so", test_samples=1)
+    metadata = TemporalEstimator.load(path, arm).metadata
+    assert (metadata.network, metadata.command) == (stored, "made so")
+    assert (metadata.tick_s, metadata.joint_speed_deg_s) == (0.02, 20.0)
+    assert metadata.memory > 0
+    assert metadata.units["next_state"] == "1"
+    figures = report.as_json()
+    assert (figures["sequences"], figures["test_sequences"]) == (4, 1)
+    assert figures["every"]["samples"] == sequences.segment.shape[1]
+    assert path.stat().st_size < 2_000_000
+
+
+def test_settings_of_another_kind_of_network_are_refused(single, tmp_path):
+    with pytest.raises(TrainingError, match="trained with FitSettings, not SequenceFitSettings"):
+        train_model(tmp_path / "m.onnx", "two-stage", single, SequenceFitSettings(), command="")
 
 
 def test_refuses_data_of_the_wrong_protocol(single, tmp_path):
     with pytest.raises(TrainingError, match="--protocol multi"):
         train_model(tmp_path / "m.onnx", "multi-contact", single, QUICK, command="")
+    with pytest.raises(TrainingError, match="network temporal is for protocol motion"):
+        train_model(tmp_path / "m.onnx", "temporal", single, QUICK, command="")
 
 
 def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):
@@ -97,16 +125,6 @@ def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):
         train_model(tmp_path, "two-stage", single, QUICK, command="")
 
 
-def test_samples_come_back_from_a_file_of_the_same_arm_only(single, tmp_path):
-    path = tmp_path / "data.parquet"
-    write_dataset(path, single)
-    np.testing.assert_array_equal(
-        read_samples(path, ARM).tension_difference_n, single.tension_difference_n
-    )
-    with pytest.raises(DatasetError, match="cdsm_lab"):
-        read_samples(path, open_arm("cdsm_lab"))
-
-
 def test_refuses_protocol_options_out_of_range():
     with pytest.raises(DatasetError, match="pose"):
-        draw_samples(ARM, "two-stage", {**FEW, "pose": "bent"}, seed=0)
+        draw_training_data(ARM, "two-stage", {**FEW, "pose": "bent"}, seed=0)

@@ -30,7 +30,7 @@ UNITS = {
 }
 """Unit of every input and output."""
 
-COURSE_UNITS = {
+SEQUENCE_UNITS = {
     **UNITS,
     "joint_speed_rad_s": "rad/s",
     "joint_acceleration_rad_s2": "rad/s²",

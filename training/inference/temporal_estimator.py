@@ -185,7 +185,7 @@ class TemporalEstimator:
             angle_std_deg=float(angle_std),
         )
 
-    def estimate_courses(
+    def estimate_sequences(
         self,
         tension_differences_n: Array,
         joint_commands_rad: Array,

@@ -19,7 +19,7 @@ that a guide holds where only the drawing moves the cable.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -138,11 +138,14 @@ class TemporalNetwork(nn.Module):
         force_range_n: largest force expected, see `CorrectedClosedForm`.
 
     Attributes:
+        pose_aware: it needs the set-point.
         drawn: follows the commands.
         memory: size of the state that is carried from tick to tick.
-        remembers: where false, every tick is answered as the first: the peer that shows what
+        recurrent: where false, every tick is answered as the first: the peer that shows what
             memory is worth.
     """
+
+    pose_aware: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -150,14 +153,14 @@ class TemporalNetwork(nn.Module):
         closed_form: ClosedForm,
         hidden: int = 96,
         force_range_n: float = 200.0,
-        remembers: bool = True,
+        recurrent: bool = True,
     ) -> None:
         super().__init__()
         joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
         self.cable_count, self.segment_count = cables, segments
         self.drawn = DrawnCables(cables, joints, hidden)
         self.hidden, self.memory = hidden, self.drawn.layout.size
-        self.remembers = remembers
+        self.recurrent = recurrent
         self.closed_form = closed_form
         self.torque = Standardiser(joints)
         self.tension = Standardiser(cables)
@@ -180,10 +183,10 @@ class TemporalNetwork(nn.Module):
         self.spread = StatedSpread(2)
 
     @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50, remembers: bool = True) -> TemporalNetwork:
+    def for_arm(cls, arm: Arm, tare_samples: int = 50, recurrent: bool = True) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
         statics = exact_statics(arm, tare_samples, unexplained_n2=0.0)
-        return cls(arm, statics, remembers=remembers)
+        return cls(arm, statics, recurrent=recurrent)
 
     def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
         """Set all scales from training rows: torques, inputs, and what the torques are off by."""
@@ -203,7 +206,7 @@ class TemporalNetwork(nn.Module):
         told = self.drawn.seen(past)
         seen = [
             self.torque(torque_n_m),
-            told if self.remembers else torch.zeros_like(told),
+            told if self.recurrent else torch.zeros_like(told),
             self.tension(ticks.tension_difference_n),
             self.course(torch.cat(ticks[1:], dim=-1)),
         ]
@@ -212,7 +215,7 @@ class TemporalNetwork(nn.Module):
 
     def remember(self, encoded: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """States (S, T, hidden) along T ticks from a state (S, hidden), and the last of them."""
-        if not self.remembers:
+        if not self.recurrent:
             return torch.zeros_like(encoded), state
         states, last = self.cell(encoded, state[None])
         return states, last[0]
@@ -286,7 +289,7 @@ class TemporalNetwork(nn.Module):
             past,
             Ticks(*(part.to(kind) for part in ticks)),
         )
-        following = self.next_state(encoded, before) if self.remembers else 0.0 * before
+        following = self.next_state(encoded, before) if self.recurrent else 0.0 * before
         output = self.answer(balance, encoded, following).output
         return output, torch.cat([following, past], dim=-1)
 

@@ -1,4 +1,4 @@
-"""What an estimator says along sequences, and how that compares with the truth."""
+"""Answers of an estimator along sequences, and their errors in motion and at rest."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SETTLED_S = 0.5
 
 
 @dataclass(frozen=True)
-class CourseFigures:
+class SequenceMetrics:
     """Figures over sequences.
 
     Attributes:
@@ -42,10 +42,12 @@ class CourseFigures:
     false_force_rest_n: float
 
 
-def course_answer(estimator: Estimator | TemporalEstimator, sequences: Sequences) -> ContactAnswer:
+def sequence_answer(
+    estimator: Estimator | TemporalEstimator, sequences: Sequences
+) -> ContactAnswer:
     """Answers (S · T,) of an estimator; one without memory is told the set-point at every tick."""
     if isinstance(estimator, TemporalEstimator):
-        found = estimator.estimate_courses(
+        found = estimator.estimate_sequences(
             sequences.tension_difference_n,
             sequences.joint_command_rad,
             sequences.joint_speed_rad_s,
@@ -66,7 +68,7 @@ def course_answer(estimator: Estimator | TemporalEstimator, sequences: Sequences
     )
 
 
-def course_figures(answer: ContactAnswer, sequences: Sequences) -> CourseFigures:
+def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:
     """The figures of answers (S · T,), in motion and at rest."""
     truth = ContactTruth(
         sequences.segment.ravel(), sequences.angle_deg.ravel(), sequences.magnitude_n.ravel()
@@ -82,7 +84,7 @@ def course_figures(answer: ContactAnswer, sequences: Sequences) -> CourseFigures
         return metrics, float(force.mean()) if force.size else 0.0
 
     every, in_motion, at_rest = (figures(rows) for rows in (everywhere, moving, ~moving))
-    return CourseFigures(every[0], in_motion[0], at_rest[0], every[1], in_motion[1], at_rest[1])
+    return SequenceMetrics(every[0], in_motion[0], at_rest[0], every[1], in_motion[1], at_rest[1])
 
 
 def unsettled(sequences: Sequences) -> NDArray[np.bool_]:

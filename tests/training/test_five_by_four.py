@@ -1,0 +1,61 @@
+"""An arm of another shape, 5 segments with 4 cables each, goes all the way through the verbs."""
+
+import json
+
+import pytest
+from arm_variants import five_by_four, five_by_four_text
+from typer.testing import CliRunner
+
+from cablesense_cli.app import app
+from cablesense_training.data.parquet import read_dataset
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
+
+
+def run(*arguments):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def arm_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "five_by_four.yaml"
+    path.write_text(five_by_four_text(), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def small_test_set(monkeypatch):
+    monkeypatch.setattr("cablesense_training.train_model.TEST_SAMPLES", 300)
+
+
+def test_it_is_described(arm_file):
+    description = json.loads(run("info", arm_file, "--json"))
+    assert [cable["ends_on_segment"] for cable in description["cables"]] == [
+        segment for segment in range(1, 6) for _ in range(4)
+    ]
+
+
+def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
+    data, model = tmp_path / "data.parquet", tmp_path / "model.onnx"
+    run("dataset", "--arm", arm_file, "--samples", 600, "--pose", "random", "--out", data)
+    dataset = read_dataset(data, five_by_four())
+    assert dataset.tension_difference_n.shape == (600, 20)
+    assert set(dataset.segment) == {0, 1, 2, 3, 4, 5}
+    small = ["--threads", 1, "--epochs", 2, "--json", "--out", model]
+    report = json.loads(run("train", "--arm", arm_file, "--data", data, *small))
+    assert report["single"]["contact_accuracy"] > 0.98
+    assert report["single"]["errors"]["magnitude_mae_n"] < 0.5
+    assert Estimator.load(model, five_by_four()).metadata.arm.cable_count == 20
+    found = json.loads(run("evaluate", "--model", model, "--samples", 300, "--json"))
+    assert found["single"]["magnitude_mae_n"] < 2.0 * found["bound"]["magnitude_mae_n"]
+
+
+def test_several_contacts_are_told_apart(arm_file, tmp_path):
+    model = tmp_path / "model.onnx"
+    small = ["--samples", 400, "--threads", 1, "--epochs", 2, "--json", "--out", model]
+    network = ["--network", "multi-contact-closed-form"]
+    report = json.loads(run("train", "--arm", arm_file, *network, *small))
+    assert len(report["multi"]["magnitude_mae_n"]) == 5
+    assert report["multi_firm"]["recognition_accuracy"] > 0.95
+    assert MultiEstimator.load(model).metadata.arm.segment_count == 5
