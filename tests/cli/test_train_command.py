@@ -12,7 +12,6 @@ from cablesense_cli.dataset import command_line
 from cablesense_cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
@@ -106,15 +105,18 @@ def test_options_of_samples_are_refused_for_a_network_for_sequences(option, valu
     assert f"{option} {value}: network temporal learns from sequences" in str(result.exception)
 
 
-def test_a_network_for_sequences_is_trained_and_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "cablesense_training.motion.motion_protocol.MotionProtocol.duration_s", 0.5
-    )
-    path = tmp_path / "memoryless.onnx"
-    words = ["--network", "momentary", "--arm", "cdsm_lab", "--samples", "4", "--epochs", "1"]
-    result = _run(*words, "--threads", "1", "--json", "--out", str(path))
-    assert result.exit_code == 0, result.output
-    figures = json.loads(result.stdout)
-    assert figures["sequences"] == 4
-    assert 0.0 <= figures["every"]["contact_accuracy"] <= 1.0
-    assert "--network momentary" in TemporalEstimator.load(path).metadata.command
+def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
+    asked = {}
+
+    def train_nothing(path, network, data, settings, *, command, on_epoch):
+        asked.update(data, network=network, epochs=settings.epochs, command=command)
+        raise TrainingError("enough")
+
+    module = "cablesense_training.train_model"
+    monkeypatch.setattr(f"{module}.draw_training_data", lambda arm, name, given, *_, **__: given)
+    monkeypatch.setattr(f"{module}.train_model", train_nothing)
+    words = ["--network", "momentary", "--samples", "4", "--epochs", "1", "--force-high-n", "50"]
+    result = _run(*words, "--out", str(tmp_path / "model.onnx"))
+    assert str(result.exception) == "enough"
+    assert (asked["samples"], asked["force_high_n"], asked["epochs"]) == (4, 50.0, 1)
+    assert "--network momentary --samples 4" in asked["command"]
