@@ -69,24 +69,16 @@ class ArmSimulator:
 
 
 def entries_from(variant: Assignment) -> list[EffectEntry]:
-    """The effects that an assignment stands for, in the order of the chain of their actions."""
+    """The effects that an assignment stands for."""
     entries = []
-    ordered = sorted(variant, key=lambda term: (_order(term), term))
-    for (name, place), terms in groupby(ordered, key=lambda term: (term.effect, term.place)):
+    for (name, place), terms in groupby(
+        sorted(variant), key=lambda term: (term.effect, term.place)
+    ):
         effect = known_effects()[name]
         values = {p.name: p.default for p in effect.parameters}
         values.update({term.parameter: float(variant[term]) for term in terms})
         entries.append(EffectEntry(effect, place, values))
     return entries
-
-
-_CHAIN: Mapping[str, int] = {"sensor_crosstalk": 1, "sensor_lag": 2, "sensor_gain": 3}
-"""Sensors: what leaks is tension, what is late is the signal, and offsets come last."""
-
-
-def _order(term: Term) -> int:
-    effect = known_effects()[term.effect]
-    return 0 if effect.acts_on != "sensor" and not effect.tolerance else _CHAIN.get(term.effect, 4)
 
 
 def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidate:

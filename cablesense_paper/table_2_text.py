@@ -25,7 +25,8 @@ from cablesense_gap.report.style import (
 )
 from cablesense_gap.verdict import NONE, UNKNOWN
 from cablesense_paper.table_2_gap import KINDS, PRIOR_UNLISTED, STEP_N, Findings
-from cablesense_paper.tension_changes import NEED_TIME, Explained, OneNumber
+from cablesense_paper.tension_changes import Explained, OneNumber
+from cablesense_sim.effects.registry import known_effects
 from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 
 ALIKE = 1.05
@@ -171,7 +172,7 @@ def rehearsed(found: Findings) -> str:
 def blindness(found: Findings) -> str:
     """What the table cannot say anything about."""
     blind = [name.replace("_", " ") for name in found.blind]
-    timed = [name.replace("_", " ") for name in sorted(NEED_TIME)]
+    timed = [name.replace("_", " ") for name, e in known_effects().items() if e.needs_time]
     return (
         f"Not candidates: {listed(blind)}, which change no number here by more than the floor; "
         f"{listed(timed)}, which need times that the table does not state."

@@ -32,11 +32,9 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.kinematics import cable_jacobian_m
 from cablesense_sim.sensors import difference_variance_n2, read_tensions_n
-
-NEED_TIME = frozenset({"cable_creep", "sensor_drift", "sensor_lag"})
-"""Effects that act by the time that passes, which a table of changes does not state."""
 
 _HOLD_S = 60.0
 
@@ -89,10 +87,11 @@ class ChangeSimulator:
         self._sensors = arm.sensors
         self._arm = ArmSimulator(arm, changes.course(2 * arm.segment_count))
         self.floor = float(np.sqrt(difference_variance_n2(arm.sensors, tare_samples=1)))
+        known = known_effects()
         self.candidates = tuple(
             c
             for c in self._arm.candidates
-            if c.effect not in NEED_TIME and (effects is None or c.effect in effects)
+            if not known[c.effect].needs_time and (effects is None or c.effect in effects)
         )
         self.tolerances = self._arm.tolerances
 

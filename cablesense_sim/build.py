@@ -50,6 +50,6 @@ def mechanism_of(arm: Arm) -> Mechanism:
 
 
 def entries_of(arm: Arm) -> list[EffectEntry]:
-    """The effects that an arm file lists, in its order."""
+    """The effects that an arm file lists, in the order of the file; they act in their own."""
     sizes = arm.segment_count, arm.cable_count
     return [checked_entry(e.effect, e.at, e.parameters, *sizes) for e in arm.effects]

@@ -13,8 +13,9 @@ class ActuatorBacklash(Effect):
 
     name = "actuator_backlash"
     acts_on = "actuator"
-    about = "lost motion on reversal in some actuators"
+    about = "lost motion of actuators on reversal"
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002"
+    advice = "Check couplings and nuts of these actuators, or approach poses from one side."
     parameters = (
         Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
         Parameter(

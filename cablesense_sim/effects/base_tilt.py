@@ -18,6 +18,7 @@ class BaseTilt(Effect):
     acts_on = "arm"
     about = "a base that is not level"
     source = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009, section 7.3"
+    advice = "Put a level on the base; level it, or keep the tilt in the arm file."
     parameters = (
         Parameter("roll_rad", "rad", -0.6, 0.6, 0.05, "of the base about its x axis"),
         Parameter("pitch_rad", "rad", -0.6, 0.6, 0.05, "of the base about its y axis"),

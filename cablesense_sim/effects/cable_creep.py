@@ -19,8 +19,10 @@ class CableCreep(Effect):
 
     name = "cable_creep"
     acts_on = "transmission"
-    about = "cables that lengthen slowly under load and recover slowly"
+    about = "cables that creep under load"
     source = "Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Materials, 1976, ch. 5"
+    advice = "Pre-stretch the cables, or tare again after every long hold."
+    needs_time = True
     parameters = (
         Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
         Parameter(

@@ -16,8 +16,12 @@ class CableStiffness(Effect):
 
     name = "cable_stiffness"
     acts_on = "arm"
-    about = "softer or harder cables than nominal, all or one segment's"
+    about = "cables of another stiffness than stated"
     source = "Feyrer, Wire Ropes, 2nd ed. 2015, section 2.2: rope elasticity modulus"
+    advice = (
+        "Measure a cable's stiffness on a bench, from command to anchor; look for another "
+        "kind or length of cable, and for a soft anchor."
+    )
     parameters = (
         Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher"),
     )

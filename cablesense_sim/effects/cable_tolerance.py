@@ -17,6 +17,7 @@ class CableTolerance(Effect):
     acts_on = "arm"
     about = "what a careful workshop leaves open of a cable and its sensor"
     source = "ISO 2768-1, general tolerances, class m"
+    order = 1
     parameters = (
         Parameter("pretension_n", "N", -1.5, 1.5, 0.15, "of the pretension, in excess"),
         Parameter("angle_rad", "rad", -0.009, 0.009, 8.727e-4, "of its holes, turned"),

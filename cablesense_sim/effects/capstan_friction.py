@@ -20,8 +20,12 @@ class CapstanFriction(Effect):
 
     name = "capstan_friction"
     acts_on = "transmission"
-    about = "friction where cables run over guides and pulleys, with tension and wrap angle"
+    about = "friction of the cables over guides and pulleys"
     source = "equation (2) of the paper: T_out = T_in exp(-μ θ); presliding after Dahl, 1968"
+    advice = (
+        "Look for worn, dry or misaligned guides. The estimator is blind to loads within the "
+        "loop that friction opens; train it on the amended arm."
+    )
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
         Parameter(

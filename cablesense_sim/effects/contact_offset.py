@@ -14,8 +14,9 @@ class ContactOffset(Effect):
 
     name = "contact_offset"
     acts_on = "arm"
-    about = "loads that act elsewhere along the segment than believed"
+    about = "loads that act elsewhere along the segment than stated"
     source = "Bicchi, Salisbury and Brock, Contact sensing from force measurements, IJRR 1993"
+    advice = "Measure where the load was applied, from the segment's joint centre."
     parameters = (
         Parameter("offset_m", "m", -0.1, 0.1, 0.01, "of the contact point, away from the base"),
     )

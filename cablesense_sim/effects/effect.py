@@ -60,10 +60,14 @@ class Effect:
     Attributes:
         name: as arm files and verdicts call it.
         acts_on: where in the chain from arm to reading it acts.
-        about: one sentence.
+        about: what it is, as the end of `the gap comes from …`.
         source: where the model comes from.
         parameters: sizes first.
-        tolerance: whether this is what a careful workshop leaves anyway, and no finding.
+        advice: what someone at the arm can check or do about it, in sentences; may be empty.
+        order: of those that act on the same, lower ones act first, and equal ones by name. The
+            default follows all that change a tension or signal and only add to it.
+        needs_time: whether it acts by the time that passes, and not only by the samples' order.
+        tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
     """
 
     name: ClassVar[str]
@@ -71,6 +75,9 @@ class Effect:
     about: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    advice: ClassVar[str] = ""
+    order: ClassVar[int] = 0
+    needs_time: ClassVar[bool] = False
     tolerance: ClassVar[bool] = False
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:

@@ -14,8 +14,9 @@ class JointElasticity(Effect):
 
     name = "joint_elasticity"
     acts_on = "arm"
-    about = "joints that spring back (a sheath, a hose, a bundle through the middle)"
+    about = "joints that spring back"
     source = "Spong, Modeling and control of elastic joint robots, ASME JDSMC 1987"
+    advice = "Look for a sheath, a hose or a bundle through the middle of the arm."
     parameters = (Parameter("stiffness_n_m_rad", "N·m/rad", -20.0, 200.0, 5.0, "of each axis"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:

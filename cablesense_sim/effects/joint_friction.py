@@ -19,8 +19,9 @@ class JointFriction(Effect):
 
     name = "joint_friction"
     acts_on = "transmission"
-    about = "dry friction in one or more universal joints"
+    about = "dry friction in joints"
     source = "Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968, with a sharp limit"
+    advice = "Move the joint by hand with slack cables; look for dry or jammed bearings."
     parameters = (
         Parameter("torque_n_m", "N·m", 0.0, 20.0, 0.1, "at which an axis breaks away"),
         Parameter(

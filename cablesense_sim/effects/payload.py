@@ -18,6 +18,7 @@ class Payload(Effect):
     acts_on = "arm"
     about = "mass that nobody modelled"
     source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13"
+    advice = "Weigh what was added there: tools, hoses, covers."
     parameters = (
         Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
         Parameter(

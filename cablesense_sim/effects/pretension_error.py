@@ -21,6 +21,7 @@ class PretensionError(Effect):
     acts_on = "arm"
     about = "cables tensioned to another value"
     source = "Pott, Cable-Driven Parallel Robots, 2018, section 3.7: force distribution"
+    advice = "Tension these cables anew with the arm straight, or keep the values in the arm file."
     parameters = (
         Parameter("error_n", "N", -45.0, 200.0, 5.0, "by which the pretension is higher"),
     )

@@ -117,7 +117,7 @@ _Acting = TypeVar("_Acting")
 
 def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
     """The mechanism with what its effects change of the arm itself."""
-    for entry in entries:
+    for entry in sorted(entries, key=_order):
         mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
     return mechanism
 
@@ -141,8 +141,13 @@ def _acting(
     variants: Variants, made: Callable[[Effect, str, Values], _Acting | None]
 ) -> list[_Acting]:
     found = []
-    for entries in zip(*variants, strict=True):
+    for entries in sorted(zip(*variants, strict=True), key=lambda entries: _order(entries[0])):
         acting = made(entries[0].effect, entries[0].place, side_by_side(entries))
         if acting is not None:
             found.append(acting)
     return found
+
+
+def _order(entry: EffectEntry) -> tuple[int, str, str, list[tuple[str, float]]]:
+    """The order belongs to the effects: that of a file or of a search makes no difference."""
+    return entry.effect.order, entry.effect.name, entry.place, sorted(entry.values.items())

@@ -16,8 +16,9 @@ class RoutingGeometry(Effect):
 
     name = "routing_geometry"
     acts_on = "arm"
-    about = "a segment's guide holes on another radius or at another angle"
+    about = "guide holes on another radius or at another angle"
     source = "Walker, Hannan: A novel elephant's trunk robot, AIM 1999: cable routing kinematics"
+    advice = "Measure radius and angle of these holes."
     parameters = (
         Parameter("cables_radius_m", "m", -0.03, 0.05, 0.002, "further out, its own cables"),
         Parameter("cables_angle_rad", "rad", -0.6, 0.6, 0.04, "turned, its own cables"),

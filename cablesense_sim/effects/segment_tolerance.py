@@ -16,6 +16,7 @@ class SegmentTolerance(Effect):
     acts_on = "arm"
     about = "what a careful workshop leaves open of a segment"
     source = "ISO 2768-1, general tolerances, class m"
+    order = 1
     parameters = (
         Parameter("mass_share", "1", -0.05, 0.05, 0.005, "of the mass, in excess"),
         Parameter("contact_m", "m", -0.003, 0.003, 0.0003, "of the contact point, outward"),

@@ -14,8 +14,10 @@ class SensorCrosstalk(Effect):
 
     name = "sensor_crosstalk"
     acts_on = "sensor"
-    about = "a share of one channel's signal in others"
+    about = "crosstalk between tension sensors"
     source = "Doebelin, Measurement Systems, 5th ed. 2003, chapter 2: interfering inputs"
+    advice = "Look at shared wiring, ground and amplifier of these channels."
+    order = -3
     parameters = (
         Parameter("share", "1", -0.3, 0.3, 0.03, "share of the other channel's tension"),
     )

@@ -21,8 +21,10 @@ class SensorDrift(Effect):
 
     name = "sensor_drift"
     acts_on = "sensor"
-    about = "a zero that wanders with time on some sensors"
+    about = "a zero of tension sensors that wanders"
     source = "IEEE Std 1293-2018, annex on bias instability and random walk"
+    advice = "Let the sensors warm up; look at their supply and cabling; tare often."
+    needs_time = True
     parameters = (
         Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning"),
         *(

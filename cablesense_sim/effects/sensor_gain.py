@@ -11,8 +11,10 @@ class SensorGain(Effect):
 
     name = "sensor_gain"
     acts_on = "sensor"
-    about = "a wrong scale on some tension sensors"
+    about = "a wrong scale of tension sensors"
     source = "JCGM 200:2012 (VIM) 4.12, sensitivity of a measuring system"
+    advice = "Hang known weights on these sensors and set their scale anew."
+    order = -1
     parameters = (Parameter("gain", "1", -0.5, 0.5, 0.05, "share by which readings are too high"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:

@@ -25,8 +25,11 @@ class SensorLag(Effect):
 
     name = "sensor_lag"
     acts_on = "sensor"
-    about = "a sensor or its filter that follows late"
+    about = "tension sensors that follow late"
     source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: first and second order"
+    advice = "Look at the filter settings of these channels; all should be alike."
+    order = -2
+    needs_time = True
     parameters = (
         Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
         Parameter(

@@ -11,8 +11,9 @@ class SensorOffset(Effect):
 
     name = "sensor_offset"
     acts_on = "sensor"
-    about = "a constant zero error on some sensors"
+    about = "a constant zero error of tension sensors"
     source = "JCGM 200:2012 (VIM) 4.28, zero error of a measuring instrument"
+    advice = "Set the zero of these sensors with slack cables. A tare hides it from the estimator."
     parameters = (Parameter("offset_n", "N", -50.0, 50.0, 2.0, "what is read without a tension"),)
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:

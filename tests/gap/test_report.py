@@ -32,14 +32,12 @@ from cablesense_gap.report.style import (
 from cablesense_gap.report.text import (
     ambiguity,
     effect_places,
-    effect_words,
     headline,
     place_words,
     regime_words,
     shrinkage,
 )
 from cablesense_gap.verdict import CandidateResult, Estimate, Estimator, Where
-from cablesense_sim.effects.registry import known_effects
 
 pytestmark = pytest.mark.slow  # each page has five pictures to draw
 
@@ -222,12 +220,6 @@ def test_places_come_from_the_parameters_and_else_from_the_verdict():
 
 def test_an_effect_of_a_users_own_keeps_its_name():
     assert headline(verdict_of("hose_drag", 0.95)) == "The gap comes from hose drag (95 % sure)."
-
-
-def test_every_effect_of_the_library_has_words_and_advice():
-    for name, effect in known_effects().items():
-        if not effect.tolerance:
-            assert effect_words(name).screened, name
 
 
 def test_what_cannot_be_told_apart_is_said():
