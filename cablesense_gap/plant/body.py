@@ -1,13 +1,11 @@
-"""The body of a plant: its joints, holes, masses, cables and springs, as arrays.
+"""An arm as the plant sees it: the numbers of an arm file, and from them a body as arrays.
 
-What the plant takes from an arm file: bare numbers, read here and nowhere else.
-
-The error of a plant that cannot be built or run.
+The arm file is read here and nowhere else, without the simulator's description of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +17,13 @@ from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import parse_plain_mapping
 
+Ints = NDArray[np.int64]
+
+_MAX_FILE_BYTES = 200_000
+
 
 class PlantError(CableSenseError):
-    """A plant that cannot be built, or that finds no rest: says what, where and what is right."""
-
-
-MAX_FILE_BYTES = 200_000
+    """A plant that cannot be built or finds no rest: states what, where and what is right."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +79,10 @@ def read_nominal(path: str | Path) -> Nominal:
     """Read the numbers of an arm file of identical segments.
 
     Raises:
-        PlantError: the file cannot be read, lacks a number, or tells of another kind of arm.
+        PlantError: the file cannot be read, lacks a number, or describes another kind of arm.
     """
     try:
-        text = read_bounded_text(path, MAX_FILE_BYTES, "an arm file", PlantError)
+        text = read_bounded_text(path, _MAX_FILE_BYTES, "an arm file", PlantError)
         keys = "segments, cables, sensors, gravity_m_s2"
         return _nominal(parse_plain_mapping(text, str(path), keys, PlantError))
     except KeyError as error:
@@ -124,12 +123,9 @@ def _nominal(text: Any) -> Nominal:
     )
 
 
-Ints = NDArray[np.int64]
-
-
 @dataclass(frozen=True)
-class Snag:
-    """Cables that something pushes aside, and so lengthens, beyond an angle of one joint.
+class CableContact:
+    """Cables that touch and push each other aside, and so lengthen, beyond an angle of one joint.
 
     They lengthen by ``depth_m_rad2 * max(0, toward . angles - from_rad)^2``.
     """
@@ -158,8 +154,8 @@ class TipSpring:
 class Body:
     """J universal joints in a chain, M cables through holes, point masses, springs.
 
-    A joint turns its frame by ``skew * Ry(pitch) * Rz(yaw) * skew^T``. Segments hang on joints; a
-    stiff arm has one joint a segment, a limber one a second in the middle of each.
+    A joint turns its frame by ``skew * Ry(pitch) * Rz(yaw) * skew^T``. A rigid segment has one
+    joint; one that bends has a second in its middle.
 
     Attributes:
         gravity_m_s2: (3,) base frame.
@@ -181,9 +177,9 @@ class Body:
         hardening_nm_rad3: (J, 2) their cubic part.
         cogging_nm: (J, 2) amplitude of a torque periodic in the angle.
         cogging_per_turn: its periods a turn.
-        snags: what lengthens cables at some poses.
+        cable_contacts: what lengthens cables at some poses.
         tip_springs: what holds the arm's end.
-        driven: (N,) the joints that commands speak of, among the J.
+        driven: (N,) the commanded joints, among the J.
     """
 
     gravity_m_s2: Array
@@ -206,8 +202,8 @@ class Body:
     cogging_nm: Array
     driven: Ints
     cogging_per_turn: float = 60.0
-    snags: tuple[Snag, ...] = field(default=())
-    tip_springs: tuple[TipSpring, ...] = field(default=())
+    cable_contacts: tuple[CableContact, ...] = ()
+    tip_springs: tuple[TipSpring, ...] = ()
 
     @property
     def joint_count(self) -> int:
@@ -220,10 +216,11 @@ class Body:
         return len(self.pretension_n)
 
 
-def stiff_body(nominal: Nominal) -> Body:
+def rigid_body(nominal: Nominal) -> Body:
     """The arm as drawn, one joint a segment."""
     n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
-    holes = hole_points(nominal.radius_m, nominal.hole_angle_rad)
+    angle = nominal.hole_angle_rad
+    holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1) * nominal.radius_m
     before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
     before[..., 0], after[..., 0] = -offset, offset
     ends_on = np.arange(m) // nominal.per_segment
@@ -249,9 +246,3 @@ def stiff_body(nominal: Nominal) -> Body:
         cogging_nm=np.zeros((n, 2)),
         driven=np.arange(n),
     )
-
-
-def hole_points(radius_m: Array | float, angle_rad: Array) -> Array:
-    """(..., 3) holes at an angle from +z towards +y, at x = 0."""
-    radius, angle = np.broadcast_arrays(radius_m, angle_rad)
-    return np.stack([0.0 * angle, radius * np.sin(angle), radius * np.cos(angle)], axis=-1)

@@ -1,98 +1,35 @@
-"""A case: an arm of a workshop with something hidden, what is done to it, and its recording.
-
-How large a change must be for the gap that is wanted of it.
-
-Which kinds of cases a set has: nothing hidden, one thing, two, or something unheard of.
-"""
+"""A case: an arm with something hidden in it, what is done to it, and its recording."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from math import ceil
+from dataclasses import dataclass
 
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.arm import RealArm, ideal_arm, scattered, signals_n
+from cablesense_gap.plant.arm import RealArm, ideal_arm, with_tolerances
 from cablesense_gap.plant.body import Nominal, PlantError
-from cablesense_gap.plant.changes import Change
+from cablesense_gap.plant.changes import UNKNOWN, Change
 from cablesense_gap.plant.listed import LISTED
 from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
 from cablesense_gap.plant.sensing import read_n
 from cablesense_gap.plant.unlisted import UNLISTED
 
+NONE = "none"
+
+_FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
+_SHARES = (0.1, 0.78, 0.12)
+"""Size of a change as the gap it makes, by the error of one reading."""
+_PLAIN = (8.0, 60.0)
+"""The same of changes that are not in the list, or one of two."""
+_VISIBLE_FLOORS = 5.0
+_REDRAWS = 8
+
 _TRIES = 6
 _NEAR = 1.25
 _STRIDE = 6
 _RETREAT = 0.4
-
-
-def gap_n(first_n: Array, second_n: Array) -> float:
-    """Root mean square difference of two recordings over rows and cables."""
-    return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
-
-
-def size_for(
-    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
-) -> float:
-    """Size within the change's bounds whose gap against the arm without it is nearest.
-
-    By secants in the logarithms, to within some percent; an arm that remembers is tried on every
-    sixth row. A size that leaves no rest lowers the upper bound.
-    """
-    low, high = np.log(change.least), np.log(change.most)
-    rows = rows_to_try(change, arm, schedule)
-    without = signals_n(arm, rows, history)
-    at, best, nearest = 0.5 * (low + high), low, np.inf
-    steepness, last = 1.0, None
-    for _ in range(_TRIES):
-        try:
-            gap = gap_n(signals_n(change.apply(arm, float(np.exp(at))), rows, history), without)
-        except PlantError:
-            high = at + np.log(_RETREAT)
-            at = min(0.5 * (low + at), high)
-            continue
-        off = np.log(max(gap, 1e-6) / wanted_n)
-        if abs(off) < nearest:
-            best, nearest = float(np.clip(at - off, low, high)), abs(off)
-        if nearest < np.log(_NEAR):
-            break
-        if last is not None and abs(at - last[0]) > 1e-6:
-            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
-        last = at, off
-        at = float(np.clip(at - off / steepness, low, high))
-        if abs(at - last[0]) < 1e-6:
-            break
-    return float(np.exp(best))
-
-
-def rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
-    """The rows of a schedule that a gap is told from: fewer where each waits for the last."""
-    remembers = change.apply(arm, change.least).remembers
-    return every(schedule, _STRIDE) if remembers else schedule
-
-
-def every(schedule: Schedule, stride: int) -> Schedule:
-    """Every so many rows of a schedule."""
-    chosen = slice(None, None, stride)
-    return replace(
-        schedule,
-        time_s=schedule.time_s[chosen],
-        trial=schedule.trial[chosen],
-        command_rad=schedule.command_rad[chosen],
-        load_segment=schedule.load_segment[chosen],
-        load_n=schedule.load_n[chosen],
-    )
-
-
-NONE = "none"
-_FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
-_SHARES = (0.1, 0.78, 0.12)
-_PLAIN = (8.0, 60.0)
-_VISIBLE_FLOORS = 5.0
-_REDRAWS = 8
 
 
 @dataclass(frozen=True)
@@ -103,7 +40,7 @@ class Case:
         name: of the recording.
         schedule: what is done.
         history: what was done before.
-        workshop: the arm with scatter alone.
+        plain_arm: the arm with manufacturing tolerances alone.
         changes: what is hidden, and of which size.
         noise_seed: of the sensors' noise.
     """
@@ -111,14 +48,14 @@ class Case:
     name: str
     schedule: Schedule
     history: Schedule
-    workshop: RealArm
+    plain_arm: RealArm
     changes: tuple[tuple[Change, float], ...]
     noise_seed: int
 
     @property
     def arm(self) -> RealArm:
         """The arm with what is hidden."""
-        arm = self.workshop
+        arm = self.plain_arm
         for change, size in self.changes:
             arm = change.apply(arm, size)
         return arm
@@ -136,9 +73,9 @@ class Answer:
         sizes: of each, with units, as JSON.
         gap_n: root mean square of what the hidden changes make of the noise-free readings.
         gap_over_floor: the same by the error of one reading.
-        scatter_gap_n: of the workshop's arm without them against the arm as drawn.
-        each_gap_n: of each change alone, joined by spaces; where an arm remembers, from every
-            sixth row.
+        scatter_gap_n: of the arm with manufacturing tolerances alone against the arm as drawn.
+        each_gap_n: of each change alone, joined by spaces; where an arm is history-dependent,
+            from every sixth row.
     """
 
     recording: str
@@ -176,7 +113,7 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
     """
     draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
     names = [] if kind == NONE else kind.split("+")
-    if names == ["unknown"]:
+    if names == [UNKNOWN]:
         names = [str(rng.choice(list(UNLISTED)))]
     strange = [name for name in names if name not in draws]
     if strange:
@@ -185,27 +122,66 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
             "several of the list joined by +"
         )
     schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
-    workshop = scattered(ideal_arm(nominal), rng)
+    plain_arm = with_tolerances(ideal_arm(nominal), rng)
     changes = []
     for name in sorted(names):
         for _ in range(_REDRAWS):
             change = draws[name](rng, nominal)
-            plain = len(names) > 1 or change.effect == "unknown"
-            wanted_n = nominal.floor_n * _drawn_floors(rng, plain)
-            size = size_for(change, workshop, wanted_n, schedule, history)
-            if not plain or _alone_n(change, size, workshop, schedule, history) >= (
-                _VISIBLE_FLOORS * nominal.floor_n
-            ):
+            plain = len(names) > 1 or change.effect == UNKNOWN
+            bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
+            wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
+            size = size_for(change, plain_arm, wanted_n, schedule, history)
+            visible_n = _VISIBLE_FLOORS * nominal.floor_n
+            if not plain or _alone_n(change, size, plain_arm, schedule, history) >= visible_n:
                 break
         changes.append((change, size))
     return Case(
         name=f"case_{index:03d}",
         schedule=schedule,
         history=history,
-        workshop=workshop,
+        plain_arm=plain_arm,
         changes=tuple(changes),
         noise_seed=int(rng.integers(2**63)),
     )
+
+
+def size_for(
+    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
+) -> float:
+    """Size within the change's bounds whose gap against the arm without it is nearest.
+
+    By secants in the logarithms, to within some percent; a history-dependent arm is tried on every
+    sixth row. A size that leaves no rest lowers the upper bound.
+    """
+    low, high = np.log(change.least), np.log(change.most)
+    rows = _rows_to_try(change, arm, schedule)
+    without = arm.signals_n(rows, history)
+    at, best, nearest = 0.5 * (low + high), low, np.inf
+    steepness, last = 1.0, None
+    for _ in range(_TRIES):
+        try:
+            gap = gap_n(change.apply(arm, float(np.exp(at))).signals_n(rows, history), without)
+        except PlantError:
+            high = at + np.log(_RETREAT)
+            at = min(0.5 * (low + at), high)
+            continue
+        off = np.log(max(gap, 1e-6) / wanted_n)
+        if abs(off) < nearest:
+            best, nearest = float(np.clip(at - off, low, high)), abs(off)
+        if nearest < np.log(_NEAR):
+            break
+        if last is not None and abs(at - last[0]) > 1e-6:
+            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
+        last = at, off
+        at = float(np.clip(at - off / steepness, low, high))
+        if abs(at - last[0]) < 1e-6:
+            break
+    return float(np.exp(best))
+
+
+def gap_n(first_n: Array, second_n: Array) -> float:
+    """Root mean square difference of two recordings over rows and cables."""
+    return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
 
 
 def record_case(case: Case) -> CaseRecording:
@@ -214,51 +190,50 @@ def record_case(case: Case) -> CaseRecording:
     Raises:
         PlantError: its arm finds no rest in some row.
     """
-    nominal = case.workshop.nominal
-    signals = signals_n(case.arm, case.schedule, case.history)
-    workshop = signals_n(case.workshop, case.schedule, case.history)
-    drawn = signals_n(ideal_arm(nominal), case.schedule, case.history)
-    gap = gap_n(signals, workshop)
+    nominal, did = case.plain_arm.nominal, (case.schedule, case.history)
+    signals = case.arm.signals_n(*did)
+    plain = case.plain_arm.signals_n(*did)
+    gap = gap_n(signals, plain)
     each = [gap]
     if len(case.changes) > 1:
-        each = [
-            _alone_n(change, size, case.workshop, case.schedule, case.history)
-            for change, size in case.changes
-        ]
-    rng = np.random.default_rng(case.noise_seed)
+        each = [_alone_n(change, size, case.plain_arm, *did) for change, size in case.changes]
     changes = [change for change, _ in case.changes]
+    sizes = [
+        {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
+        | {
+            key: value if isinstance(value, str) else float(f"{value:.6g}")
+            for key, value in change.details.items()
+        }
+        for change, size in case.changes
+    ]
     answer = Answer(
         recording=case.name,
         effects="+".join(sorted(change.effect for change in changes)) or NONE,
         where=_places(changes),
         form=" + ".join(change.form for change in changes),
-        sizes=json.dumps(
-            [
-                {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
-                | {key: _short(value) for key, value in change.details.items()}
-                for change, size in case.changes
-            ]
-        ),
+        sizes=json.dumps(sizes),
         gap_n=gap,
         gap_over_floor=gap / nominal.floor_n,
-        scatter_gap_n=gap_n(workshop, drawn),
+        scatter_gap_n=gap_n(plain, ideal_arm(nominal).signals_n(*did)),
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
+    rng = np.random.default_rng(case.noise_seed)
     readings = read_n(signals, nominal.noise_std_n, nominal.step_n, rng)
     return CaseRecording(case.schedule, readings, answer)
-
-
-def _drawn_floors(rng: np.random.Generator, plain: bool) -> float:
-    bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
-    return float(np.exp(rng.uniform(*np.log(bounds))))
 
 
 def _alone_n(
     change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
 ) -> float:
-    rows = rows_to_try(change, arm, schedule)
-    changed = signals_n(change.apply(arm, size), rows, history)
-    return gap_n(changed, signals_n(arm, rows, history))
+    rows = _rows_to_try(change, arm, schedule)
+    changed = change.apply(arm, size).signals_n(rows, history)
+    return gap_n(changed, arm.signals_n(rows, history))
+
+
+def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+    """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
+    history_dependent = change.apply(arm, change.least).history_dependent
+    return schedule.rows(slice(None, None, _STRIDE)) if history_dependent else schedule
 
 
 def _places(changes: list[Change]) -> str:
@@ -267,43 +242,3 @@ def _places(changes: list[Change]) -> str:
     return " ".join(
         sorted(found, key=lambda place: (place.split("_")[0], int(place.split("_")[1])))
     )
-
-
-def _short(value: float | str) -> float | str:
-    return value if isinstance(value, str) else float(f"{value:.6g}")
-
-
-NONE_SHARE = 0.2
-UNKNOWN_SHARE = 0.2
-DOUBLE_SHARE = 0.12
-
-
-def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
-    """Kinds of `count` cases for `draw_case`, in random order.
-
-    At least a fifth hide nothing and a fifth something that no verdict has a name for; an eighth
-    hides two effects, the rest one. Effects come in turn, so that none comes twice before all
-    have come once. With `only`, those kinds in turn.
-    """
-    if only:
-        return [only[i % len(only)] for i in range(count)]
-    listed, unlisted = _in_turn(rng, list(LISTED)), _in_turn(rng, list(UNLISTED))
-    none, unknown = ceil(NONE_SHARE * count), ceil(UNKNOWN_SHARE * count)
-    doubles = round(DOUBLE_SHARE * count)
-    singles = max(0, count - none - unknown - doubles)
-    kinds = [NONE] * none
-    kinds += [next(unlisted) for _ in range(unknown)]
-    kinds += [next(listed) for _ in range(singles)]
-    kinds += [_pair(listed) for _ in range(doubles)]
-    return [kinds[i] for i in rng.permutation(len(kinds))][:count]
-
-
-def _in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:
-    while True:
-        yield from (names[i] for i in rng.permutation(len(names)))
-
-
-def _pair(names: Iterator[str]) -> str:
-    first = next(names)
-    second = next(name for name in names if name != first)
-    return "+".join(sorted((first, second)))

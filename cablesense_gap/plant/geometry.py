@@ -1,6 +1,7 @@
-"""Where the holes and points of a body are at given joint angles, and how cables lengthen.
+"""Geometry and loads of a body at given joint angles.
 
-Torques on the joints by weights, loads, springs and what touches the arm's end.
+Where its holes and points are, how its cables lengthen, and the torques of weights, loads, springs
+and what touches the arm's end.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Body, Snag, TipSpring
+from cablesense_gap.plant.body import Body, CableContact, TipSpring
 
 _PITCH_PLANE, _YAW_PLANE = (2, 0), (0, 1)
 _LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]
@@ -23,7 +24,8 @@ class Spans(NamedTuple):
     """The pieces of cable across the joints, B rows.
 
     Attributes:
-        length_m: (B, J, M) from plate to plate, with what snags add; 0 where a cable ends before.
+        length_m: (B, J, M) from plate to plate, with what contacts of cables add; 0 where a cable
+            ends before.
         slope_m_rad: (B, J, 2, M) by pitch and yaw of that joint.
         curve_m_rad2: (B, J, 3, M) second derivatives: pitch twice, both, yaw twice.
         bend_rad: (B, J, 2, M) by which the cable turns at the guides before and after the joint; 0
@@ -66,8 +68,8 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
         np.moveaxis(curve * keep, 0, -2),
         _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0),
     )
-    for snag in body.snags:
-        result = _snagged(result, snag, angles_rad)
+    for contact in body.cable_contacts:
+        result = _pushed_aside(result, contact, angles_rad)
     return result
 
 
@@ -148,14 +150,14 @@ def _inside(body: Body) -> tuple[Array, Array]:
     return np.swapaxes(back, -1, -2), np.swapaxes(ahead, -1, -2)
 
 
-def _snagged(free: Spans, snag: Snag, angles_rad: Array) -> Spans:
-    j, cables = snag.joint, list(snag.cables)
-    p, y = snag.toward
-    beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - snag.from_rad
+def _pushed_aside(free: Spans, contact: CableContact, angles_rad: Array) -> Spans:
+    j, cables = contact.joint, list(contact.cables)
+    p, y = contact.toward
+    beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - contact.from_rad
     beyond = np.maximum(beyond, 0.0)[:, None]
-    touching = (beyond > 0.0) * 2.0 * snag.depth_m_rad2
+    touching = (beyond > 0.0) * 2.0 * contact.depth_m_rad2
     length, slope, curve = free.length_m, free.slope_m_rad.copy(), free.curve_m_rad2.copy()
-    length[:, j, cables] += snag.depth_m_rad2 * beyond**2
+    length[:, j, cables] += contact.depth_m_rad2 * beyond**2
     for i, share in enumerate((p, y)):
         slope[:, j, i, cables] += touching * beyond * share
     for i, share in enumerate((p * p, p * y, y * y)):
@@ -178,7 +180,7 @@ class Torques(NamedTuple):
 def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> Torques:
     """Of weights, loads (B, N, 3) at the contact points, springs and surroundings.
 
-    At joint angles (B, 2J), of which `turning` are the `geometry.turns`.
+    At joint angles (B, 2J), of which `turning` are the `turns`.
     """
     placed = frames(body, angles_rad, turning)
     joint = np.concatenate([body.mass_joint, body.contact_joint])
@@ -187,17 +189,17 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> To
     force = np.concatenate(
         [np.broadcast_to(weight, (len(angles_rad), *weight.shape)), loads_n], axis=1
     )
-    torque, slope = _dead_forces(placed, joint, points_m(placed, joint, at), force)
+    torque, slope = _constant_forces(placed, joint, points_m(placed, joint, at), force)
     for spring in body.tip_springs:
-        held = _tip_spring(body, placed, spring)
-        torque, slope = torque + held[0], slope + held[1]
+        pulled = _tip_spring(body, placed, spring)
+        torque, slope = torque + pulled[0], slope + pulled[1]
     sprung = _joint_springs(body, angles_rad)
     diagonal = np.arange(angles_rad.shape[1])
     slope[:, diagonal, diagonal] += sprung[1]
     return Torques(torque + sprung[0], slope)
 
 
-def _dead_forces(
+def _constant_forces(
     placed: Frames, joint: NDArray[np.int64], point_m: Array, force_n: Array
 ) -> tuple[Array, Array]:
     """By forces (B, P, 3) that keep their direction: J(q)^T F and its derivative.
@@ -238,7 +240,7 @@ def _tip_spring(body: Body, placed: Frames, spring: TipSpring) -> tuple[Array, A
         touching = (away @ normal > 0.0).astype(float)
         stiffness = touching[:, None, None] * spring.stiffness_n_m * np.outer(normal, normal)
     force = -(stiffness @ away[..., None])[..., 0]
-    torque, slope = _dead_forces(placed, last, tip, force[:, None])
+    torque, slope = _constant_forces(placed, last, tip, force[:, None])
     centres = np.repeat(placed.centre_m, 2, axis=1)
     lever = np.cross(placed.axis, tip - centres)
     return torque, slope - lever @ stiffness @ np.swapaxes(lever, -1, -2)

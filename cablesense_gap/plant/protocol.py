@@ -1,4 +1,4 @@
-"""What is done to a plant while it is recorded: 25 trials of rests, loads, poses and holds."""
+"""What is done to a plant while it is recorded: trials of rests, loads, poses and holds."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Nominal
-
-Ints = NDArray[np.int64]
+from cablesense_gap.plant.body import Ints, Nominal
 
 _UP = np.linspace(0.0, 1.0, 12)[1:-1]
 _CYCLE = np.concatenate([_UP, np.ones(9), _UP[::-1], np.zeros(4)])
 _HOLD = np.concatenate([np.linspace(0.0, 1.0, 6)[1:], np.ones(120), np.zeros(80)])
 _REST_ROWS, _SWEEP_ROWS, _MOVE_ROWS, _STAY_ROWS = 20, 440, 20, 5
 _STRAIGHT_N, _POSED_N = (30.0, 75.0), (20.0, 60.0)
+"""Peak loads on the laboratory arm; another one bears more or less, by `_strength`."""
 _SWEEP_DEG, _POSE_DEG = (6.0, 9.5), (3.0, 9.0)
 _HISTORY_KNOTS, _HISTORY_ROWS, _HISTORY_DEG = 6, 8, 6.0
 
@@ -46,11 +44,22 @@ class Schedule:
         segments = np.arange(1, self.command_rad.shape[1] // 2 + 1)
         return (self.load_segment[:, None] == segments)[..., None] * self.load_n[:, None]
 
+    def rows(self, chosen: slice) -> Schedule:
+        """The chosen rows."""
+        return Schedule(
+            self.time_s[chosen],
+            self.trial[chosen],
+            self.command_rad[chosen],
+            self.load_segment[chosen],
+            self.load_n[chosen],
+        )
+
 
 class _Script:
     """Gathers trials."""
 
     def __init__(self, nominal: Nominal) -> None:
+        self.strength = _strength(nominal)
         self.angles = 2 * nominal.segment_count
         self.period_s = 1.0 / nominal.rate_hz
         self.commands: list[Array] = []
@@ -58,7 +67,11 @@ class _Script:
         self.loads: list[Array] = []
 
     def trial(self, commands: Array, segment: int = 0, loads: Array | None = None) -> None:
-        load = np.zeros((len(commands), 3)) if loads is None else np.round(loads, 3) + 0.0
+        load = (
+            np.zeros((len(commands), 3))
+            if loads is None
+            else np.round(self.strength * loads, 3) + 0.0
+        )
         self.commands.append(np.round(commands, 6) + 0.0)
         self.loads.append(load)
         self.segments.append(np.where((load != 0.0).any(axis=1), segment, 0))
@@ -78,7 +91,7 @@ class _Script:
 
 
 def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
-    """The 25 trials, with loads, directions, orders and poses of this recording's own."""
+    """The trials, 25 for four segments, with loads, orders and poses of this recording's own."""
     count = nominal.segment_count
     segments = np.arange(1, count + 1)
     script = _Script(nominal)
@@ -95,8 +108,8 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
     script.trial(np.outer(np.concatenate([ease, np.ones(_STAY_ROWS)]), pose))
     for segment in segments:
         script.pushed(pose, int(segment), _oblique_n(rng), _CYCLE)
-    held = int(rng.integers(min(2, count), count + 1))
-    script.pushed(pose, held, _oblique_n(rng), _HOLD)
+    held_segment = int(rng.integers(min(2, count), count + 1))
+    script.pushed(pose, held_segment, _oblique_n(rng), _HOLD)
     script.trial(np.outer(ease[::-1] - ease[0], pose))
     for segment in rng.permutation(segments):
         script.pushed(straight, int(segment), _oblique_n(rng), _CYCLE)
@@ -104,7 +117,7 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
 
 
 def draw_history(nominal: Nominal, rng: np.random.Generator) -> Schedule:
-    """What an arm went through before its first row: moves and pushes that nobody recorded.
+    """Moves and pushes that an arm went through before its first row, and that are not recorded.
 
     It ends straight and unloaded, where every recording begins.
     """
@@ -126,6 +139,12 @@ def draw_history(nominal: Nominal, rng: np.random.Generator) -> Schedule:
         past.load_segment,
         past.load_n,
     )
+
+
+def _strength(nominal: Nominal) -> float:
+    """Load that the cables can hold at the arm's reach, by that of the laboratory arm."""
+    moment_nm = nominal.pretension_n * nominal.radius_m * nominal.cable_count
+    return moment_nm / (nominal.segment_count * nominal.length_m) / (50.0 * 0.05 * 12 / (4 * 0.13))
 
 
 def _sweep(angles: int, rng: np.random.Generator) -> Array:

@@ -1,10 +1,8 @@
-"""The rest of a body without friction: all rows at once, by Newton steps on the torques.
+"""Rests (static equilibria) of a body without friction, by Newton steps on the joint torques.
 
-The way of a body without friction through a recording: each rest near the one before.
-
-An arm with slack cables can have two rests under one load. Which one it takes, the way there
-decides, and so a load is followed row by row from where it began. Loads that begin unloaded
-do not know of each other: all of them are followed at once.
+All rows of a recording are solved at once where that is possible. An arm with slack cables can
+have two rests under one load, and the path decides which one it takes: so a load is followed row
+by row from its start, all loads that begin unloaded side by side.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
 
 _ENOUGH_NM = 1e-9
 _MOST_STEPS = 150
-_LEAST_STIFFENING = 0.02
+_LEAST_DAMPING = 0.02
 _SOFTEST_NM_RAD = 10.0
 _LEAST_NM_RAD = 1e-3
 _LOAD_STEPS = 13
@@ -34,7 +32,7 @@ class Rest(NamedTuple):
 
 
 def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
-    """(B, 2J) of commands (B, 2N); a joint that nobody drives is straight."""
+    """(B, 2J) of commands (B, 2N); a joint that is not driven is straight."""
     angles = np.zeros((len(command_rad), body.joint_count, 2))
     angles[:, body.driven] = command_rad.reshape(len(command_rad), -1, 2)
     return angles.reshape(len(command_rad), -1)
@@ -45,7 +43,7 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
 
     Args:
         body: the arm.
-        start_rad: (B, 2J) from where to search.
+        start_rad: (B, 2J) initial guess.
         paid_out_m: (B, M) cable length that the actuators give, less that of the straight arm.
         loads_n: (B, N, 3) base-frame forces at the contact points.
 
@@ -94,37 +92,37 @@ def _search(
     """Angles, tensions, and the rows that found no rest."""
     angles = np.array(start_rad, dtype=float)
     wanted = paid_out_m + cable_lengths_m(body, np.zeros((1, angles.shape[1])))
-    torque, slope, tensions = _balance(body, angles, wanted, loads_n)
-    stiffening = np.zeros(len(angles))
+    torque, slope, tensions = _residual(body, angles, wanted, loads_n)
+    damping = np.zeros(len(angles))
     for _ in range(_MOST_STEPS):
         rows = np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
         if not len(rows):
             break
-        move = downhill_rad(torque[rows], slope[rows], stiffening[rows])
-        found = _balance(body, angles[rows] + move, wanted[rows], loads_n[rows])
-        held = (found[0] * move).sum(-1) >= -0.5 * (torque[rows] * move).sum(-1)
-        kept = rows[held]
-        angles[kept] += move[held]
+        move = newton_step_rad(torque[rows], slope[rows], damping[rows])
+        found = _residual(body, angles[rows] + move, wanted[rows], loads_n[rows])
+        accepted = (found[0] * move).sum(-1) >= -0.5 * (torque[rows] * move).sum(-1)
+        kept = rows[accepted]
+        angles[kept] += move[accepted]
         for whole, part in zip((torque, slope, tensions), found, strict=True):
-            whole[kept] = part[held]
-        more = np.maximum(_LEAST_STIFFENING, 4.0 * stiffening[rows])
-        less = np.where(stiffening[rows] > _LEAST_STIFFENING, 0.25 * stiffening[rows], 0.0)
-        stiffening[rows] = np.where(held, less, more)
+            whole[kept] = part[accepted]
+        more = np.maximum(_LEAST_DAMPING, 4.0 * damping[rows])
+        less = np.where(damping[rows] > _LEAST_DAMPING, 0.25 * damping[rows], 0.0)
+        damping[rows] = np.where(accepted, less, more)
     rows = np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
     return angles, tensions, rows
 
 
-def downhill_rad(torque_nm: Array, slope_nm_rad: Array, stiffening: Array) -> Array:
+def newton_step_rad(torque_nm: Array, slope_nm_rad: Array, damping: Array) -> Array:
     """Newton's step (B, 2J) where the arm is stable, else one that leads away from the saddle.
 
-    `stiffening` (B,), a share of the arm's own stiffness, makes it shorter.
+    `damping` (B,), a share of the arm's own stiffness, makes it shorter.
     """
     symmetric = 0.5 * (slope_nm_rad + np.swapaxes(slope_nm_rad, -1, -2))
     softest = np.linalg.eigvalsh(symmetric)[:, -1]
     diagonal = np.arange(slope_nm_rad.shape[-1])
     own = np.abs(slope_nm_rad[:, diagonal, diagonal])
     firmer = slope_nm_rad.copy()
-    firmer[:, diagonal, diagonal] -= stiffening[:, None] * np.maximum(own, _SOFTEST_NM_RAD)
+    firmer[:, diagonal, diagonal] -= damping[:, None] * np.maximum(own, _SOFTEST_NM_RAD)
     unstable = softest > -_LEAST_NM_RAD
     firmer[:, diagonal, diagonal] -= (unstable * (2.0 * np.abs(softest) + 0.5))[:, None]
     return np.asarray(np.linalg.solve(firmer, -torque_nm[..., None])[..., 0], dtype=float)
@@ -160,7 +158,7 @@ def add_blocks(matrix: Array, blocks: Array) -> Array:
     return matrix
 
 
-def _balance(
+def _residual(
     body: Body, angles: Array, wanted_m: Array, loads_n: Array
 ) -> tuple[Array, Array, Array]:
     turning = turns(body, angles)
@@ -175,7 +173,7 @@ def _balance(
     return torque + outer.torque_nm, add_blocks(matrix, blocks), tension
 
 
-def follow(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
+def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
     """Rests of rows (R, 2N), (R, M), (R, N, 3) in their order.
 
     Raises:

@@ -1,9 +1,4 @@
-"""What sensors make of tensions, before noise and rounding.
-
-Channels that drop out and repeat their last value until they are back.
-
-Zeros of sensors that wander with time.
-"""
+"""What the plant's sensors make of tensions: from faults of scale to noise and whole steps."""
 
 from __future__ import annotations
 
@@ -16,11 +11,11 @@ from cablesense_base.arrays import Array
 
 
 @dataclass(frozen=True)
-class Freezing:
+class Dropouts:
     """Dropouts of M channels.
 
     Attributes:
-        share: (M,) of the rows in which a channel is frozen.
+        share: (M,) of the rows in which a channel repeats its last value.
         mean_rows: how long a dropout lasts on average.
         seed: of when they come.
     """
@@ -29,8 +24,8 @@ class Freezing:
     mean_rows: float = 20.0
     seed: int = 0
 
-    def held_n(self, signal_n: Array) -> Array:
-        """(R, M) signals with the last value before each dropout held through it."""
+    def repeated_n(self, signal_n: Array) -> Array:
+        """(R, M) signals, through each dropout the last value before it."""
         if not self.share.any():
             return signal_n
         rng = np.random.default_rng(self.seed)
@@ -46,8 +41,8 @@ class Freezing:
         return np.take_along_axis(signal_n, last, axis=0)
 
 
-class Course(StrEnum):
-    """How a zero wanders."""
+class DriftShape(StrEnum):
+    """How a zero drifts."""
 
     LINEAR = "linear"
     SINE = "slow sine"
@@ -56,19 +51,19 @@ class Course(StrEnum):
 
 
 @dataclass(frozen=True)
-class Wander:
-    """A course that the zeros of M sensors share in different sizes.
+class Drift:
+    """Drift of the zeros of M sensors, of one shape and different sizes.
 
     Attributes:
         size_n: (M,) how far each goes within a recording, either way.
-        course: which.
+        shape: over time.
         time_s: period of a sine, time constant of a warm-up.
         phase_rad: of the sine.
         seed: of the walk.
     """
 
     size_n: Array
-    course: Course = Course.LINEAR
+    shape: DriftShape = DriftShape.LINEAR
     time_s: float = 100.0
     phase_rad: float = 0.0
     seed: int = 0
@@ -78,14 +73,14 @@ class Wander:
         if not self.size_n.any():
             return np.zeros((len(time_s), len(self.size_n)))
         since = time_s - time_s[0]
-        match self.course:
-            case Course.LINEAR:
+        match self.shape:
+            case DriftShape.LINEAR:
                 shape = since[:, None] / since[-1] * np.ones_like(self.size_n)
-            case Course.SINE:
+            case DriftShape.SINE:
                 shape = np.sin(2.0 * np.pi * since / self.time_s + self.phase_rad)[:, None]
-            case Course.WARM_UP:
+            case DriftShape.WARM_UP:
                 shape = 1.0 - np.exp(-since / self.time_s)[:, None]
-            case Course.WALK:
+            case DriftShape.WALK:
                 steps = np.random.default_rng(self.seed).standard_normal(
                     (len(time_s), len(self.size_n))
                 )
@@ -98,7 +93,7 @@ _FINE = 10
 
 
 class Filter(StrEnum):
-    """How a sensor follows late."""
+    """What delays a sensor."""
 
     FIRST_ORDER = "first order"
     MOVING_AVERAGE = "moving average"
@@ -111,18 +106,18 @@ class Sensing:
 
     Attributes:
         gain: (M,) reading by tension.
-        bow_per_n: (M,) share by which the gain changes with each newton above the pretension.
+        bow_per_n: (M,) nonlinearity: change of the gain with each newton above the pretension.
         ceiling_n: (M,) where a soft saturation sets in.
         leak: (M, M) share of the column's signal in the row's.
         lag_s: (M,) time constant, or half the window of an average.
         lag_filter: which of the filters.
         offset_n: (M,) zero errors.
-        wander: how zeros wander.
+        drift: of the zeros.
         hum_n: (M,) amplitude of an interference.
         hum_hz: its frequency.
         hum_phase_rad: (M,) its phase.
-        freezing: when channels repeat their last value.
-        bow_from_n: tension at which the bow is zero.
+        dropouts: when channels repeat their last value.
+        bow_from_n: tension at which the nonlinearity is zero.
     """
 
     gain: Array
@@ -132,11 +127,11 @@ class Sensing:
     lag_s: Array
     lag_filter: Filter
     offset_n: Array
-    wander: Wander
+    drift: Drift
     hum_n: Array
     hum_hz: float
     hum_phase_rad: Array
-    freezing: Freezing
+    dropouts: Dropouts
     bow_from_n: float
 
     def signals_n(self, tension_n: Array, time_s: Array) -> Array:
@@ -145,10 +140,10 @@ class Sensing:
         over = np.maximum(signal - self.ceiling_n, 0.0)
         signal = np.where(over > 0.0, self.ceiling_n + over / (1.0 + over / 10.0), signal)
         signal = signal + signal @ self.leak.T
-        signal = _late(signal, time_s, self.lag_s, self.lag_filter)
+        signal = _lagged(signal, time_s, self.lag_s, self.lag_filter)
         hum = np.sin(2.0 * np.pi * self.hum_hz * time_s[:, None] + self.hum_phase_rad)
-        signal = signal + self.offset_n + self.wander.zeros_n(time_s) + self.hum_n * hum
-        return self.freezing.held_n(signal)
+        signal = signal + self.offset_n + self.drift.zeros_n(time_s) + self.hum_n * hum
+        return self.dropouts.repeated_n(signal)
 
 
 def ideal_sensing(cables: int, pretension_n: float) -> Sensing:
@@ -162,11 +157,11 @@ def ideal_sensing(cables: int, pretension_n: float) -> Sensing:
         lag_s=zero,
         lag_filter=Filter.FIRST_ORDER,
         offset_n=zero,
-        wander=Wander(zero),
+        drift=Drift(zero),
         hum_n=zero,
         hum_hz=0.3,
         hum_phase_rad=zero,
-        freezing=Freezing(zero),
+        dropouts=Dropouts(zero),
         bow_from_n=pretension_n,
     )
 
@@ -177,8 +172,8 @@ def read_n(signal_n: Array, noise_std_n: float, step_n: float, rng: np.random.Ge
     return np.round(noisy / step_n) * step_n if step_n > 0.0 else noisy
 
 
-def _late(signal_n: Array, time_s: Array, lag_s: Array, kind: Filter) -> Array:
-    """Each column through its filter, which has seen the first value for ever."""
+def _lagged(signal_n: Array, time_s: Array, lag_s: Array, kind: Filter) -> Array:
+    """Each column through its filter, settled at the first value before."""
     if not lag_s.any():
         return signal_n
     steps = len(time_s) - 1

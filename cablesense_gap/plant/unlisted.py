@@ -1,13 +1,4 @@
-"""Effects that verdicts have no name for: what a real arm may have and nobody listed.
-
-What is wrong with the measurement itself: of the loads, and of the tensions.
-
-The arm's structure: segments that bend, that are longer than drawn, axes that are skewed.
-
-What acts on the arm from outside, and from inside its joints.
-
-Between actuator and segment: wrong ratios, uneven screws, slipping clamps, odd cables.
-"""
+"""Effects that verdicts have no name for: what a real arm may have and nobody listed."""
 
 from __future__ import annotations
 
@@ -18,119 +9,105 @@ from types import MappingProxyType
 
 import numpy as np
 
+from cablesense_base.arrays import Array
 from cablesense_gap.plant.arm import RealArm
-from cablesense_gap.plant.body import Body, Nominal, Snag, TipSpring
-from cablesense_gap.plant.changes import Change, Draw, some, weights
-from cablesense_gap.plant.rubbing import firm, smooth
-from cablesense_gap.plant.sensing import Freezing
+from cablesense_gap.plant.body import Body, CableContact, Nominal, TipSpring
+from cablesense_gap.plant.changes import (
+    UNKNOWN,
+    Change,
+    Draw,
+    added,
+    marked,
+    scaled,
+    sets,
+    sized,
+    some,
+    weights,
+)
+from cablesense_gap.plant.friction import no_creep, no_friction
+from cablesense_gap.plant.sensing import Dropouts
+
+Rng = np.random.Generator
 
 
-def load_direction(rng: np.random.Generator, nominal: Nominal) -> Change:
-    """A load frame that is turned against the base: loads do not point where they are said to."""
+def _load_direction(rng: Rng, nominal: Nominal) -> Change:
+    """A load frame that is turned against the base: loads do not point as they are labelled."""
     del nominal
     vector = np.array([1.0, 0.0, 0.0]) * rng.choice([-1.0, 1.0]) + rng.uniform(-0.4, 0.4, 3)
     return Change(
-        "unknown", "load_direction", "deg", 0.3, 40.0, partial(_load_turned, vector=vector)
+        UNKNOWN, "load_direction", "deg", 0.3, 40.0, partial(_load_turned, vector=vector)
     )
 
 
-def _load_turned(arm: RealArm, size: float, vector: np.ndarray) -> RealArm:
-    from scipy.spatial.transform import Rotation
-
-    axis = vector / np.linalg.norm(vector)
-    turn = Rotation.from_rotvec(np.deg2rad(size) * axis).as_matrix()
+def _load_turned(arm: RealArm, size: float, vector: Array) -> RealArm:
+    turn = _rotation(np.deg2rad(size) * (vector / np.linalg.norm(vector)))
     return replace(arm, load_turn=turn @ arm.load_turn)
 
 
-def load_scale(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _load_scale(rng: Rng, nominal: Nominal) -> Change:
     """A load cell of the wrong scale: loads are weaker or stronger than written down."""
     del nominal
     sign = float(rng.choice([-1.0, 1.0]))
-    return Change("unknown", "load_scale", "1", 0.003, 0.5, partial(_load_scaled, sign=sign))
+    return Change(UNKNOWN, "load_scale", "1", 0.003, 0.5, partial(_load_scaled, sign=sign))
 
 
 def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
     return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
 
 
-def sensor_bow(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _sensor_bow(rng: Rng, nominal: Nominal) -> Change:
     """Sensors whose scale changes with the tension."""
     count = nominal.cable_count
-    chosen = list(range(count)) if rng.random() < 0.5 else some(rng, count, 2, 6)
-    bow = np.zeros(count)
-    bow[chosen] = rng.choice([-1.0, 1.0])
-    return Change("unknown", "sensor_bow", "1/N", 2e-5, 0.01, partial(_bow, share=bow))
+    bow = marked(_all_or_some(rng, count), count, rng.choice([-1.0, 1.0]))
+    return Change(UNKNOWN, "sensor_bow", "1/N", 2e-5, 0.01, sets("sensing", bow_per_n=scaled(bow)))
 
 
-def _bow(arm: RealArm, size: float, share: np.ndarray) -> RealArm:
-    return replace(arm, sensing=replace(arm.sensing, bow_per_n=size * share))
+def _sensor_ceiling(rng: Rng, nominal: Nominal) -> Change:
+    """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
+    full_n = 5.0 * nominal.pretension_n
+    sensors = marked(_all_or_some(rng, nominal.cable_count), nominal.cable_count)
+    return Change(
+        UNKNOWN, "sensor_ceiling", "N", 0.12 * full_n, 0.78 * full_n,
+        sets("sensing", ceiling_n=partial(_ceiling, sensors=sensors, full_n=full_n)),
+    )  # fmt: skip
 
 
-def sensor_ceiling(rng: np.random.Generator, nominal: Nominal) -> Change:
-    """Sensors or amplifiers that do not follow high tensions; the size is how far below 250 N."""
-    count = nominal.cable_count
-    chosen = list(range(count)) if rng.random() < 0.5 else some(rng, count, 2, 6)
-    return Change("unknown", "sensor_ceiling", "N", 30.0, 195.0, partial(_ceiling, sensors=chosen))
+def _ceiling(old: Array, size: float, sensors: Array, full_n: float) -> Array:
+    return np.where(sensors > 0.0, full_n - size, old)
 
 
-def _ceiling(arm: RealArm, size: float, sensors: list[int]) -> RealArm:
-    ceiling = np.full(arm.nominal.cable_count, np.inf)
-    ceiling[sensors] = 250.0 - size
-    return replace(arm, sensing=replace(arm.sensing, ceiling_n=ceiling))
-
-
-def sensor_dropouts(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _sensor_dropouts(rng: Rng, nominal: Nominal) -> Change:
     """Channels that now and then repeat their last value for a while."""
     count = nominal.cable_count
-    freezing = Freezing(
-        weights(rng, some(rng, count, 1, 6), count),
-        float(rng.uniform(8.0, 40.0)),
-        int(rng.integers(2**31)),
-    )
+    share = weights(rng, some(rng, count, 1, 6), count)
+    dropouts = Dropouts(share, float(rng.uniform(8.0, 40.0)), int(rng.integers(2**31)))
     return Change(
-        "unknown", "sensor_dropouts", "of the rows", 0.01, 0.6, partial(_frozen, freezing=freezing)
-    )
+        UNKNOWN, "sensor_dropouts", "of the rows", 0.01, 0.6,
+        sets("sensing", dropouts=sized(dropouts, "share")),
+    )  # fmt: skip
 
 
-def _frozen(arm: RealArm, size: float, freezing: Freezing) -> RealArm:
-    shares = replace(freezing, share=size * freezing.share)
-    return replace(arm, sensing=replace(arm.sensing, freezing=shares))
-
-
-def sensor_hum(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _sensor_hum(rng: Rng, nominal: Nominal) -> Change:
     """An interference of a few tenths of a hertz on several channels."""
     count = nominal.cable_count
+    share = weights(rng, some(rng, count, 3, 8), count)
+    hz = float(rng.uniform(0.15, 0.9))
+    phase_rad = np.full(count, rng.uniform(0.0, 2.0 * np.pi))
     return Change(
-        "unknown",
-        "sensor_hum",
-        "N",
-        0.1,
-        15.0,
-        partial(
-            _hum,
-            share=weights(rng, some(rng, count, 3, 8), count),
-            hz=float(rng.uniform(0.15, 0.9)),
-            phase_rad=np.full(count, rng.uniform(0.0, 2.0 * np.pi)),
-        ),
-    )
+        UNKNOWN, "sensor_hum", "N", 0.1, 15.0,
+        sets("sensing", hum_n=scaled(share), hum_hz=hz, hum_phase_rad=phase_rad),
+    )  # fmt: skip
 
 
-def _hum(
-    arm: RealArm, size: float, share: np.ndarray, hz: float, phase_rad: np.ndarray
-) -> RealArm:
-    sensing = replace(arm.sensing, hum_n=size * share, hum_hz=hz, hum_phase_rad=phase_rad)
-    return replace(arm, sensing=sensing)
-
-
-def limber_segments(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _limber_segments(rng: Rng, nominal: Nominal) -> Change:
     """Segments that bend in their middle under what they carry."""
     del rng, nominal
-    return Change("unknown", "limber_segments", "rad/(N m)", 1e-4, 0.05, _limber)
+    return Change(UNKNOWN, "limber_segments", "rad/(N m)", 1e-4, 0.05, _limber)
 
 
 def _limber(arm: RealArm, size: float) -> RealArm:
     body = _with_middles(arm.body, 1.0 / size)
-    return replace(arm, body=body, rubbing=smooth(body), creep=firm(body))
+    return replace(arm, body=body, friction=no_friction(body), creep=no_creep(body))
 
 
 def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
@@ -150,13 +127,10 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     passes = np.zeros((2 * count, body.cable_count), dtype=bool)
     passes[0::2] = body.passes
     passes[1:-1:2] = body.passes[1:]
-    spring = np.zeros((2 * count, 2))
-    spring[1::2] = stiffness_nm_rad
-    back = np.zeros((count, 3))
-    back[:, 0] = half
+    back = np.outer(half, [1.0, 0.0, 0.0])
 
-    def doubled(values: np.ndarray) -> np.ndarray:
-        wide = np.zeros((2 * count, *values.shape[1:]))
+    def doubled(values: Array, middle: float = 0.0) -> Array:
+        wide = np.full((2 * count, *values.shape[1:]), middle)
         wide[0::2] = values
         return wide
 
@@ -172,157 +146,110 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
         contact_joint=2 * body.contact_joint + 1,
         contact_at_m=body.contact_at_m - back[body.contact_joint],
         tip_at_m=body.tip_at_m - back[-1],
-        spring_nm_rad=doubled(body.spring_nm_rad) + spring,
+        spring_nm_rad=doubled(body.spring_nm_rad, stiffness_nm_rad),
         hardening_nm_rad3=doubled(body.hardening_nm_rad3),
         cogging_nm=doubled(body.cogging_nm),
         driven=2 * body.driven,
     )
 
 
-def link_length(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _link_length(rng: Rng, nominal: Nominal) -> Change:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     joint = int(rng.integers(1, nominal.segment_count))
-    sign = float(rng.choice([-1.0, 1.0]))
-    return Change(
-        "unknown", "link_length", "m", 5e-4, 0.045, partial(_longer, joint=joint, sign=sign)
-    )
+    share = marked(joint, nominal.segment_count, rng.choice([-1.0, 1.0]))
+    return Change(UNKNOWN, "link_length", "m", 5e-4, 0.045, sets("body", spacing_m=added(share)))
 
 
-def _longer(arm: RealArm, size: float, joint: int, sign: float) -> RealArm:
-    spacing = arm.body.spacing_m.copy()
-    spacing[joint] += sign * size
-    return replace(arm, body=replace(arm.body, spacing_m=spacing))
-
-
-def skewed_axes(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _skewed_axes(rng: Rng, nominal: Nominal) -> Change:
     """Joints whose axes are turned against the plates."""
     vector = np.zeros((nominal.segment_count, 3))
     chosen = some(rng, nominal.segment_count, 1, 2)
     directions = rng.standard_normal((len(chosen), 3))
     vector[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Change("unknown", "skewed_axes", "deg", 1.0, 30.0, partial(_skewed, vector=vector))
+    return Change(
+        UNKNOWN, "skewed_axes", "deg", 1.0, 30.0, sets("body", skew=partial(_skew, vector=vector))
+    )
 
 
-def _skewed(arm: RealArm, size: float, vector: np.ndarray) -> RealArm:
-    from scipy.spatial.transform import Rotation
-
-    skew = Rotation.from_rotvec(np.deg2rad(size) * vector).as_matrix()
-    return replace(arm, body=replace(arm.body, skew=skew))
+def _skew(old: Array, size: float, vector: Array) -> Array:
+    del old
+    return _rotation(np.deg2rad(size) * vector)
 
 
-def cogging(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _cogging(rng: Rng, nominal: Nominal) -> Change:
     """Joints with notches: a torque periodic in their angle."""
     share = np.zeros((nominal.segment_count, 2))
     share[some(rng, nominal.segment_count, 1, 2)] = 1.0
     per_turn = float(rng.uniform(40.0, 90.0))
     return Change(
-        "unknown", "cogging", "N m", 0.005, 3.0, partial(_cogging, share=share, per_turn=per_turn)
-    )
+        UNKNOWN, "cogging", "N m", 0.005, 3.0,
+        sets("body", cogging_nm=scaled(share), cogging_per_turn=per_turn),
+    )  # fmt: skip
 
 
-def _cogging(arm: RealArm, size: float, share: np.ndarray, per_turn: float) -> RealArm:
-    body = replace(arm.body, cogging_nm=size * share, cogging_per_turn=per_turn)
-    return replace(arm, body=body)
-
-
-def tether(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _tether(rng: Rng, nominal: Nominal) -> Change:
     """A hose or a band from the arm's end to somewhere beside it."""
-    reach = nominal.plate_offset_m + nominal.segment_count * nominal.length_m
     angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.4)
-    anchor = (
-        float(reach + rng.uniform(-0.2, 0.1)),
+    x, y, z = (
+        float(_reach_m(nominal) + rng.uniform(-0.2, 0.1)),
         float(away_m * np.sin(angle)),
         float(away_m * np.cos(angle)),
     )
-    spring = TipSpring(anchor, 1.0)
-    return Change("unknown", "tether", "N/m", 0.3, 300.0, partial(_touched, spring=spring))
+    spring = sized(TipSpring((x, y, z), 1.0), "stiffness_n_m")
+    return Change(UNKNOWN, "tether", "N/m", 0.3, 300.0, sets("body", tip_springs=spring))
 
 
-def wall(rng: np.random.Generator, nominal: Nominal) -> Change:
-    """Something springy that the arm's end runs against on one side."""
-    reach = nominal.plate_offset_m + nominal.segment_count * nominal.length_m
+def _wall(rng: Rng, nominal: Nominal) -> Change:
+    """An elastic wall that the arm's end touches on one side."""
     angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
-    anchor = (reach, away_m * normal[1], away_m * normal[2])
-    spring = TipSpring(anchor, 1.0, normal)
-    return Change("unknown", "wall", "N/m", 5.0, 2e4, partial(_touched, spring=spring))
+    anchor = (_reach_m(nominal), away_m * normal[1], away_m * normal[2])
+    spring = sized(TipSpring(anchor, 1.0, normal), "stiffness_n_m")
+    return Change(UNKNOWN, "wall", "N/m", 5.0, 2e4, sets("body", tip_springs=spring))
 
 
-def _touched(arm: RealArm, size: float, spring: TipSpring) -> RealArm:
-    springs = (replace(spring, stiffness_n_m=size),)
-    return replace(arm, body=replace(arm.body, tip_springs=springs))
-
-
-def actuator_ratio(rng: np.random.Generator, nominal: Nominal) -> Change:
-    """Actuators that pay out more or less than they are told."""
+def _actuator_ratio(rng: Rng, nominal: Nominal) -> Change:
+    """Actuators that pay out more or less than is commanded."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 1, 3), count, signed=True)
-    return Change("unknown", "actuator_ratio", "1", 5e-4, 0.3, partial(_ratio, share=share))
+    return Change(UNKNOWN, "actuator_ratio", "1", 5e-4, 0.3, sets("actuation", ratio=added(share)))
 
 
-def _ratio(arm: RealArm, size: float, share: np.ndarray) -> RealArm:
-    return replace(arm, actuation=replace(arm.actuation, ratio=1.0 + size * share))
-
-
-def screw_error(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _screw_error(rng: Rng, nominal: Nominal) -> Change:
     """Screws with an error that repeats every turn."""
     count = nominal.cable_count
+    share = weights(rng, some(rng, count, 2, 6), count)
+    pitch_m = float(rng.uniform(0.002, 0.006))
+    phase_rad = rng.uniform(0.0, 2.0 * np.pi, count)
     return Change(
-        "unknown",
-        "screw_error",
-        "m",
-        2e-6,
-        1e-3,
-        partial(
-            _screw,
-            share=weights(rng, some(rng, count, 2, 6), count),
-            pitch_m=float(rng.uniform(0.002, 0.006)),
-            phase_rad=rng.uniform(0.0, 2.0 * np.pi, count),
+        UNKNOWN, "screw_error", "m", 2e-6, 1e-3,
+        sets(
+            "actuation", screw_m=scaled(share), screw_pitch_m=pitch_m, screw_phase_rad=phase_rad
         ),
-    )
+    )  # fmt: skip
 
 
-def _screw(
-    arm: RealArm, size: float, share: np.ndarray, pitch_m: float, phase_rad: np.ndarray
-) -> RealArm:
-    actuation = replace(
-        arm.actuation, screw_m=size * share, screw_pitch_m=pitch_m, screw_phase_rad=phase_rad
-    )
-    return replace(arm, actuation=actuation)
-
-
-def clamp_slip(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _clamp_slip(rng: Rng, nominal: Nominal) -> Change:
     """A clamp or two that let cable through at one moment of the recording."""
     count = nominal.cable_count
+    share = weights(rng, some(rng, count, 1, 2), count)
+    time_s = float(rng.uniform(60.0, 220.0))
     return Change(
-        "unknown",
-        "clamp_slip",
-        "m",
-        5e-6,
-        2e-3,
-        partial(
-            _slip,
-            share=weights(rng, some(rng, count, 1, 2), count),
-            time_s=float(rng.uniform(60.0, 220.0)),
-        ),
-    )
+        UNKNOWN, "clamp_slip", "m", 5e-6, 2e-3,
+        sets("actuation", slip_m=scaled(share), slip_time_s=time_s),
+    )  # fmt: skip
 
 
-def _slip(arm: RealArm, size: float, share: np.ndarray, time_s: float) -> RealArm:
-    return replace(arm, actuation=replace(arm.actuation, slip_m=size * share, slip_time_s=time_s))
-
-
-def hardening_cables(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _hardening_cables(rng: Rng, nominal: Nominal) -> Change:
     """Cables stiffer the more they carry, as drawn at the pretension."""
     del rng, nominal
-    return Change("unknown", "hardening_cables", "of the exponent", 0.01, 3.0, _hardening)
+    return Change(
+        UNKNOWN, "hardening_cables", "of the exponent", 0.01, 3.0,
+        sets("body", exponent=added(1.0)),
+    )  # fmt: skip
 
 
-def _hardening(arm: RealArm, size: float) -> RealArm:
-    return replace(arm, body=replace(arm.body, exponent=1.0 + size))
-
-
-def snagging_cables(rng: np.random.Generator, nominal: Nominal) -> Change:
+def _snagging_cables(rng: Rng, nominal: Nominal) -> Change:
     """Cables that touch and push each other aside where a joint bends one way."""
     joint = int(rng.integers(nominal.segment_count))
     passing = np.arange(joint * nominal.per_segment, nominal.cable_count)
@@ -330,32 +257,46 @@ def snagging_cables(rng: np.random.Generator, nominal: Nominal) -> Change:
     axis = int(rng.integers(2))
     sign = float(rng.choice([-1.0, 1.0]))
     toward = (sign, 0.0) if axis == 0 else (0.0, sign)
-    snag = Snag(joint, toward, pair, 1.0, float(rng.uniform(0.0, 0.06)))
-    return Change("unknown", "snagging_cables", "m/rad^2", 1e-3, 1.0, partial(_snag, snag=snag))
+    contact = CableContact(joint, toward, pair, 1.0, float(rng.uniform(0.0, 0.06)))
+    return Change(
+        UNKNOWN, "snagging_cables", "m/rad^2", 1e-3, 1.0,
+        sets("body", cable_contacts=sized(contact, "depth_m_rad2")),
+    )  # fmt: skip
 
 
-def _snag(arm: RealArm, size: float, snag: Snag) -> RealArm:
-    return replace(arm, body=replace(arm.body, snags=(replace(snag, depth_m_rad2=size),)))
+def _all_or_some(rng: Rng, count: int) -> list[int]:
+    return list(range(count)) if rng.random() < 0.5 else some(rng, count, 2, 6)
+
+
+def _reach_m(nominal: Nominal) -> float:
+    return nominal.plate_offset_m + nominal.segment_count * nominal.length_m
+
+
+def _rotation(vector_rad: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector_rad).as_matrix(), dtype=float)
 
 
 UNLISTED: Mapping[str, Draw] = MappingProxyType(
     {
-        "actuator_ratio": actuator_ratio,
-        "clamp_slip": clamp_slip,
-        "hardening_cables": hardening_cables,
-        "screw_error": screw_error,
-        "snagging_cables": snagging_cables,
-        "limber_segments": limber_segments,
-        "link_length": link_length,
-        "skewed_axes": skewed_axes,
-        "cogging": cogging,
-        "tether": tether,
-        "wall": wall,
-        "load_direction": load_direction,
-        "load_scale": load_scale,
-        "sensor_bow": sensor_bow,
-        "sensor_ceiling": sensor_ceiling,
-        "sensor_dropouts": sensor_dropouts,
-        "sensor_hum": sensor_hum,
+        "actuator_ratio": _actuator_ratio,
+        "clamp_slip": _clamp_slip,
+        "hardening_cables": _hardening_cables,
+        "screw_error": _screw_error,
+        "snagging_cables": _snagging_cables,
+        "limber_segments": _limber_segments,
+        "link_length": _link_length,
+        "skewed_axes": _skewed_axes,
+        "cogging": _cogging,
+        "tether": _tether,
+        "wall": _wall,
+        "load_direction": _load_direction,
+        "load_scale": _load_scale,
+        "sensor_bow": _sensor_bow,
+        "sensor_ceiling": _sensor_ceiling,
+        "sensor_dropouts": _sensor_dropouts,
+        "sensor_hum": _sensor_hum,
     }
 )
+"""By the form of the change; the order is part of what a seed makes."""

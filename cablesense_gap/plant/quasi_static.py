@@ -1,8 +1,7 @@
-"""An arm that rubs and creeps, row after row: each rest depends on those before.
+"""An arm with friction or creep along its quasi-static path: each rest depends on those before.
 
-Where an arm that remembers stands, and all that it remembers.
-
-The balance of an arm that rubs: of each piece of cable, and of the torques on the joints.
+A cable is cut at its guides. Across one, its tension changes by the factor exp(mu theta s), with
+the friction state s there between -1 and 1.
 """
 
 from __future__ import annotations
@@ -14,28 +13,34 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_gap.plant.body import Body, PlantError
+from cablesense_gap.plant.friction import Creep, Friction, friction_state, piece_compliance_m_n
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
 from cablesense_gap.plant.rest import (
     add_blocks,
     cable_torques,
     commanded_angles_rad,
-    downhill_rad,
     find_rest,
+    newton_step_rad,
     require_room,
 )
-from cablesense_gap.plant.rubbing import Creep, Rubbing, follow, piece_compliance_m_n
+
+_ENOUGH_NM, _ENOUGH_N = 1e-7, 1e-6
+_NEWTON_STEPS, _DAMPED_STEPS = 10, 60
+_DEEPEST = 6
+_LONGEST_RAD = 0.03
+_CABLES_REST_N = 1e-7
 
 
 @dataclass(frozen=True)
 class State:
-    """One row of a march.
+    """One row of a path.
 
     Attributes:
         angles_rad: (2J,).
         tension_n: (2J + 2, M) of the pieces of the cables; the first is what the sensor feels.
-        rub: (2J + 1, M) state of friction at the guides.
+        guide_state: (2J + 1, M) state of friction at the guides.
         fed_m: (2J + 1, M) cable that has passed each guide.
-        joint_rub: (2J,) state of friction in the joints.
+        joint_state: (2J,) state of friction in the joints.
         speed_rad_s: (2J,) of the angles.
         crept_m: (K, M) lengthening of each element.
         paid_out_m: (M,) by the actuators.
@@ -44,20 +49,17 @@ class State:
 
     angles_rad: Array
     tension_n: Array
-    rub: Array
+    guide_state: Array
     fed_m: Array
-    joint_rub: Array
+    joint_state: Array
     speed_rad_s: Array
     crept_m: Array
     paid_out_m: Array
     loads_n: Array
 
 
-_ENOUGH_NM, _ENOUGH_N = 1e-7, 1e-6
-
-
 class Balance(NamedTuple):
-    """What is out of balance at a guess, and its derivatives; P = 2J + 2 pieces of cable.
+    """Residuals at a guess, and their derivatives; P = 2J + 2 pieces of cable.
 
     Attributes:
         torque_nm: (2J,) left on the joint angles.
@@ -66,9 +68,9 @@ class Balance(NamedTuple):
         by_tension: (M, P, P) its derivative by the cable's tensions.
         by_angle: (M, P, 2J) its derivative by the angles.
         pull: (2J, M, P) torque by tension.
-        rub: (P - 1, M) what the state of friction at the guides would become.
+        guide_state: (P - 1, M) what the state of friction at the guides would become.
         fed_m: (P - 1, M) cable that would have passed the guides.
-        joint_rub: (2J,) what the state of friction in the joints would become.
+        joint_state: (2J,) what the state of friction in the joints would become.
     """
 
     torque_nm: Array
@@ -77,9 +79,9 @@ class Balance(NamedTuple):
     by_tension: Array
     by_angle: Array
     pull: Array
-    rub: Array
+    guide_state: Array
     fed_m: Array
-    joint_rub: Array
+    joint_state: Array
 
     @property
     def settled(self) -> bool:
@@ -99,15 +101,15 @@ class Balance(NamedTuple):
 class Balances:
     """Balances of one arm.
 
-    A cable is cut at its guides: the piece at the sensor, the run, then by joint the piece across
-    it and the piece inside its segment. Guides lie between: a pulley, and the plates.
+    The pieces of a cable are the one at the sensor, the run, then by joint the one across it and
+    the one inside its segment. Guides lie between: a pulley, and the plates.
     """
 
-    def __init__(self, body: Body, rubbing: Rubbing, run_m: float) -> None:
-        """Of a body that rubs, with the run before its base plate."""
+    def __init__(self, body: Body, friction: Friction, run_m: float) -> None:
+        """Of a body with friction, and the run before its base plate."""
         joints = body.joint_count
-        self.body, self.rubbing = body, rubbing
-        self.compliance_m_n = piece_compliance_m_n(body, run_m, rubbing.spread)
+        self.body, self.friction = body, friction
+        self.compliance_m_n = piece_compliance_m_n(body, run_m, friction.spread)
         self.straight_m = cable_lengths_m(body, np.zeros((1, 2 * joints)))[0]
         self.distal = np.zeros((2 * joints + 1, joints))
         self.distal[0] = 1.0
@@ -128,19 +130,22 @@ class Balances:
 
         `wanted_m` (M,) is the unstretched cable that the spans have, `loads_n` (N, 3) the loads.
         """
-        body, rubbing = self.body, self.rubbing
+        body, friction = self.body, self.friction
         turning = turns(body, angles[None])
         across = spans(body, angles[None], turning, with_bends=True)
         length, slope = across.length_m[0], across.slope_m_rad[0].reshape(len(angles), -1)
         bends = across.bend_rad[0].reshape(len(angles), -1)
-        pulley = np.full((1, body.cable_count), rubbing.pulley_rad)
-        grip = rubbing.coefficient * np.concatenate([pulley, bends])
+        pulley = np.full((1, body.cable_count), friction.pulley_rad)
+        grip = friction.coefficient * np.concatenate([pulley, bends])
         fed = self.fed_m(length, tension)
-        rub, rub_slope = follow(rubbing.onset, state.rub, fed - state.fed_m, rubbing.reach_m)
+        moved_m = fed - state.fed_m
+        guide, guide_slope = friction_state(
+            friction.onset, state.guide_state, moved_m, friction.reach_m
+        )
         taut = tension > 0.0
-        gained = np.where(taut[:-1], np.expm1(grip * rub), 0.0)
+        gained = np.where(taut[:-1], np.expm1(grip * guide), 0.0)
         carried = tension[:-1] * (1.0 + gained)
-        sticking = carried * grip * rub_slope * taut[:-1]
+        sticking = carried * grip * guide_slope * taut[:-1]
 
         pieces = len(tension)
         stiff, c = body.stiffness_n_m, self.compliance_m_n
@@ -153,9 +158,9 @@ class Balances:
         by_tension[:, 1:] = np.triu(np.ones((pieces, pieces)))[1:] * c.T[:, None, :]
         by_tension[:, 1:] *= sticking.T[:, :, None]
         by_tension[:, 0] = (stiff * c).T
-        guide = np.arange(1, pieces)
-        by_tension[:, guide, guide] += 1.0
-        by_tension[:, guide, guide - 1] -= (1.0 + gained).T
+        behind = np.arange(1, pieces)
+        by_tension[:, behind, behind] += 1.0
+        by_tension[:, behind, behind - 1] -= (1.0 + gained).T
 
         by_angle = np.empty((body.cable_count, pieces, len(angles)))
         by_angle[:, 0] = -stiff[:, None] * slope.T
@@ -167,7 +172,7 @@ class Balances:
         torque, blocks = cable_torques(across.slope_m_rad, across.curve_m_rad2, pulling[None])
         outer = torques(body, angles[None], turning, loads_n[None])
         matrix = add_blocks(outer.slope_nm_rad, blocks)[0]
-        joint_rub, joint_nm, joint_slope = self._joints(state, angles)
+        joint_state, joint_nm, joint_slope = self._joints(state, angles)
         matrix[np.arange(len(angles)), np.arange(len(angles))] -= joint_slope
 
         pull = np.zeros((len(angles), body.cable_count, pieces))
@@ -180,39 +185,37 @@ class Balances:
             by_tension,
             by_angle,
             pull,
-            rub,
+            guide,
             fed,
-            joint_rub,
+            joint_state,
         )
 
     def _joints(self, state: State, angles: Array) -> tuple[Array, Array, Array]:
-        rubbing = self.rubbing
-        speed = np.abs(state.speed_rad_s) / rubbing.speed_rad_s
-        level = rubbing.joint_nm.ravel() * (1.0 + (rubbing.breakaway - 1.0) * np.exp(-(speed**2)))
+        friction = self.friction
+        speed = np.abs(state.speed_rad_s) / friction.speed_rad_s
+        level = friction.joint_nm.ravel() * (
+            1.0 + (friction.breakaway - 1.0) * np.exp(-(speed**2))
+        )
         moved = angles - state.angles_rad
-        new, slope = follow(rubbing.joint_onset, state.joint_rub, moved, rubbing.joint_reach_rad)
+        new, slope = friction_state(
+            friction.joint_onset, state.joint_state, moved, friction.joint_reach_rad
+        )
         return new, level * new, level * slope
 
 
-_QUICK_STEPS, _PATIENT_STEPS = 10, 60
-_DEEPEST = 6
-_LONGEST_RAD = 0.03
-_CABLES_REST_N = 1e-7
-
-
-class March:
+class QuasiStaticPath:
     """Takes an arm from row to row."""
 
-    def __init__(self, body: Body, rubbing: Rubbing, creep: Creep, run_m: float) -> None:
-        """From the arm's body, what rubs and creeps, and the run before the base plate."""
+    def __init__(self, body: Body, friction: Friction, creep: Creep, run_m: float) -> None:
+        """From the arm's body, its friction and creep, and the run before the base plate."""
         if body.exponent != 1.0:
-            raise PlantError("cables that harden cannot rub or creep here; use exponent 1")
+            raise PlantError("hardening cables have no friction or creep here; use exponent 1")
         self.body, self.creep = body, creep
-        self.balances = Balances(body, rubbing, run_m)
+        self.balances = Balances(body, friction, run_m)
         self.retensioned_m = np.zeros(body.cable_count)
 
     def start(self, command_rad: Array, paid_out_m: Array, loads_n: Array) -> State:
-        """A first row (2N,), (M,), (N, 3) in which nothing has rubbed yet."""
+        """A first row (2N,), (M,), (N, 3) before any sliding."""
         body = self.body
         angles = commanded_angles_rad(body, command_rad[None])
         rest = find_rest(body, angles, paid_out_m[None], loads_n[None])
@@ -249,13 +252,13 @@ class March:
         return replace(moved, speed_rad_s=speed, crept_m=crept)
 
     def _settle(self, state: State, paid_out_m: Array, loads_n: Array, depth: int) -> State:
-        for search in (self._quick, self._patient):
+        for search in (self._newton, self._damped):
             found = search(state, paid_out_m, loads_n)
             if found is not None:
                 return found
         if depth >= _DEEPEST:
             raise PlantError(
-                "an arm that rubs found no rest; smaller loads or angles leave it stable"
+                "an arm with friction found no rest; smaller loads or angles leave it stable"
             )
         halfway = 0.5 * (state.paid_out_m + paid_out_m), 0.5 * (state.loads_n + loads_n)
         between = self._settle(state, *halfway, depth + 1)
@@ -265,44 +268,44 @@ class March:
         crept = state.crept_m.sum(axis=0) - self.retensioned_m
         return self.balances.straight_m + paid_out_m + crept
 
-    def _quick(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
+    def _newton(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
         angles, tension = state.angles_rad, state.tension_n
         wanted_m = self._wanted_m(state, paid_out_m)
-        for _ in range(_QUICK_STEPS):
+        for _ in range(_NEWTON_STEPS):
             at = self.balances.at(state, angles, tension, wanted_m, loads_n)
             if at.settled:
                 return _moved(state, angles, tension, at, paid_out_m, loads_n)
-            turn, pull = _newton_step(at)
+            turn, pull = _joint_step(at)
             angles, tension = angles + turn, tension + pull
             if not np.isfinite(tension).all():
                 return None
         return None
 
-    def _patient(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
-        """As `_quick`, with the cables at rest at every guess: slower, and hardly ever lost."""
-        angles, stiffening = state.angles_rad, 0.0
+    def _damped(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
+        """As `_newton`, with the cables at rest at every guess: slower, and hardly ever fails."""
+        angles, damping = state.angles_rad, 0.0
         wanted_m = self._wanted_m(state, paid_out_m)
         at, tension = self._cables_at_rest(state, angles, state.tension_n, wanted_m, loads_n)
-        for _ in range(_PATIENT_STEPS):
+        for _ in range(_DAMPED_STEPS):
             if at.settled:
                 return _moved(state, angles, tension, at, paid_out_m, loads_n)
             torque, slope, _ = at.condensed()
-            move = downhill_rad(torque[None], slope[None], np.array([stiffening]))[0]
+            move = newton_step_rad(torque[None], slope[None], np.array([damping]))[0]
             move *= min(1.0, _LONGEST_RAD / max(np.abs(move).max(), 1e-300))
             found = self._cables_at_rest(state, angles + move, tension, wanted_m, loads_n)
             if found[0].torque_nm @ move >= -0.5 * (torque @ move):
                 angles = angles + move
                 at, tension = found
-                stiffening = 0.25 * stiffening if stiffening > 0.02 else 0.0
+                damping = 0.25 * damping if damping > 0.02 else 0.0
             else:
-                stiffening = max(0.02, 4.0 * stiffening)
+                damping = max(0.02, 4.0 * damping)
         return None
 
     def _cables_at_rest(
         self, state: State, angles: Array, tension: Array, wanted_m: Array, loads_n: Array
     ) -> tuple[Balance, Array]:
         at = self.balances.at(state, angles, tension, wanted_m, loads_n)
-        for step in range(_PATIENT_STEPS):
+        for step in range(_DAMPED_STEPS):
             if np.abs(at.misfit_n).max() < _CABLES_REST_N:
                 break
             change = np.linalg.solve(at.by_tension, at.misfit_n[..., None])[..., 0].T
@@ -311,10 +314,10 @@ class March:
         return at, tension
 
 
-def _newton_step(at: Balance) -> tuple[Array, Array]:
+def _joint_step(at: Balance) -> tuple[Array, Array]:
     """Change of the angles (2J,) and of the pieces' tensions (2J + 2, M)."""
     torque, slope, answer = at.condensed()
-    turn = downhill_rad(torque[None], slope[None], np.zeros(1))[0]
+    turn = newton_step_rad(torque[None], slope[None], np.zeros(1))[0]
     turn *= min(1.0, _LONGEST_RAD / max(np.abs(turn).max(), 1e-300))
     return turn, (answer[..., 0] + answer[..., 1:] @ turn).T
 
@@ -326,9 +329,9 @@ def _moved(
         state,
         angles_rad=angles,
         tension_n=tension,
-        rub=at.rub,
+        guide_state=at.guide_state,
         fed_m=at.fed_m,
-        joint_rub=at.joint_rub,
+        joint_state=at.joint_state,
         paid_out_m=paid_out_m,
         loads_n=loads_n,
     )

@@ -1,15 +1,15 @@
-"""The plant's rest without friction: balances of torque, slack cables, and the way there."""
+"""The plant's rests without friction: equilibrium, derivatives, slack, refusals."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_plant import BODY, NOMINAL
+from plant_arm import BODY, NOMINAL
 
 from cablesense_gap.plant.body import Body, PlantError, TipSpring
 from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, torques, turns
 from cablesense_gap.plant.protocol import draw_schedule
-from cablesense_gap.plant.rest import commanded_angles_rad, find_rest, follow, tension_law
+from cablesense_gap.plant.rest import commanded_angles_rad, find_rest, follow_path, tension_law
 
 RNG = np.random.default_rng(1)
 STRAIGHT = np.zeros((1, 8))
@@ -123,7 +123,7 @@ def test_following_a_recording_meets_each_rest() -> None:
     schedule = draw_schedule(NOMINAL, np.random.default_rng(3))
     command, loads = schedule.command_rad, schedule.forces_n
     paid = cable_lengths_m(BODY, command) - cable_lengths_m(BODY, STRAIGHT)
-    rest = follow(BODY, command, paid, loads)
+    rest = follow_path(BODY, command, paid, loads)
     start = commanded_angles_rad(BODY, command)
     again = find_rest(BODY, rest.angles_rad, paid, loads)
     np.testing.assert_allclose(again.tensions_n, rest.tensions_n, atol=1e-6)

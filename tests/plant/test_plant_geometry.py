@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_plant import BODY, NOMINAL
+from plant_arm import BODY, NOMINAL
 
-from cablesense_gap.plant.body import Body, Snag, stiff_body
+from cablesense_gap.plant.body import Body, CableContact, rigid_body
 from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, spans, turns
 
 JOINTS = 2 * NOMINAL.segment_count
@@ -60,12 +60,14 @@ def test_slopes_and_curves_are_derivatives() -> None:
             np.testing.assert_allclose(own, curve, atol=1e-8)
 
 
-def test_a_snag_lengthens_its_cables_beyond_its_angle_alone() -> None:
-    snag = Snag(joint=1, toward=(0.0, -1.0), cables=(4, 7), depth_m_rad2=0.02, from_rad=0.05)
-    snagged = replace(BODY, snags=(snag,))
+def test_a_contact_of_cables_lengthens_them_beyond_its_angle_alone() -> None:
+    contact = CableContact(
+        joint=1, toward=(0.0, -1.0), cables=(4, 7), depth_m_rad2=0.02, from_rad=0.05
+    )
+    touching = replace(BODY, cable_contacts=(contact,))
     angles = np.zeros((2, JOINTS))
     angles[:, 3] = [0.15, -0.15]
-    more = cable_lengths_m(snagged, angles) - cable_lengths_m(BODY, angles)
+    more = cable_lengths_m(touching, angles) - cable_lengths_m(BODY, angles)
     assert not more[0].any()
     np.testing.assert_allclose(more[1, [4, 7]], 0.02 * 0.1**2)
     assert np.count_nonzero(more[1]) == 2
@@ -93,7 +95,7 @@ def test_a_joint_turns_by_pitch_then_yaw() -> None:
 
 def test_skewed_axes_leave_the_straight_arm_alone() -> None:
     skew = turns(BODY, ANGLES)[0, 0]
-    skewed = replace(stiff_body(NOMINAL), skew=skew)
+    skewed = replace(rigid_body(NOMINAL), skew=skew)
     straight = np.zeros((1, JOINTS))
     np.testing.assert_allclose(lengths(skewed, straight), lengths(BODY, straight))
     assert np.abs(lengths(skewed, ANGLES) - lengths(BODY, ANGLES)).max() > 1e-4

@@ -1,61 +1,61 @@
-"""The plant's memory: friction that holds at rest, its bounds, and creep."""
+"""The plant's history-dependent rests: friction that holds at rest, its bounds, and creep."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_plant import BODY, NOMINAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plant_arm import BODY, NOMINAL
 
 from cablesense_gap.plant.body import Body, PlantError
-from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
-from cablesense_gap.plant.march import Balances, March, State
-from cablesense_gap.plant.rest import follow as follow_path
-from cablesense_gap.plant.rubbing import (
+from cablesense_gap.plant.friction import (
     Creep,
+    Friction,
     Onset,
-    Rubbing,
-    firm,
-    follow,
+    friction_state,
+    no_creep,
+    no_friction,
     piece_compliance_m_n,
-    smooth,
 )
+from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
+from cablesense_gap.plant.quasi_static import Balances, QuasiStaticPath, State
+from cablesense_gap.plant.rest import follow_path
 
 RUN_M = NOMINAL.run_m
 POSE = np.deg2rad([8.0, -4.0, 6.0, 5.0, -7.0, 3.0, 4.0, -6.0])
 UP_DOWN = np.concatenate([np.linspace(0, 1, 9), np.linspace(1, 0, 9)[1:]])
 
 
-def marched(
-    rubbing: Rubbing, creep: Creep, shares: np.ndarray, command: np.ndarray = POSE
+def states_along(
+    friction: Friction, creep: Creep, shares: np.ndarray, command: np.ndarray = POSE
 ) -> list[State]:
-    march = March(BODY, rubbing, creep, RUN_M)
+    path = QuasiStaticPath(BODY, friction, creep, RUN_M)
     paid = (cable_lengths_m(BODY, command[None]) - cable_lengths_m(BODY, np.zeros((1, 8))))[0]
     load = np.zeros((4, 3))
     load[2] = 0.0, 6.0, -10.0
-    states = [march.start(command, paid, shares[0] * load)]
+    states = [path.start(command, paid, shares[0] * load)]
     for share in shares[1:]:
-        states.append(march.advance(states[-1], paid, share * load, 0.2))
+        states.append(path.advance(states[-1], paid, share * load, 0.2))
     return states
 
 
-def rubbing(**changes: object) -> Rubbing:
+def friction(**changes: object) -> Friction:
     cables = {"coefficient": np.full(12, 0.15)} if "joint_nm" not in changes else {}
-    return replace(smooth(BODY), **cables, **changes)
+    return replace(no_friction(BODY), **cables, **changes)
 
 
-def felt(states: list[State]) -> np.ndarray:
+def felt_n(states: list[State]) -> np.ndarray:
     return np.array([state.tension_n[0] for state in states])
 
 
 FRICTIONS = [
-    rubbing(),
-    rubbing(onset=Onset.ROUNDED, reach_m=1e-4),
-    rubbing(spread=True),
-    rubbing(onset=Onset.ROUNDED, reach_m=1e-4, spread=True, pulley_rad=1.0),
-    rubbing(joint_nm=np.full((4, 2), 0.2)),
-    rubbing(joint_nm=np.full((4, 2), 0.2), joint_onset=Onset.ROUNDED, joint_reach_rad=1e-3),
+    friction(),
+    friction(onset=Onset.ROUNDED, reach_m=1e-4),
+    friction(spread=True),
+    friction(onset=Onset.ROUNDED, reach_m=1e-4, spread=True, pulley_rad=1.0),
+    friction(joint_nm=np.full((4, 2), 0.2)),
+    friction(joint_nm=np.full((4, 2), 0.2), joint_onset=Onset.ROUNDED, joint_reach_rad=1e-3),
 ]
 
 
@@ -64,36 +64,36 @@ FRICTIONS = [
     onset=st.sampled_from(list(Onset)),
     start=st.floats(-1.0, 1.0),
 )
-def test_friction_stays_within_its_bounds_and_knows_no_time(
+def test_friction_stays_within_its_bounds_and_does_not_depend_on_time(
     moves: list[float], onset: Onset, start: float
 ) -> None:
     state = np.array([start])
     for move in moves:
-        new, slope = follow(onset, state, np.array([move]), 0.5)
+        new, slope = friction_state(onset, state, np.array([move]), 0.5)
         assert abs(new[0]) <= 1.0
         assert slope[0] >= 0.0
         assert (new[0] - state[0]) * move >= -1e-9
-        halves = follow(onset, state, np.array([0.5 * move]), 0.5)[0]
-        twice = follow(onset, halves, np.array([0.5 * move]), 0.5)[0]
+        halves = friction_state(onset, state, np.array([0.5 * move]), 0.5)[0]
+        twice = friction_state(onset, halves, np.array([0.5 * move]), 0.5)[0]
         assert twice[0] == pytest.approx(new[0], abs=1e-12)
         state = new
-    assert follow(onset, state, np.zeros(1), 0.5)[0][0] == state[0]
+    assert friction_state(onset, state, np.zeros(1), 0.5)[0][0] == state[0]
 
 
-def test_without_friction_a_march_is_the_path() -> None:
+def test_without_friction_it_is_the_path_of_rests() -> None:
     command = np.tile(POSE, (len(UP_DOWN), 1))
     paid = cable_lengths_m(BODY, command) - cable_lengths_m(BODY, np.zeros((1, 8)))
     load = np.zeros((len(UP_DOWN), 4, 3))
     load[:, 2] = UP_DOWN[:, None] * np.array([0.0, 6.0, -10.0])
     expected = follow_path(BODY, command, paid, load).tensions_n
-    found = felt(marched(smooth(BODY), firm(BODY), UP_DOWN))
+    found = felt_n(states_along(no_friction(BODY), no_creep(BODY), UP_DOWN))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("rub", FRICTIONS)
-def test_loading_and_unloading_differ_and_the_difference_stays(rub: Rubbing) -> None:
+@pytest.mark.parametrize("law", FRICTIONS)
+def test_loading_and_unloading_differ_and_the_difference_stays(law: Friction) -> None:
     rest = np.full(20, UP_DOWN[-1])
-    tension = felt(marched(rub, firm(BODY), np.concatenate([UP_DOWN, rest])))
+    tension = felt_n(states_along(law, no_creep(BODY), np.concatenate([UP_DOWN, rest])))
     loop = np.abs(tension[4] - tension[12]).max()
     assert loop > 0.2
     left = tension[len(UP_DOWN) - 1]
@@ -101,28 +101,28 @@ def test_loading_and_unloading_differ_and_the_difference_stays(rub: Rubbing) -> 
     np.testing.assert_allclose(tension[len(UP_DOWN) :], np.tile(left, (20, 1)), atol=1e-4)
 
 
-@pytest.mark.parametrize("rub", FRICTIONS[:4])
-def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(rub: Rubbing) -> None:
+@pytest.mark.parametrize("law", FRICTIONS[:4])
+def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: Friction) -> None:
     """Equation: exp(-mu theta) <= T2 / T1 <= exp(mu theta), met with equality while it slides."""
     worst = 0.0
-    for state in marched(rub, firm(BODY), UP_DOWN):
+    for state in states_along(law, no_creep(BODY), UP_DOWN):
         angles = state.angles_rad[None]
         bends = spans(BODY, angles, turns(BODY, angles), with_bends=True).bend_rad[0]
-        wrap = np.concatenate([np.full((1, 12), rub.pulley_rad), bends.reshape(8, 12)])
+        wrap = np.concatenate([np.full((1, 12), law.pulley_rad), bends.reshape(8, 12)])
         tension = state.tension_n
         assert (tension > 0.0).all()
         ratio = np.abs(np.log(tension[1:] / tension[:-1]))
         limit = 0.15 * wrap
         assert (ratio <= limit + 1e-7).all()
         worst = max(worst, (ratio[limit > 1e-3] / limit[limit > 1e-3]).max())
-    assert worst > (0.95 if rub.onset is Onset.SHARP else 0.75)
+    assert worst > (0.95 if law.onset is Onset.SHARP else 0.75)
 
 
-def test_a_rubbing_joint_holds_no_more_than_its_torque() -> None:
-    rub = rubbing(joint_nm=np.full((4, 2), 0.2))
-    balances = Balances(BODY, smooth(BODY), RUN_M)
+def test_joint_friction_holds_no_more_than_its_torque() -> None:
+    law = friction(joint_nm=np.full((4, 2), 0.2))
+    balances = Balances(BODY, no_friction(BODY), RUN_M)
     left = []
-    for state in marched(rub, firm(BODY), UP_DOWN):
+    for state in states_along(law, no_creep(BODY), UP_DOWN):
         paid = (cable_lengths_m(BODY, POSE[None]) - cable_lengths_m(BODY, np.zeros((1, 8))))[0]
         wanted = balances.straight_m + paid
         at = balances.at(state, state.angles_rad, state.tension_n, wanted, state.loads_n)
@@ -141,9 +141,9 @@ def test_stretch_is_shared_out_whole() -> None:
 def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([5.0]), 1.0)
     shares = np.concatenate([np.zeros(10), np.ones(150), np.zeros(250)])
-    tension = felt(marched(smooth(BODY), creep, shares))
+    tension = felt_n(states_along(no_friction(BODY), creep, shares))
     np.testing.assert_allclose(tension[9], tension[0], atol=1e-6)
-    firmly = felt(marched(smooth(BODY), firm(BODY), shares[:12]))
+    firmly = felt_n(states_along(no_friction(BODY), no_creep(BODY), shares[:12]))
     np.testing.assert_allclose(tension[10], firmly[10], atol=0.05)
     crept = np.abs(tension[159] - firmly[11]).max()
     assert crept > 0.03
@@ -156,7 +156,7 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
 
 def test_new_cables_lose_tension() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([2.0]), 0.0)
-    tension = felt(marched(smooth(BODY), creep, np.zeros(100)))
+    tension = felt_n(states_along(no_friction(BODY), creep, np.zeros(100)))
     assert (tension[-1] < tension[0]).mean() > 0.7
     assert tension[-1].sum() < 0.95 * tension[0].sum()
 
@@ -166,13 +166,15 @@ def test_new_cables_lose_tension() -> None:
 def test_rough_arms_find_rest_too(seed: int, spread: bool, onset: Onset) -> None:
     rng = np.random.default_rng(seed)
     reach = 5e-6 if onset is Onset.SHARP else 1e-4
-    rub = rubbing(onset=onset, reach_m=reach, spread=spread, pulley_rad=1.5)
-    rough = replace(rub, coefficient=np.full(12, 0.3))
-    states = marched(rough, firm(BODY), rng.uniform(0.0, 1.0, 6), rng.uniform(-0.12, 0.12, 8))
-    assert np.isfinite(felt(states)).all()
+    law = friction(onset=onset, reach_m=reach, spread=spread, pulley_rad=1.5)
+    rough = replace(law, coefficient=np.full(12, 0.3))
+    states = states_along(
+        rough, no_creep(BODY), rng.uniform(0.0, 1.0, 6), rng.uniform(-0.12, 0.12, 8)
+    )
+    assert np.isfinite(felt_n(states)).all()
 
 
-def test_cables_that_harden_do_not_march() -> None:
+def test_hardening_cables_with_friction_are_refused() -> None:
     body: Body = replace(BODY, exponent=1.5)
     with pytest.raises(PlantError, match="harden"):
-        March(body, smooth(body), firm(body), RUN_M)
+        QuasiStaticPath(body, no_friction(body), no_creep(body), RUN_M)

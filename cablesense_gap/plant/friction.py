@@ -1,6 +1,6 @@
-"""What in an arm rubs and creeps: the parameters of everything that remembers.
+"""Friction and creep of an arm: parameters and laws.
 
-Dry friction as a state between -1 and 1 that follows a sliding distance and holds at rest.
+Dry friction is a state between -1 and 1 that follows a sliding distance and is kept at rest.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_gap.plant.body import Body
 
+_ACTUATOR_SHARE = 0.3
+"""Part of a cable's compliance that is its actuator's, where the rest is spread."""
+
 
 class Onset(StrEnum):
     """How friction builds up before it slides."""
@@ -21,12 +24,12 @@ class Onset(StrEnum):
     ROUNDED = "rounded"
 
 
-def follow(onset: Onset, state: Array, moved: Array, reach: float) -> tuple[Array, Array]:
+def friction_state(onset: Onset, state: Array, moved: Array, reach: float) -> tuple[Array, Array]:
     """New state and its derivative by the distance moved since the state was left.
 
     Sharp friction is a spring of `reach` that then slides (Prandtl 1928); rounded friction nears
-    its full value as exp(-moved / reach) (Dahl 1968). Neither knows time: what does not move keeps
-    its state.
+    its full value as exp(-moved / reach) (Dahl 1968). Neither depends on time: what does not
+    move keeps its state.
     """
     if onset is Onset.SHARP:
         free = state + moved / reach
@@ -39,7 +42,7 @@ def follow(onset: Onset, state: Array, moved: Array, reach: float) -> tuple[Arra
 
 
 @dataclass(frozen=True)
-class Rubbing:
+class Friction:
     """Friction of M cables and J joints.
 
     Attributes:
@@ -68,7 +71,7 @@ class Rubbing:
 
     @property
     def any(self) -> bool:
-        """Whether anything rubs."""
+        """Whether there is any."""
         return bool(self.coefficient.any() or self.joint_nm.any())
 
 
@@ -89,34 +92,30 @@ class Creep:
 
     @property
     def any(self) -> bool:
-        """Whether anything creeps."""
+        """Whether there is any."""
         return bool(self.compliance_m_n.any())
 
 
-def smooth(body: Body) -> Rubbing:
-    """Nothing rubs."""
+def no_friction(body: Body) -> Friction:
+    """Joints and cables that slide freely."""
     zero = np.zeros((body.joint_count, 2))
-    return Rubbing(
-        np.zeros(body.cable_count),
-        0.0,
-        Onset.SHARP,
-        5e-6,
-        False,
-        zero,
-        Onset.SHARP,
-        2e-4,
-        1.0,
-        0.02,
+    return Friction(
+        coefficient=np.zeros(body.cable_count),
+        pulley_rad=0.0,
+        onset=Onset.SHARP,
+        reach_m=5e-6,
+        spread=False,
+        joint_nm=zero,
+        joint_onset=Onset.SHARP,
+        joint_reach_rad=2e-4,
+        breakaway=1.0,
+        speed_rad_s=0.02,
     )
 
 
-def firm(body: Body) -> Creep:
-    """Nothing creeps."""
+def no_creep(body: Body) -> Creep:
+    """Cables without creep."""
     return Creep(np.zeros((1, body.cable_count)), np.ones(1), 1.0)
-
-
-ACTUATOR_SHARE = 0.3
-"""Part of a cable's compliance that is its actuator's, where the rest is spread."""
 
 
 def piece_compliance_m_n(body: Body, run_m: float, spread: bool) -> Array:
@@ -135,6 +134,6 @@ def piece_compliance_m_n(body: Body, run_m: float, spread: bool) -> Array:
         length[3:-1:2] = np.linalg.norm(inside, axis=-1) * body.passes[1:]
     share = length / length.sum(axis=0)
     if spread:
-        share *= 1.0 - ACTUATOR_SHARE
-        share[0] = ACTUATOR_SHARE
+        share *= 1.0 - _ACTUATOR_SHARE
+        share[0] = _ACTUATOR_SHARE
     return share / body.stiffness_n_m

@@ -1,0 +1,203 @@
+"""Cases and sets of them: schedules, what is hidden, how much of it, and the answers."""
+
+import json
+import pickle
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plant_arm import ARM_FILE, NOMINAL
+
+from cablesense_gap.plant.arm import ideal_arm
+from cablesense_gap.plant.body import PlantError, read_nominal
+from cablesense_gap.plant.case import draw_case, gap_n, record_case, size_for
+from cablesense_gap.plant.listed import LISTED
+from cablesense_gap.plant.protocol import draw_history, draw_schedule
+from cablesense_gap.plant.unlisted import UNLISTED
+from cablesense_gap.plant.withhold import draw_kinds, make_case
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_recording_has_its_25_trials(seed: int) -> None:
+    schedule = draw_schedule(NOMINAL, np.random.default_rng(seed))
+    rows = np.bincount(schedule.trial)
+    assert rows.tolist() == [20, *[33] * 12, 440, 25, *[33] * 4, 205, 20, *[33] * 4]
+    np.testing.assert_allclose(schedule.time_s, 0.2 * np.arange(1370))
+    assert np.abs(schedule.command_rad).max() < np.deg2rad(10.0)
+    loads = np.linalg.norm(schedule.load_n, axis=1)
+    assert loads.max() < 75.0
+    np.testing.assert_array_equal(loads > 0.0, schedule.load_segment > 0)
+    assert set(schedule.load_segment) == {0, 1, 2, 3, 4}
+    straight = (schedule.trial >= 1) & (schedule.trial <= 12)
+    assert not schedule.command_rad[straight].any()
+    assert not schedule.load_n[:, 0].any()
+    for trial in range(25):  # every trial but the sweeps begins and ends where the last ended
+        own = schedule.load_segment[schedule.trial == trial]
+        assert len(set(own) - {0}) <= 1
+        assert own[-1] == 0
+
+
+def test_loads_act_on_one_segment() -> None:
+    schedule = draw_schedule(NOMINAL, np.random.default_rng(0))
+    np.testing.assert_allclose(schedule.forces_n.sum(axis=1), schedule.load_n)
+    assert ((schedule.forces_n != 0.0).any(axis=2).sum(axis=1) <= 1).all()
+
+
+def test_the_history_ends_at_rest_just_before_the_first_row() -> None:
+    history = draw_history(NOMINAL, np.random.default_rng(0))
+    assert history.time_s[-1] == pytest.approx(-0.2)
+    assert not history.command_rad[-2:].any()
+    assert not history.load_n[-2:].any()
+    assert np.abs(history.command_rad).max() > 0.01
+
+
+ARM = ideal_arm(NOMINAL)
+WHOLE = draw_schedule(NOMINAL, np.random.default_rng(0))
+SCHEDULE = WHOLE.rows(slice(0, 7 * 150, 7))
+HISTORY = draw_history(NOMINAL, np.random.default_rng(1))
+WITHOUT = ARM.signals_n(SCHEDULE, HISTORY)
+EVERY = {**LISTED, **UNLISTED}
+PLACES = {"cable": 12, "segment": 4, "joint": 4}
+
+
+@pytest.mark.parametrize("name", list(EVERY))
+def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
+    change = EVERY[name](np.random.default_rng(5), NOMINAL)
+    assert change.effect == (name if name in LISTED else "unknown")
+    assert change.unit
+    for place in change.where:
+        kind, number = place.split("_")
+        assert 1 <= int(number) <= PLACES[kind]
+    pickle.dumps(change)  # so that cases go to other processes
+    middle = float(change.least**0.1 * change.most**0.9)
+    small, large = (
+        gap_n(change.apply(ARM, size).signals_n(SCHEDULE, HISTORY), WITHOUT)
+        for size in (0.5 * middle, middle)
+    )
+    assert 0.0 <= small < large or name == "sensor_dropouts"  # whose times are drawn anew
+    assert large > 0.3 * NOMINAL.floor_n
+
+
+@pytest.mark.parametrize("name", list(LISTED))
+def test_forms_differ_from_one_case_to_the_next(name: str) -> None:
+    drawn = [LISTED[name](np.random.default_rng(seed), NOMINAL) for seed in range(12)]
+    assert len({(change.form, change.where) for change in drawn}) > 1
+
+
+def test_the_size_meets_the_gap_that_is_wanted() -> None:
+    for name in ("payload", "sensor_gain"):
+        change = LISTED[name](np.random.default_rng(2), NOMINAL)
+        size = size_for(change, ARM, 1.0, WHOLE, HISTORY)
+        changed = change.apply(ARM, size).signals_n(WHOLE, HISTORY)
+        assert gap_n(changed, ARM.signals_n(WHOLE, HISTORY)) == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_case_is_its_seed() -> None:
+    first, again, other = (
+        record_case(draw_case(np.random.default_rng(seed), 3, NOMINAL, "sensor_gain"))
+        for seed in (8, 8, 9)
+    )
+    np.testing.assert_array_equal(first.tensions_n, again.tensions_n)
+    assert first.answer == again.answer
+    assert first.answer.recording == "case_003"
+    assert (first.tensions_n != other.tensions_n).any()
+
+
+def test_nothing_hidden_leaves_the_manufacturing_tolerances() -> None:
+    answer = record_case(draw_case(np.random.default_rng(0), 1, NOMINAL, "none")).answer
+    assert (answer.effects, answer.where, answer.form, answer.gap_n) == ("none", "", "", 0.0)
+    assert 0.05 < answer.scatter_gap_n < 0.5
+
+
+def test_two_hidden_changes_are_visible_and_in_the_answer() -> None:
+    kind = "payload+sensor_gain"
+    recorded = record_case(draw_case(np.random.default_rng(4), 1, NOMINAL, kind))
+    answer = recorded.answer
+    assert answer.effects == kind
+    alone = [float(gap) for gap in answer.each_gap_n.split()]
+    assert min(alone) >= 5.0 * NOMINAL.floor_n
+    assert [entry["unit"] for entry in json.loads(answer.sizes)] == ["kg", "1"]
+    assert answer.where.startswith("cable_")
+    assert "segment_" in answer.where
+    assert answer.gap_over_floor == pytest.approx(answer.gap_n / 0.0724, rel=0.01)
+
+
+def test_a_change_outside_the_list_is_answered_as_unknown_with_its_form() -> None:
+    answer = record_case(draw_case(np.random.default_rng(1), 1, NOMINAL, "wall")).answer
+    assert (answer.effects, answer.form, answer.where) == ("unknown", "wall", "")
+
+
+@pytest.mark.parametrize("kind", ["paylod", "payload+wall", "none+payload"])
+def test_unknown_kinds_are_refused(kind: str) -> None:
+    with pytest.raises(PlantError, match="no effect"):
+        draw_case(np.random.default_rng(0), 1, NOMINAL, kind)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 14, 60, 97, 300])
+def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> None:
+    kinds = draw_kinds(np.random.default_rng(count), count)
+    assert len(kinds) == count
+    if count < 5:
+        return
+    assert kinds.count("none") >= 0.2 * count
+    assert sum(kind in UNLISTED for kind in kinds) >= 0.2 * count
+    doubles = [kind for kind in kinds if "+" in kind]
+    assert len(doubles) == round(0.12 * count)
+    for kind in doubles:
+        first, second = kind.split("+")
+        assert first < second
+        assert {first, second} <= set(LISTED)
+
+
+def test_sixty_cases_have_every_name() -> None:
+    for seed in range(5):
+        kinds = draw_kinds(np.random.default_rng(seed), 60)
+        singles = Counter(kind for kind in kinds if kind in LISTED)
+        assert set(singles) == set(LISTED)
+        assert max(singles.values()) <= 2
+
+
+def test_the_same_seed_draws_the_same_kinds() -> None:
+    drawn = [draw_kinds(np.random.default_rng(seed), 40) for seed in (1, 1, 2)]
+    assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_given_kinds_come_in_turn() -> None:
+    only = ["payload", "none"]
+    assert draw_kinds(np.random.default_rng(0), 3, only) == ["payload", "none", "payload"]
+
+
+def five_by_four(folder: Path) -> Path:
+    """The laboratory arm with five segments of four cables, smaller and lighter."""
+    text = ARM_FILE.read_text()
+    for old, new in (
+        ("count: 4 ", "count: 5 "),
+        ("per_segment: 3 ", "per_segment: 4 "),
+        ("per_segment: 30, per_cable: -120", "per_segment: 18, per_cable: -90"),
+        ("mass_kg: 0.50", "mass_kg: 0.20"),
+        ("length_m: 0.130", "length_m: 0.080"),
+        ("contact_m: 0.065", "contact_m: 0.040"),
+        ("pretension_n: 50 ", "pretension_n: 30 "),
+        ("routing_radius_m: 0.050", "routing_radius_m: 0.030"),
+    ):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "arm.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["none", "capstan_friction", "routing_geometry+sensor_crosstalk"])
+def test_an_arm_of_five_segments_with_four_cables_is_recorded(kind: str, tmp_path: Path) -> None:
+    nominal = read_nominal(five_by_four(tmp_path))
+    recorded = make_case(nominal, 3, 1, kind)
+    assert recorded.tensions_n.shape == (len(recorded.schedule.time_s), 20)
+    assert set(recorded.schedule.load_segment) == set(range(6))
+    loads_n = np.linalg.norm(recorded.schedule.load_n, axis=1)
+    assert loads_n.max() < 1.5 * nominal.pretension_n
+    assert recorded.answer.effects == kind
+    for number in re.findall(r"cable_(\d+)", recorded.answer.where):
+        assert 1 <= int(number) <= 20

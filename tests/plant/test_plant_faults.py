@@ -1,0 +1,181 @@
+"""What the plant's actuators, sensors and manufacturing tolerances change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from plant_arm import NOMINAL
+
+from cablesense_gap.plant.arm import ideal_actuation, ideal_arm, with_tolerances
+from cablesense_gap.plant.sensing import (
+    Drift,
+    DriftShape,
+    Dropouts,
+    Filter,
+    Sensing,
+    ideal_sensing,
+    read_n,
+)
+
+IDEAL = ideal_actuation(3)
+TIME_S = 0.2 * np.arange(40)
+
+
+@given(arrays(float, (40, 3), elements=st.floats(-0.01, 0.01)))
+def test_ideal_actuators_pay_out_what_is_commanded(wanted: np.ndarray) -> None:
+    np.testing.assert_array_equal(IDEAL.paid_out_m(wanted, TIME_S), wanted)
+
+
+@given(arrays(float, (40, 3), elements=st.floats(-0.01, 0.01)), st.floats(-1.0, 1.0))
+def test_play_lags_by_half_at_most_and_moves_only_when_taken_up(
+    wanted: np.ndarray, start: float
+) -> None:
+    play = np.array([0.0, 1e-3, 4e-3])
+    loose = replace(IDEAL, play_m=play, play_start=np.full(3, start))
+    given_m = loose.paid_out_m(wanted, TIME_S)
+    assert (np.abs(given_m - wanted) <= 0.5 * play + 1e-12).all()
+    moved = np.diff(given_m, axis=0) != 0.0
+    at_end = np.abs(np.abs(given_m - wanted) - 0.5 * play)[1:] <= 1e-12
+    assert (at_end | ~moved).all()
+
+
+def test_a_reversal_loses_the_whole_play() -> None:
+    loose = replace(IDEAL, play_m=np.full(3, 2e-3), play_start=np.full(3, -1.0))
+    wanted = np.array([0.0, 5e-3, 4e-3, 3e-3, 2e-3])[:, None] * np.ones(3)
+    given_m = loose.paid_out_m(wanted, TIME_S[:5])
+    np.testing.assert_allclose(given_m[:, 0], [-1e-3, 4e-3, 4e-3, 4e-3, 3e-3])
+
+
+def test_a_screw_error_repeats_every_turn_and_is_none_when_straight() -> None:
+    screw = replace(
+        IDEAL,
+        screw_m=np.array([1e-5, 0.0, 2e-5]),
+        screw_pitch_m=0.004,
+        screw_phase_rad=np.array([0.3, 0.0, 1.0]),
+    )
+    wanted = np.array([0.0, 0.001, 0.005, 0.009])[:, None] * np.ones(3)
+    error = screw.paid_out_m(wanted, TIME_S[:4]) - wanted
+    assert not error[0].any()
+    np.testing.assert_allclose(error[1], error[2], atol=1e-15)
+    np.testing.assert_allclose(error[2], error[3], atol=1e-15)
+    assert error[1, 0] != 0.0
+
+
+def test_a_clamp_slips_once() -> None:
+    slipping = replace(IDEAL, slip_m=np.array([0.0, 1e-4, 0.0]), slip_time_s=1.0)
+    error = slipping.paid_out_m(np.zeros((40, 3)), TIME_S)
+    assert not error[TIME_S < 1.0].any()
+    np.testing.assert_array_equal(error[TIME_S >= 1.0, 1], 1e-4)
+
+
+LONG_S = 0.2 * np.arange(600)
+TENSION = 50.0 + 20.0 * np.sin(0.05 * np.arange(600))[:, None] * np.array([1.0, 0.5, -1.0])
+STEP = np.where(LONG_S < 20.0, 50.0, 80.0)[:, None] * np.ones(3)
+
+
+def sensors(**changes: object) -> Sensing:
+    return replace(ideal_sensing(3, 50.0), **changes)
+
+
+def test_ideal_sensors_read_the_tensions() -> None:
+    np.testing.assert_array_equal(sensors().signals_n(TENSION, LONG_S), TENSION)
+
+
+def test_gain_leak_and_offset() -> None:
+    leak = np.zeros((3, 3))
+    leak[2, 0] = 0.1
+    faulty = sensors(gain=np.array([1.1, 1.0, 1.0]), leak=leak, offset_n=np.array([0.0, 2.0, 0.0]))
+    found = faulty.signals_n(TENSION, LONG_S)
+    np.testing.assert_allclose(found[:, 0], 1.1 * TENSION[:, 0])
+    np.testing.assert_allclose(found[:, 1], TENSION[:, 1] + 2.0)
+    np.testing.assert_allclose(found[:, 2], TENSION[:, 2] + 0.11 * TENSION[:, 0])
+
+
+@pytest.mark.parametrize("kind", list(Filter))
+def test_a_lagging_sensor_arrives_and_was_settled_before(kind: Filter) -> None:
+    late = sensors(lag_s=np.array([1.0, 0.0, 2.5]), lag_filter=kind).signals_n(STEP, LONG_S)
+    np.testing.assert_allclose(late[LONG_S < 19.9], 50.0)
+    np.testing.assert_array_equal(late[:, 1], STEP[:, 1])
+    np.testing.assert_allclose(late[-1], 80.0, atol=1e-6)
+    below = (late < 79.9).sum(axis=0)
+    assert below[1] < below[0] < below[2]
+    assert (np.diff(late, axis=0) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("kind", list(Filter))
+def test_a_ramp_is_followed_late_by_the_lag(kind: Filter) -> None:
+    """Whatever the filter, a steady rise lags by its mean delay."""
+    ramp = LONG_S[:, None] * np.ones(3)
+    late = sensors(lag_s=np.array([1.0, 0.4, 3.0]), lag_filter=kind).signals_n(ramp, LONG_S)
+    behind = LONG_S[-1] - late[-1]
+    np.testing.assert_allclose(behind, [1.0, 0.4, 3.0], atol=0.02)
+
+
+@pytest.mark.parametrize("shape", list(DriftShape))
+def test_zeros_drift_within_their_size(shape: DriftShape) -> None:
+    drift = Drift(np.array([1.5, 0.0, -0.5]), shape, 60.0, 0.7, 4)
+    zeros = drift.zeros_n(LONG_S)
+    assert not zeros[:, 1].any()
+    assert np.abs(zeros).max(axis=0) == pytest.approx([1.5, 0.0, 0.5], rel=0.15)
+    np.testing.assert_array_equal(zeros, drift.zeros_n(LONG_S))
+    assert np.abs(np.diff(zeros, axis=0)).max() < 0.4
+
+
+def test_a_channel_that_drops_out_repeats_its_last_value() -> None:
+    dropouts = Dropouts(np.array([0.3, 0.0, 0.0]), 10.0, 2)
+    held = dropouts.repeated_n(TENSION)
+    same = np.flatnonzero(np.diff(held[:, 0]) == 0.0)
+    assert 0.1 < len(same) / len(held) < 0.5
+    np.testing.assert_array_equal(held[:, 1:], TENSION[:, 1:])
+
+
+def test_high_tensions_hit_the_ceiling_softly() -> None:
+    found = sensors(ceiling_n=np.full(3, 60.0)).signals_n(STEP, LONG_S)
+    assert (found[-1] > 60.0).all()
+    assert (found[-1] < 70.0).all()
+    np.testing.assert_array_equal(found[0], 50.0)
+
+
+def test_readings_have_noise_and_whole_steps() -> None:
+    rng = np.random.default_rng(0)
+    signal = rng.uniform(10.0, 90.0, (50_000, 3))
+    readings = read_n(signal, 0.05, 0.1813, rng)
+    steps = readings / 0.1813
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    spread = np.sqrt(0.05**2 + 0.1813**2 / 12.0)
+    assert (readings - signal).std() == pytest.approx(spread, rel=0.02)
+
+
+DRAWN = ideal_arm(NOMINAL)
+ARMS = [with_tolerances(DRAWN, np.random.default_rng(seed)) for seed in range(300)]
+
+
+def angles_deg(holes: np.ndarray) -> np.ndarray:
+    return np.rad2deg(np.arctan2(holes[..., 1], holes[..., 2]))
+
+
+def test_tolerances_have_their_standard_deviations() -> None:
+    masses = np.array([arm.body.mass_kg / 0.5 - 1.0 for arm in ARMS])
+    pretensions = np.array([arm.body.pretension_n - 50.0 for arm in ARMS])
+    contacts = np.array([arm.body.contact_at_m[:, 0] - 0.065 for arm in ARMS])
+    zeros = np.array([arm.sensing.offset_n for arm in ARMS])
+    holes = np.array([angles_deg(arm.body.after_m) for arm in ARMS])
+    turned = (holes - angles_deg(DRAWN.body.after_m) + 180.0) % 360.0 - 180.0
+    for found, sigma in (
+        (masses, 0.005),
+        (pretensions, 0.15),
+        (contacts, 0.0003),
+        (turned, 0.05),
+        (zeros, 0.05),
+    ):
+        assert found.std() == pytest.approx(sigma, rel=0.1)
+        assert abs(found.mean()) < 0.15 * sigma
+
+
+def test_a_cable_keeps_its_radius_and_one_angle() -> None:
+    body = ARMS[0].body
+    np.testing.assert_allclose(np.linalg.norm(body.after_m[..., 1:], axis=-1), 0.05)
+    np.testing.assert_allclose(body.after_m[..., 1:], body.before_m[..., 1:])
