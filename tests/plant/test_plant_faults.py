@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plant_arm import NOMINAL
@@ -24,11 +24,13 @@ IDEAL = ideal_actuation(3)
 TIME_S = 0.2 * np.arange(40)
 
 
+@settings(max_examples=20)
 @given(arrays(float, (40, 3), elements=st.floats(-0.01, 0.01)))
 def test_ideal_actuators_pay_out_what_is_commanded(wanted: np.ndarray) -> None:
     np.testing.assert_array_equal(IDEAL.paid_out_m(wanted, TIME_S), wanted)
 
 
+@settings(max_examples=30)
 @given(arrays(float, (40, 3), elements=st.floats(-0.01, 0.01)), st.floats(-1.0, 1.0))
 def test_play_lags_by_half_at_most_and_moves_only_when_taken_up(
     wanted: np.ndarray, start: float

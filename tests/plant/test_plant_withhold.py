@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_any_reader_of_recordings_reads_them(folder: Path) -> None:
-    for number, kind in enumerate(QUICK, start=1):
+    for number, kind in ((1, QUICK[0]), (2, QUICK[1])):
         recorded = make_case(NOMINAL, 7, number, kind)
         found = read_csv(folder / f"case_00{number}.csv", open_arm("cdsm_lab"))
         schedule = recorded.schedule
