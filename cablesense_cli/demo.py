@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
-from cablesense_ros.demo.source import Controller, Source
+from cablesense_cli.options import refuse_given
+from cablesense_ros.demo.run import Controller, DemoOptions, Source, run_headless, run_live
 
 
 def demo(
+    context: typer.Context,
     arm: Annotated[
         str, typer.Option(help="Arm file: the name of a bundled one, or a path.")
     ] = "cdsm",
@@ -26,12 +28,12 @@ def demo(
     headless: Annotated[
         bool,
         typer.Option(
-            "--headless", help="No page: play a script of pushes, print a table, write a picture."
+            "--headless", help="No page: play a script, print a report, write a picture."
         ),
     ] = False,
     duration: Annotated[
         float,
-        typer.Option(min=4.0, max=3600.0, help="Length of the headless script, seconds."),
+        typer.Option(min=4.0, max=3600.0, help="With --headless: length of the script, seconds."),
     ] = 60.0,
     out: Annotated[
         Path, typer.Option(help="Folder for the headless picture and for the nodes' logs.")
@@ -55,34 +57,28 @@ def demo(
     ] = Controller.NONE,
     json_output: Annotated[
         bool,
-        typer.Option("--json", help="Headless only: print figures as JSON instead of a table."),
+        typer.Option("--json", help="With --headless: print the report as JSON."),
     ] = False,
 ) -> None:
     """Watch an arm being pushed, and the force estimated from its cables beside the true one.
 
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
     and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
-    pushes runs for a minute.
+    pushes, or of the wall, runs for a minute.
     """
-    if controller is Controller.ADMITTANCE:
-        from cablesense_ros.demo.admittance import (
-            ControllerDemo,
-            run_controller_headless,
-            run_controller_live,
-        )
-
-        yielding = ControllerDemo(arm=arm, model=model, host=host, port=port, out=out, seed=seed)
-        if headless:
-            run_controller_headless(yielding, duration_s=duration, as_json=json_output)
-        else:
-            run_controller_live(yielding)
-        return
-    from cablesense_ros.demo.run import DemoOptions, run_headless, run_live
-
     options = DemoOptions(
-        arm=arm, model=model, host=host, port=port, out=out, seed=seed, source=source
+        arm=arm,
+        model=model,
+        host=host,
+        port=port,
+        out=out,
+        seed=seed,
+        source=source,
+        controller=controller,
     )
     if headless:
+        refuse_given(context, ("host", "port"), "with --headless, which serves no page")
         run_headless(options, duration_s=duration, as_json=json_output)
     else:
+        refuse_given(context, ("duration", "json_output"), "without --headless")
         run_live(options)

@@ -227,7 +227,7 @@ def check(
     names = described.cable_names
     expected = expectation(described.sensors, rate, drift_limit)
     if recording is None:
-        from cablesense_ros.subscriptions import listen_to_tensions
+        from cablesense_ros.tension_capture import capture_tensions
 
         if pulls is not None:
             raise CommissioningError("--pulls is for a recording; live it is --pull all")
@@ -238,7 +238,7 @@ def check(
                 f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
             )
         said = Console(stderr=True)
-        series, made = listen_to_tensions(names, seconds, pulled, said.print)
+        series, made = capture_tensions(names, seconds, pulled, said.print)
         report = check_sensors(series, expected, made)
     else:
         if pull is not None:

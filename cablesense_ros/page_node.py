@@ -7,24 +7,20 @@ import time
 from typing import Any, Final
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.joint_states import put_joint_angles
+from cablesense_msgs_py import topics
 from cablesense_online.page.exposure import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, Push
-from cablesense_ros.endpoints import of_node, overridable
+from cablesense_ros.arm_client import ArmClient
+from cablesense_ros.endpoints import of_node
 from cablesense_ros.node_process import run_node
 from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
-from cablesense_ros.subscriptions import listen_to_arm
-from cablesense_sim.arm import find_arm, load_arm
+from cablesense_sim.arm import open_arm
 
 PAGE_PARAMETERS: Final = (
     NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
@@ -50,9 +46,6 @@ PAGE_PARAMETERS: Final = (
     ),
 )
 
-LISTENERS = 3
-"""Readers of a command: the arm, the estimator and the page itself."""
-
 
 class PageNode(Node):
     """A thin shell around `LiveArm` (messages in) and `Page` (picture and controls out)."""
@@ -61,28 +54,18 @@ class PageNode(Node):
         super().__init__("page")
         declare_parameters(self, PAGE_PARAMETERS)
         values = parameter_values(self, PAGE_PARAMETERS)
-        arm = load_arm(find_arm(values["arm"]))
+        arm = open_arm(values["arm"])
         self._home_due = values["home_at_start"]
-        self._joint_names = list(arm.joint_names)
+        self._home_rad = np.zeros(arm.joint_count)
         self._live = LiveArm(
             arm,
             joint_speed_rad_s=float(np.deg2rad(values["joint_speed_deg_s"])),
             frame_prefix=values["frame_prefix"],
             estimator=values["estimator"],
         )
-        self._load = self.create_publisher(
-            WrenchStamped,
-            topics.APPLIED_WRENCH,
-            **overridable(qos.COMMAND),
-        )
-        self._command = self.create_publisher(
-            JointState,
-            topics.JOINT_COMMANDS,
-            **overridable(qos.COMMAND),
-        )
+        self._client = ArmClient(self, arm, self._live, values["estimator"])
         self._tare = self.create_client(Trigger, of_node(values["estimator"], topics.TARE))
-        listen_to_arm(self, self._live, values["estimator"])
-        actions = Actions(self._push, self._move, self._ask_for_tare)
+        actions = Actions(self._push, self._client.command, self._ask_for_tare)
         self._page = Page(
             arm,
             actions if values["controls"] else None,
@@ -106,37 +89,23 @@ class PageNode(Node):
         super().destroy_node()
 
     def _draw(self) -> None:
-        if self._home_due and self._command.get_subscription_count() >= LISTENERS:
+        if self._home_due and self._client.connected:
             self._home_due = False
-            self._move(np.zeros(len(self._joint_names)))
+            self._client.command(self._home_rad)
         self._page.show(self._live.snapshot(time.monotonic()))
 
     def _push(self, push: Push) -> None:
         try:
-            loads = self._live.loads_of(push.segment, push.angle_deg, push.magnitude_n)
+            self._client.push(push.segment, push.angle_deg, push.magnitude_n)
         except CableSenseError as error:
             self._page.notify("Not pushed", str(error))
-            return
-        for load in loads:
-            message = WrenchStamped()
-            message.header.stamp = self.get_clock().now().to_msg()
-            message.header.frame_id = self._live.frames.segment(load.segment)
-            force = message.wrench.force
-            force.x, force.y, force.z = (float(component) for component in load.force_base_n)
-            self._load.publish(message)
-
-    def _move(self, joint_angles_rad: Array) -> None:
-        message = JointState(name=self._joint_names)
-        message.header.stamp = self.get_clock().now().to_msg()
-        put_joint_angles(message, joint_angles_rad)
-        self._command.publish(message)
 
     def _ask_for_tare(self) -> None:
         if not self._tare.service_is_ready():
             self._page.notify("Not tared", f"nothing answers {self._tare.srv_name}")
             return
         future = self._tare.call_async(Trigger.Request())
-        future.add_done_callback(self._tell_tare)
+        future.add_done_callback(self._show_answer)
 
     def _tell_tare(self, future: Any) -> None:
         answer = future.result()

@@ -1,19 +1,15 @@
-"""The picture of a headless demo: the arm at its hardest push, and both forces over time.
-
-The dark style that the demo's pictures share.
-
-The picture of the controller's demo: forces and commanded angles over time, and the phases.
-"""
+"""The pictures of the headless demos, in one dark style: pushes on the arm, and the wall."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_online.admittance.estimate_watch import Sight
@@ -33,46 +29,57 @@ from cablesense_online.page.drawing import (
     unit,
 )
 from cablesense_online.page.snapshot import Contact, Snapshot
-from cablesense_ros.demo.admittance import AdmittanceRecord
-from cablesense_ros.demo.script import PushResult, Record, summary
+from cablesense_ros.demo.pushes import PushRecord, PushResult, summary
+from cablesense_ros.demo.wall import DEADBAND_N, WallRecord, pressed_segment
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
-GROUND, INK, DIM, GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
-DPI = 110
-
-STYLE: Any = {
-    "figure.facecolor": GROUND,
-    "axes.facecolor": GROUND,
-    "savefig.facecolor": GROUND,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": GRID,
-    "xtick.color": DIM,
-    "ytick.color": DIM,
-    "grid.color": GRID,
+_GROUND, _INK, _DIM, _GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
+_STYLE: Any = {
+    "figure.facecolor": _GROUND,
+    "axes.facecolor": _GROUND,
+    "savefig.facecolor": _GROUND,
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _GRID,
+    "xtick.color": _DIM,
+    "ytick.color": _DIM,
+    "grid.color": _GRID,
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-"""For `matplotlib.pyplot.rc_context`."""
+_DPI = 110
+_HEAD_M = 0.034
+_PHASES = {
+    Sight.CONTACT: ("#7a4a00", "contact"),
+    Sight.FREE: ("#12452f", "free"),
+    Sight.BLIND: ("#2c323c", "blind: the arm moves"),
+    Sight.STOPPED: ("#6b1f2a", "stopped"),
+}
 
 
-SIZE_IN = (14.0, 8.0)
-HEAD_M = 0.034
-
-
-def draw_picture(
-    path: Path, mechanism: Mechanism, record: Record, results: Sequence[PushResult]
-) -> None:
-    """Writes the picture as PNG, beside its place first, so that no half of one is ever seen."""
+@contextmanager
+def _picture(path: Path, size_in: tuple[float, float]) -> Iterator[Any]:
+    """A figure to draw on; then it is in its file as PNG, whole or not at all."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=SIZE_IN)
+    with plt.rc_context(_STYLE):
+        figure = plt.figure(figsize=size_in)
+        yield figure
+        with written_whole(path, CableSenseError) as part:
+            figure.savefig(part, dpi=_DPI, format="png")
+        plt.close(figure)
+
+
+def draw_pushes(
+    path: Path, mechanism: Mechanism, record: PushRecord, results: Sequence[PushResult]
+) -> None:
+    """Draw the arm at its hardest push, and true and estimated contacts over time."""
+    with _picture(path, (14.0, 8.0)) as figure:
         grid = figure.add_gridspec(
             3,
             2,
@@ -87,10 +94,7 @@ def draw_picture(
         _draw_arm(figure, grid[:, 0], mechanism, record.snapshots[moment])
         _draw_time(figure, grid[:, 1], record, mechanism.segment_count, record.times_s[moment])
         figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
-        figure.text(0.03, 0.912, _caption(results), size=10.5, color=DIM)
-        with written_whole(path, CableSenseError) as beside:
-            figure.savefig(beside, dpi=DPI, format="png")
-        plt.close(figure)
+        figure.text(0.03, 0.912, _caption(results), size=10.5, color=_DIM)
 
 
 def _caption(results: Sequence[PushResult]) -> str:
@@ -104,7 +108,7 @@ def _caption(results: Sequence[PushResult]) -> str:
     )
 
 
-def _hardest_moment(record: Record, results: Sequence[PushResult]) -> int:
+def _hardest_moment(record: PushRecord, results: Sequence[PushResult]) -> int:
     """Late in the hardest push on the outer half of the arm, where the picture shows most."""
     found = [r for r in results if r.estimate is not None] or list(results)
     half = max(r.push.segment for r in found) / 2
@@ -130,14 +134,14 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
         Line3DCollection(pieces.ends_m, colors=colours, linewidths=1.9, zorder=4)
     )
     points = contact_points_m(mechanism, pose)
-    for contact, rgb, word, aside_m in (
+    for contact, rgb, kind, aside_m in (
         (snapshot.true, TRUE_RGB, "true", -ARROWS_APART_M / 2),
         (snapshot.estimate, ESTIMATE_RGB, "estimated", ARROWS_APART_M / 2),
     ):
         if contact is not None:
             point = points[contact.segment - 1] + aside_m * rotations[contact.segment - 1][:, 0]
             _draw_arrow(axes, point, contact, css(rgb))
-            axes.plot([], [], [], color=css(rgb), lw=4, label=_words(word, contact))
+            axes.plot([], [], [], color=css(rgb), lw=4, label=_label(kind, contact))
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.93), frameon=False, fontsize=11)
     _frame(axes, mechanism)
     stops = tension_rgb(np.linspace(0.0, scale_n, 64), scale_n) / 255.0
@@ -151,16 +155,16 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
     bar.outline.set_visible(False)
 
 
-def _words(word: str, contact: Contact) -> str:
+def _label(kind: str, contact: Contact) -> str:
     force = f"{contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
-    return f"{word}: segment {contact.segment}, {force}"
+    return f"{kind}: segment {contact.segment}, {force}"
 
 
 def _draw_plates(
     axes: Any,
     mechanism: Mechanism,
-    joints: NDArray[np.float64],
-    rotations: NDArray[np.float64],
+    joints: Array,
+    rotations: Array,
 ) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -183,14 +187,14 @@ def _draw_plates(
             axes.scatter(*origin, color="#bcc4d0", s=26, zorder=3)
 
 
-def _draw_arrow(axes: Any, point: NDArray[np.float64], contact: Contact, colour: str) -> None:
+def _draw_arrow(axes: Any, point: Array, contact: Contact, colour: str) -> None:
     tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
-    neck = tip + min(HEAD_M, float(np.linalg.norm(tail - tip))) * unit(tail - tip)
+    neck = tip + min(_HEAD_M, float(np.linalg.norm(tail - tip))) * unit(tail - tip)
     axes.plot(*np.stack([tail, neck], -1), color=colour, lw=3.6, zorder=6)
     axes.plot(*_cone(neck, tip), color=colour, lw=1.2, zorder=6)
 
 
-def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cone(base: Array, tip: Array) -> Array:
     """A zigzag (3, 2K) between a cone's rim and its tip, so dense that it looks solid."""
     along = unit(tip - base)
     side = unit(np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0]))
@@ -201,7 +205,7 @@ def _cone(base: NDArray[np.float64], tip: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _frame(axes: Any, mechanism: Mechanism) -> None:
-    """No box around the arm: a scale of 0.1 m and the directions of the base axes say all."""
+    """No box around the arm: a scale of 0.1 m and the directions of the base axes suffice."""
     reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
     low, high, half = -0.28 * reach, 1.14 * reach, 0.36 * reach
     axes.set(xlim=(low, high), ylim=(-half, half), zlim=(-half, half))
@@ -211,12 +215,12 @@ def _frame(axes: Any, mechanism: Mechanism) -> None:
     axes.set_axis_off()
     corner = np.array([0.0, -half, -0.8 * half])
     for name, way in zip("xyz", 0.1 * np.eye(3), strict=True):
-        axes.quiver(*corner, *way, color=DIM, lw=1.2, arrow_length_ratio=0.15)
-        axes.text(*(corner + 1.18 * way), name, color=DIM, ha="center", va="center")
+        axes.quiver(*corner, *way, color=_DIM, lw=1.2, arrow_length_ratio=0.15)
+        axes.text(*(corner + 1.18 * way), name, color=_DIM, ha="center", va="center")
     axes.text(
         *(corner + np.array([0.05, -0.03, -0.02])),
         "0.1 m",
-        color=DIM,
+        color=_DIM,
         size=9,
         ha="center",
         va="top",
@@ -224,20 +228,20 @@ def _frame(axes: Any, mechanism: Mechanism) -> None:
 
 
 def _draw_time(
-    figure: Any, place: Any, record: Record, segment_count: int, moment_s: float
+    figure: Any, place: Any, record: PushRecord, segment_count: int, moment_s: float
 ) -> None:
     rows = place.subgridspec(3, 1, hspace=0.16, height_ratios=(1.3, 1, 1))
     force, angle, segment = (figure.add_subplot(rows[i]) for i in range(3))
     true = [snapshot.true for snapshot in record.snapshots]
     estimate = [
-        snapshot.estimate if heard else None
-        for snapshot, heard in zip(record.snapshots, record.heard, strict=True)
+        snapshot.estimate if estimated else None
+        for snapshot, estimated in zip(record.snapshots, record.estimated, strict=True)
     ]
-    for contacts, rgb, word, width in (
+    for contacts, rgb, kind, width in (
         (true, TRUE_RGB, "true", 4.5),
         (estimate, ESTIMATE_RGB, "estimated", 1.6),
     ):
-        style = {"color": css(rgb), "lw": width, "solid_capstyle": "butt", "label": word}
+        style = {"color": css(rgb), "lw": width, "solid_capstyle": "butt", "label": kind}
         newtons = [contact.magnitude_n if contact else 0.0 for contact in contacts]
         force.plot(record.times_s, newtons, **style)
         angle.plot(record.times_s, [c.angle_deg if c else np.nan for c in contacts], **style)
@@ -254,7 +258,7 @@ def _draw_time(
     )
     for row in (force, angle, segment):
         row.grid(visible=True, lw=0.6)
-        row.axvline(moment_s, color=DIM, lw=0.8, ls=":")
+        row.axvline(moment_s, color=_DIM, lw=0.8, ls=":")
         row.set_xlim(0.0, record.times_s[-1])
         if row is not segment:
             row.tick_params(labelbottom=False)
@@ -263,28 +267,13 @@ def _draw_time(
         segment.axhspan(number - 0.5, number + 0.5, color=css(segment_rgb(number)), alpha=0.06)
 
 
-SIZE_IN_ADMITTANCE_PICTURE = (12.0, 6.6)
-PHASES = {
-    Sight.CONTACT: ("#7a4a00", "contact"),
-    Sight.FREE: ("#12452f", "free"),
-    Sight.BLIND: ("#2c323c", "blind: the arm moves"),
-    Sight.STOPPED: ("#6b1f2a", "stopped"),
-}
-
-
-def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband_n: float) -> None:
-    """Write the picture as PNG, beside its place first, so that no half of one is ever seen."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(STYLE):
-        figure, (forces, phases, angles) = plt.subplots(
-            3, 1, sharex=True, figsize=SIZE_IN_ADMITTANCE_PICTURE, height_ratios=(3.0, 0.22, 2.0)
-        )
+def draw_wall(path: Path, record: WallRecord) -> None:
+    """Draw forces and commanded angles over time, and what could be known of contacts."""
+    segment = pressed_segment(record.commands_rad.shape[1] // 2)
+    with _picture(path, (12.0, 6.6)) as figure:
+        forces, phases, angles = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 0.22, 2.0))
         figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.085, hspace=0.12)
-        _draw_forces(forces, record, deadband_n)
+        _draw_forces(forces, record)
         _draw_phases(figure, phases, record)
         _draw_angles(angles, record)
         figure.text(0.07, 0.945, "CableSense: the arm yields to a contact", size=15, weight="bold")
@@ -292,20 +281,17 @@ def draw_admittance(path: Path, record: AdmittanceRecord, segment: int, deadband
             0.07,
             0.908,
             f"an elastic wall presses on segment {segment} and leaves at "
-            f"{record.leaves_s:.0f} s; felt through the cables alone",
-            color=DIM,
+            f"{record.leaves_s:.0f} s; its force is estimated from the cables alone",
+            color=_DIM,
         )
-        with written_whole(path, CableSenseError) as beside:
-            figure.savefig(beside, dpi=DPI, format="png")
-        plt.close(figure)
 
 
-def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None:
+def _draw_forces(axes: Any, record: WallRecord) -> None:
     times = record.times_s
     axes.plot(
         times,
         record.unyielding_n,
-        color=DIM,
+        color=_DIM,
         lw=1.4,
         ls="--",
         label="without controller (computed)",
@@ -322,24 +308,24 @@ def _draw_forces(axes: Any, record: AdmittanceRecord, deadband_n: float) -> None
         ms=3.2,
         label="estimated, while it can",
     )
-    axes.axhline(deadband_n, color=INK, lw=0.8, ls=":", label=f"deadband, {deadband_n:g} N")
+    axes.axhline(DEADBAND_N, color=_INK, lw=0.8, ls=":", label=f"deadband, {DEADBAND_N:g} N")
     axes.set(ylabel="force, N", ylim=(-0.5, None), xlim=(0.0, times[-1]))
     axes.grid(axis="y", lw=0.6)
     axes.legend(loc="upper right", frameon=False, ncols=2)
 
 
-def _draw_phases(figure: Any, axes: Any, record: AdmittanceRecord) -> None:
+def _draw_phases(figure: Any, axes: Any, record: WallRecord) -> None:
     from matplotlib.patches import Patch
 
     edges = [*record.times_s, record.times_s[-1]]
     for k, sight in enumerate(record.sights):
-        axes.axvspan(edges[k], edges[k + 1], color=PHASES[sight][0], lw=0)
+        axes.axvspan(edges[k], edges[k + 1], color=_PHASES[sight][0], lw=0)
     axes.set(yticks=[], ylim=(0, 1))
     axes.spines[:].set_visible(False)
     axes.tick_params(bottom=False)
-    seen = [sight for sight in PHASES if sight in record.sights]
+    seen = [sight for sight in _PHASES if sight in record.sights]
     figure.legend(
-        handles=[Patch(color=PHASES[s][0], label=PHASES[s][1]) for s in seen],
+        handles=[Patch(color=_PHASES[s][0], label=_PHASES[s][1]) for s in seen],
         loc="upper right",
         bbox_to_anchor=(0.985, 0.985),
         ncols=len(seen),
@@ -347,7 +333,7 @@ def _draw_phases(figure: Any, axes: Any, record: AdmittanceRecord) -> None:
     )
 
 
-def _draw_angles(axes: Any, record: AdmittanceRecord) -> None:
+def _draw_angles(axes: Any, record: WallRecord) -> None:
     degrees = np.rad2deg(record.commands_rad)
     for joint in range(degrees.shape[1] // 2):
         colour = css(segment_rgb(joint + 1))

@@ -1,9 +1,4 @@
-"""A demo from start to end: live with the page, or headless with a script and a report.
-
-Where the demo's tensions come from: the sim node at once, or through CAN frames.
-
-What moves the arm in a demo.
-"""
+"""A demo from start to end: live with the page, or headless with a script and a report."""
 
 from __future__ import annotations
 
@@ -13,21 +8,43 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py import topics
 from cablesense_online.page.exposure import exposure_warning
-from cablesense_ros.demo.source import DEMO_MAP, Source, source_commands
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
 
-PAGE_START_S = 60.0
-ESTIMATES_START_S = 60.0
+_MAP = "twelve_channel_amplifier"
+"""The amplifier that the emulator poses as."""
+_BITRATE_BIT_S = 1_000_000
+_START_S = 60.0
 """Slow machines import for tens of seconds the first time."""
-EXIT_TERMINATED = 128 + signal.SIGTERM
+_LIVE_WALL_DELAY_S = 15.0
+_EXIT_TERMINATED = 128 + signal.SIGTERM
+
+Commands = dict[str, list[str]]
+
+
+class Source(StrEnum):
+    """Where the demo's tensions come from."""
+
+    SIM = "sim"
+    CAN = "can"
+
+
+class Controller(StrEnum):
+    """What moves the arm: nothing but the person at the page, or a controller."""
+
+    NONE = "none"
+    ADMITTANCE = "admittance"
 
 
 class DemoError(CableSenseError):
@@ -38,7 +55,7 @@ class DemoError(CableSenseError):
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the command's options say.
+    """The command's options.
 
     Attributes:
         arm: name or path.
@@ -47,32 +64,30 @@ class DemoOptions:
         out: folder of logs and picture.
         seed: of pushes and noise.
         source: of the tensions.
+        controller: of the joints.
     """
 
-    arm: str
-    model: str
-    host: str
-    port: int
-    out: Path
-    seed: int
+    arm: str = "cdsm"
+    model: str = ""
+    host: str = "127.0.0.1"
+    port: int = 8080
+    out: Path = Path("out/demo")
+    seed: int = 0
     source: Source = Source.SIM
+    controller: Controller = Controller.NONE
 
 
 def run_live(options: DemoOptions) -> None:
-    """Serves the page until Ctrl-C or SIGTERM.
+    """Serve the page until Ctrl-C or SIGTERM; with a controller a wall comes by itself and stays.
 
     Raises:
-        CableSenseError: a file is wrong.
-        DemoError: a node died or did not start.
+        CableSenseError: a file is wrong, or a node ended or did not start.
     """
     _check_files(options)
-    page = node_command(
-        "page",
-        {"arm": options.arm, "host": options.host, "port": options.port, "home_at_start": True},
-    )
-    with _ended_by_signals(), _processes(options, {"page": page}) as processes:
-        print("Starting the simulated arm, the estimator and the page …", flush=True)
-        url = processes.wait_for_line("page", "page: ", PAGE_START_S)
+    commands = node_commands(options, live=True)
+    with _ended_by_signals(), _started(options, commands) as processes:
+        print(f"Starting {_listed([*commands])} …", flush=True)
+        url = processes.wait_for_line("page", "page: ", _START_S)
         busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
         warning = exposure_warning(options.host, int(url.rpartition(":")[2]), controls=True)
         if warning:
@@ -81,72 +96,106 @@ def run_live(options: DemoOptions) -> None:
         processes.run_until_one_ends()
 
 
+@dataclass(frozen=True)
+class _Report:
+    """What a headless demo gives.
+
+    Attributes:
+        metrics: by the keys of the JSON report.
+        shown: the same for people.
+        draw: writes the picture.
+        picture: its file's name.
+        failure: why the demo has failed; empty where it has not.
+    """
+
+    metrics: dict[str, Any]
+    shown: Table | str
+    draw: Callable[[Path], None]
+    picture: str
+    failure: str = ""
+
+
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
-    """Plays a script of pushes, prints true against estimated, writes a picture.
+    """Play a script of pushes, or a wall against the controller; print a report, draw a picture.
 
     Raises:
-        CableSenseError: a file is wrong.
-        DemoError: a node died, or estimates never came.
+        CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
-    from cablesense_ros.demo.script import make_script
-
     arm = _check_files(options)
-    script = make_script(arm.segment_count, duration_s, options.seed)
-    environment = own_graph()
-    os.environ.update(environment)  # before rclpy is imported: this process joins the same domain
-    from cablesense_online.page.snapshot import Level
-    from cablesense_ros.demo.observer import Observer, play
-    from cablesense_ros.demo.pictures import draw_picture
-    from cablesense_ros.demo.script import as_json as figures
-    from cablesense_ros.demo.script import push_results, results_table
-
+    os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
+    play = _play_pushes if options.controller is Controller.NONE else _play_wall
     console = Console(stderr=as_json)
-    with _ended_by_signals(), _processes(options, {}) as processes:
-        observer = Observer(arm)
-        try:
-            with console.status("Starting the simulated arm and the estimator …"):
-                _until(
-                    processes,
-                    lambda: observer.connected,
-                    "simulator and estimator did not come up",
-                )
-                observer.command(script[0].command_rad)
-                _until(
-                    processes,
-                    lambda: observer.snapshot().status.level is not Level.STALE,
-                    "no estimate came",
-                )
-                _until(
-                    processes,
-                    lambda: observer.live.content_with("tare"),
-                    "the estimator took no tare",
-                )
-            with _progress_bar(console, script[-1].end_s) as progress:
-                record = play(observer, script, processes.check, progress)
-        finally:
-            observer.close()
-    results = push_results(script, record)
-    picture = options.out / "demo.png"
-    with console.status("Drawing the picture …"):
-        draw_picture(picture, observer.live.mechanism, record, results)
+    with _ended_by_signals():
+        report = play(arm, options, duration_s, console)
+        picture = options.out / report.picture
+        with console.status("Drawing the picture …"):
+            report.draw(picture)
     if as_json:
-        print(
-            json.dumps(
-                {"arm": arm.identity, **figures(results), "picture": str(picture)}, indent=2
-            )
-        )
+        found = {"arm": arm.identity, **report.metrics, "picture": str(picture)}
+        print(json.dumps(found, indent=2))
     else:
-        console.print(results_table(results))
+        console.print(report.shown)
         console.print(f"picture: {picture}", soft_wrap=True)
+    if report.failure:
+        raise DemoError(report.failure)
+
+
+def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
+    from cablesense_online.page.snapshot import Level
+    from cablesense_ros.demo import pushes
+    from cablesense_ros.demo.pictures import draw_pushes
+
+    script = pushes.make_script(arm.segment_count, duration_s, options.seed)
+    commands = node_commands(options, live=False)
+    with _started(options, commands) as processes, pushes.PushObserver(arm) as observer:
+        wait = _waits(processes)
+        with console.status("Starting the simulated arm and the estimator …"):
+            wait(lambda: observer.client.connected, "simulator and estimator did not come up")
+            observer.client.command(script[0].command_rad)
+            fresh = "no estimate came"
+            wait(lambda: observer.snapshot().status.level is not Level.STALE, fresh)
+            wait(lambda: observer.live.content_with("tare"), "the estimator took no tare")
+        with _progress_bar(console, script[-1].end_s) as progress:
+            record = pushes.play_script(observer, script, processes.check, progress)
+    results = pushes.push_results(script, record)
     silent = sum(1 for result in results if not result.sample_count)
-    if silent:
-        raise DemoError(
-            f"no estimate came during {silent} of {len(results)} pushes; logs are in {options.out}"
-        )
+    failure = f"no estimate came during {silent} of {len(results)} pushes; logs are in "
+    return _Report(
+        pushes.metrics(results),
+        pushes.results_table(results),
+        lambda path: draw_pushes(path, observer.live.mechanism, record, results),
+        "demo.png",
+        f"{failure}{options.out}" if silent else "",
+    )
+
+
+def _play_wall(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
+    from cablesense_ros.demo import wall
+    from cablesense_ros.demo.pictures import draw_wall
+
+    segment = wall.pressed_segment(arm.segment_count)
+    stiffness_n_m = wall.unyielding_stiffness_n_m(arm)
+    commands = node_commands(options, live=False)
+    with _started(options, commands) as processes, wall.WallObserver(arm) as observer:
+        with console.status("Starting the simulated arm, the estimator and the controller …"):
+            untrusted = "the controller did not trust the estimator"
+            _waits(processes)(lambda: observer.ready, untrusted)
+        with console.status(f"A wall presses on segment {segment} …"):
+            record = wall.play_wall(observer, stiffness_n_m, duration_s, processes.check)
+    metrics = record.metrics()
+    return _Report(
+        metrics,
+        f"The wall would hold segment {segment} with {metrics['without_controller_n']:.1f} N. The "
+        f"arm met {metrics['peak_n']:.1f} N and brought them down to "
+        f"{metrics['settled_n']:.1f} N in {metrics['settling_s']:.1f} s and "
+        f"{metrics['steps']} steps.",
+        lambda path: draw_wall(path, record),
+        "admittance.png",
+    )
 
 
 def _check_files(options: DemoOptions) -> Arm:
-    """Reads arm and model before anything starts: a wrong file is one line, not a silent node."""
+    """Read arm and model before anything starts: a wrong file is one line, not a silent node."""
     from cablesense_training.inference.metadata import find_model
     from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -155,7 +204,7 @@ def _check_files(options: DemoOptions) -> Arm:
     if options.source is Source.CAN:
         from cablesense_online.can.channel_map import open_channel_map
 
-        open_channel_map(DEMO_MAP)[0].arranged(arm.cable_names)
+        open_channel_map(_MAP)[0].arranged(arm.cable_names)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -165,19 +214,68 @@ def _check_files(options: DemoOptions) -> Arm:
     return arm
 
 
-def _processes(options: DemoOptions, more: dict[str, list[str]]) -> Processes:
-    commands = source_commands(options.source, options.arm, options.seed, options.out) | {
-        "estimator": node_command("estimator", {"arm": options.arm, "model": options.model})
+def node_commands(options: DemoOptions, live: bool) -> Commands:
+    """The command lines of all nodes but this process's own, by name.
+
+    Args:
+        options: of the demo.
+        live: with the page; the wall comes by itself and stays.
+    """
+    commands = _source_commands(options)
+    estimator = {"arm": options.arm, "model": options.model}
+    commands["estimator"] = node_command("estimator", estimator)
+    controlled = options.controller is Controller.ADMITTANCE
+    if controlled:
+        from cablesense_ros.demo import wall
+
+        controller = {"arm": options.arm, "deadband_n": wall.DEADBAND_N}
+        obstacle = {
+            "arm": options.arm,
+            "segment": wall.pressed_segment(open_arm(options.arm).segment_count),
+            "stiffness_n_m": wall.STIFFNESS_N_M,
+            "clearance_m": -wall.CLEAR_M,
+            "speed_m_s": wall.SPEED_M_S,
+            "depth_m": wall.PRESS_M if live else wall.CLEAR_M,
+            "delay_s": _LIVE_WALL_DELAY_S if live else 0.0,
+        }
+        commands["admittance"] = node_command("admittance", controller)
+        commands["obstacle"] = node_command("obstacle", obstacle)
+    if live:
+        page = {"arm": options.arm, "host": options.host, "port": options.port}
+        # with a controller no command: it would take the pose of another's for its new home
+        commands["page"] = node_command("page", page | {"home_at_start": not controlled})
+    return commands
+
+
+def _source_commands(options: DemoOptions) -> Commands:
+    """The nodes that publish `cable_tensions`: the sim, or it and an emulated amplifier."""
+    simulation: dict[str, object] = {"arm": options.arm, "seed": options.seed}
+    if options.source is Source.SIM:
+        return {"sim": node_command("sim", simulation)}
+    link = options.out.resolve() / "can_adapter"
+    amplifier: dict[str, object] = {"arm": options.arm, "map": _MAP, "channel": link}
+    adapter = {"interface": "slcan", "bitrate_bit_s": _BITRATE_BIT_S}
+    remaps = {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}
+    return {
+        "can_emulator": node_command("can_emulator", amplifier),
+        "can_driver": node_command("can_driver", amplifier | adapter),
+        "sim": node_command("sim", simulation, remaps),
     }
-    return Processes(commands | more, options.out / "logs", own_graph())
 
 
-def _until(processes: Processes, true: Callable[[], bool], otherwise: str) -> None:
-    processes.wait_until(
-        true,
-        ESTIMATES_START_S,
-        f"{otherwise} within {ESTIMATES_START_S:g} s",
-    )
+def _started(options: DemoOptions, commands: Commands) -> Processes:
+    return Processes(commands, options.out / "logs", own_graph())
+
+
+def _waits(processes: Processes) -> Callable[[Callable[[], bool], str], object]:
+    def wait(true: Callable[[], bool], otherwise: str) -> object:
+        return processes.wait_until(true, _START_S, f"{otherwise} within {_START_S:g} s")
+
+    return wait
+
+
+def _listed(names: list[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @contextmanager
@@ -185,7 +283,7 @@ def _ended_by_signals() -> Iterator[None]:
     """Ctrl-C and SIGTERM leave through the `with` statements, which end the children."""
 
     def terminate(*_: object) -> None:
-        raise SystemExit(EXIT_TERMINATED)
+        raise SystemExit(_EXIT_TERMINATED)
 
     before = {
         signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),

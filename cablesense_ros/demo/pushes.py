@@ -1,30 +1,34 @@
-"""The script of a headless demo: which pushes, at which poses, and when.
-
-What a headless demo found: each push, true against estimated, and the record over time.
-
-The table of a headless demo: every push, true against estimated.
-"""
+"""The demo of the estimator: scripted pushes on the simulated arm, true against estimated."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
+from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_online.page.snapshot import Contact, Snapshot, angle_error_deg
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.snapshot import Contact, Level, Snapshot, angle_error_deg
+from cablesense_ros.arm_client import ArmClient
+from cablesense_ros.demo.observer import Observer, record
+from cablesense_sim.arm import Arm
 
 PUSH_S = 3.0
 """How long each push is held; the pause before it is as long as what is left of its share."""
 SHORTEST_SLOT_S = 4.0
 MOVE_S = 3.0
-"""What a move of the joints and the arm's coming to rest may take."""
+"""What a move of the joints may take until the arm rests again."""
 WEAKEST_N, STRONGEST_N = 5.0, 120.0
 POSE_LIMIT_DEG = 8.0
+JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
+SETTLING_S = 1.0
+"""The first second of a push does not count: the arm swings and the estimate follows."""
 
 
 class ScriptError(CableSenseError):
@@ -49,7 +53,7 @@ class ScriptedPush:
     segment: int
     angle_deg: float
     magnitude_n: float
-    command_rad: NDArray[np.float64]
+    command_rad: Array
     move_s: float
 
 
@@ -91,8 +95,77 @@ def make_script(segment_count: int, duration_s: float, seed: int) -> list[Script
     return script
 
 
-SETTLING_S = 1.0
-"""The first second of a push does not count: the arm swings and the estimate follows."""
+class PushObserver(Observer):
+    """Pushes and commands the arm, and watches arm and estimator."""
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__()
+        self.live = LiveArm(arm, joint_speed_rad_s=JOINT_SPEED_RAD_S)
+        self.client = ArmClient(self.node, arm, self.live, "estimator")
+
+    def snapshot(self) -> Snapshot:
+        """What is known now."""
+        return self.live.snapshot(time.monotonic())
+
+
+@dataclass(frozen=True)
+class PushRecord:
+    """K moments.
+
+    Attributes:
+        times_s: (K,) since the start.
+        snapshots: (K,) what was known.
+    """
+
+    times_s: Array
+    snapshots: Sequence[Snapshot]
+
+    @property
+    def estimated(self) -> np.ndarray:
+        """(K,) whether an estimate was there, be it of no contact."""
+        return np.array([one.status.level is not Level.STALE for one in self.snapshots])
+
+
+def play_script(
+    observer: PushObserver,
+    script: Sequence[ScriptedPush],
+    check: Callable[[], object],
+    progress: Callable[[float], object],
+) -> PushRecord:
+    """Play the script in real time.
+
+    Args:
+        observer: pushes and watches.
+        script: what to do when.
+        check: called at every step; raises to end the play.
+        progress: takes the seconds since the start.
+    """
+    todo = _events(observer.client, script)
+
+    def moment(now_s: float) -> Snapshot:
+        while todo and todo[0][0] <= now_s:
+            todo.pop(0)[1]()
+        progress(now_s)
+        return observer.snapshot()
+
+    times, snapshots = record(moment, script[-1].end_s, check)
+    observer.client.push(script[-1].segment, 0.0, 0.0)
+    return PushRecord(times, snapshots)
+
+
+def _events(
+    client: ArmClient, script: Sequence[ScriptedPush]
+) -> list[tuple[float, Callable[[], None]]]:
+    events: list[tuple[float, Callable[[], None]]] = []
+    before = np.zeros_like(script[0].command_rad)
+    for push in script:
+        if not np.array_equal(push.command_rad, before):
+            events.append((push.move_s, partial(client.command, push.command_rad)))
+            before = push.command_rad
+        press = partial(client.push, push.segment, push.angle_deg, push.magnitude_n)
+        events.append((push.start_s, press))
+        events.append((push.end_s, partial(client.push, push.segment, 0.0, 0.0)))
+    return sorted(events, key=lambda event: event[0])
 
 
 @dataclass(frozen=True)
@@ -129,24 +202,15 @@ class PushResult:
         return self.estimate.magnitude_n - self.push.magnitude_n
 
 
-@dataclass(frozen=True)
-class Record:
-    """A headless demo from start to end: snapshots, and their times since the start."""
-
-    times_s: NDArray[np.float64]
-    snapshots: Sequence[Snapshot]
-    heard: NDArray[np.bool_]
-    """Whether an estimate was there at each moment, be it of no contact."""
-
-
-def push_results(script: Sequence[ScriptedPush], record: Record) -> list[PushResult]:
+def push_results(script: Sequence[ScriptedPush], record: PushRecord) -> list[PushResult]:
     """The result of every push."""
+    estimated = record.estimated
     results = []
     for push in script:
         steady = (record.times_s >= push.start_s + SETTLING_S) & (
             record.times_s < push.end_s - 0.1
         )
-        at = np.flatnonzero(steady & record.heard).tolist()
+        at = np.flatnonzero(steady & estimated).tolist()
         contacts = [record.snapshots[i].estimate for i in at]
         results.append(PushResult(push, _median(contacts), len(at)))
     return results
@@ -179,28 +243,26 @@ def summary(results: Sequence[PushResult]) -> dict[str, Any]:
     }
 
 
-def as_json(results: Sequence[PushResult]) -> dict[str, Any]:
-    """Everything that the table shows, for machines."""
+def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
+    """Everything that the table shows, as plain values."""
     return {
         "summary": summary(results),
         "pushes": [
             {
-                "true": {
-                    "segment": r.push.segment,
-                    "angle_deg": r.push.angle_deg,
-                    "magnitude_n": r.push.magnitude_n,
-                },
-                "estimated": None
-                if r.estimate is None
-                else {
-                    "segment": r.estimate.segment,
-                    "angle_deg": r.estimate.angle_deg,
-                    "magnitude_n": r.estimate.magnitude_n,
-                },
+                "true": _plain(r.push),
+                "estimated": None if r.estimate is None else _plain(r.estimate),
                 "samples": r.sample_count,
             }
             for r in results
         ],
+    }
+
+
+def _plain(push: ScriptedPush | Contact) -> dict[str, float]:
+    return {
+        "segment": push.segment,
+        "angle_deg": push.angle_deg,
+        "magnitude_n": push.magnitude_n,
     }
 
 
@@ -215,8 +277,8 @@ def results_table(results: Sequence[PushResult]) -> Table:
     table.add_column(
         "estimated segment,\ndirection, force", justify="right", no_wrap=True, footer=right
     )
-    table.add_column("direction\nerror", justify="right", footer=_figure(direction, "°"))
-    table.add_column("force\nerror", justify="right", footer=_figure(force, " N"))
+    table.add_column("direction\nerror", justify="right", footer=_number(direction, "°"))
+    table.add_column("force\nerror", justify="right", footer=_number(force, " N"))
     for result in results:
         table.add_row(*_row(result))
     return table
@@ -233,8 +295,8 @@ def _row(result: PushResult) -> tuple[str, ...]:
         "bent" if push.command_rad.any() else "straight",
         _contact(push.segment, push.angle_deg, push.magnitude_n),
         f"[{mark}]{found}[/]",
-        _figure(result.angle_error_deg, "°"),
-        _figure(result.magnitude_error_n, " N", signed=True),
+        _number(result.angle_error_deg, "°"),
+        _number(result.magnitude_error_n, " N", signed=True),
     )
 
 
@@ -242,7 +304,7 @@ def _contact(segment: int, angle_deg: float, magnitude_n: float) -> str:
     return f"{segment} {angle_deg:6.1f}° {magnitude_n:6.1f} N"
 
 
-def _figure(value: float | None, unit: str, signed: bool = False) -> str:
+def _number(value: float | None, unit: str, signed: bool = False) -> str:
     if value is None:
         return "–"
     return f"{value:+.2f}{unit}" if signed else f"{value:.2f}{unit}"

@@ -1,37 +1,26 @@
-"""Subscriptions to all that the contract says of a running arm, for who shows or records it.
-
-Readings from the topic `cable_tensions` of a running arm, for some seconds.
-"""
+"""Tensions of a running arm for some seconds, and while a person pulls its cables."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
 import rclpy
 import rclpy.utilities
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
-from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.joint_states import NamedOrder
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.pull_check import Pull
 from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, TimeWindow
-from cablesense_online.page.live_arm import LiveArm
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import overridable, qos_profile
-from cablesense_ros.node_process import WARN_EVERY_S
+from cablesense_ros.endpoints import qos_profile
 
 
 def of_node(node_name: str, topic: str) -> str:
@@ -39,62 +28,21 @@ def of_node(node_name: str, topic: str) -> str:
     return topic.replace("~", node_name, 1)
 
 
-def listen_to_arm(node: Node, live: LiveArm, estimator: str) -> None:
-    """Subscribes `node` to arm and estimator; every message goes to `live`.
-
-    What breaks the contract is logged.
-    """
-    now = time.monotonic
-    wrench = of_node(estimator, topics.WRENCH)
-    probabilities = of_node(estimator, topics.CONTACT_PROBABILITIES)
-
-    def take(topic: str, handle: Callable[[Any], None], message: Any) -> None:
-        try:
-            handle(message)
-        except CableSenseError as error:
-            node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=WARN_EVERY_S)
-
-    inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
-        (JointState, topics.CABLE_TENSIONS, qos.SENSOR, lambda m: live.on_tensions(m, now())),
-        (JointState, topics.JOINT_STATES, qos.SENSOR, live.on_joint_states),
-        (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
-        (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
-        (WrenchStamped, wrench, qos.SENSOR, lambda m: live.on_wrench(m, now())),
-        (Float64MultiArray, probabilities, qos.SENSOR, live.on_probabilities),
-        (
-            DiagnosticArray,
-            topics.DIAGNOSTICS,
-            qos.COMMAND,
-            lambda m: live.on_diagnostics(m, now()),
-        ),
-    )
-    for kind, topic, profile, handle in inputs:
-        node.create_subscription(
-            kind,
-            topic,
-            partial(take, topic, handle),
-            **overridable(profile),
-        )
-
-
-FIRST_SAMPLE_S = 5.0
-"""So long is waited for a publisher."""
-JOINING_S = 0.5
+_FIRST_SAMPLE_S = 5.0
+_JOINING_S = 0.5
 """After the first sample; some are lost while subscriber and publisher find each other."""
-LET_GO_S = 3.0
-WAKE_S = 0.1
-"""So soon Ctrl-C is heard."""
-PULLING_S = 3.0
-"""From the word to pull to the word to let go."""
+_PULLING_S, _RELEASED_S = 3.0, 3.0
+_WAKE_S = 0.1
+"""Ctrl-C takes effect within this time."""
 
 
-def listen_to_tensions(
+def capture_tensions(
     cable_names: Sequence[str],
     rest_s: float,
     pulled: Sequence[str],
     say: Callable[[str], object],
 ) -> tuple[TensionSeries, list[Pull]]:
-    """Readings at rest, then while a person pulls one cable after another as `say` tells.
+    """Readings at rest, then while a person pulls one cable after another as `say` asks.
 
     Args:
         cable_names: (M,) in the order wanted.
@@ -117,7 +65,7 @@ def listen_to_tensions(
     def wait(seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0.0:
-            executor.spin_until_future_complete(never, timeout_sec=min(left_s, WAKE_S))
+            executor.spin_until_future_complete(never, timeout_sec=min(left_s, _WAKE_S))
             if samples.error is not None:
                 raise samples.error
 
@@ -125,15 +73,15 @@ def listen_to_tensions(
         node.create_subscription(
             JointState, topics.CABLE_TENSIONS, samples.take, qos_profile(qos.SENSOR), raw=True
         )
-        end_s = time.monotonic() + FIRST_SAMPLE_S
+        end_s = time.monotonic() + _FIRST_SAMPLE_S
         while not samples.times_s and time.monotonic() < end_s:
             wait(0.1)
         if not samples.times_s:
             raise CommissioningError(
-                f"nothing on {topics.CABLE_TENSIONS} in {FIRST_SAMPLE_S:g} s: is the driver "
+                f"nothing on {topics.CABLE_TENSIONS} in {_FIRST_SAMPLE_S:g} s: is the driver "
                 "running and active, in this ROS_DOMAIN_ID and without a namespace?"
             )
-        wait(JOINING_S)
+        wait(_JOINING_S)
         samples.forget()
         say(f"leave the arm alone for {rest_s:g} s")
         wait(rest_s)
@@ -141,10 +89,10 @@ def listen_to_tensions(
         for cable in pulled:
             start_s = samples.latest_s
             say(f"pull {cable} by hand and hold it, sideways, near its sensor")
-            wait(PULLING_S)
+            wait(_PULLING_S)
             pulls.append(Pull(cable, TimeWindow(start_s, samples.latest_s)))
             say("let go")
-            wait(LET_GO_S)
+            wait(_RELEASED_S)
         return samples.series(), pulls
     finally:
         executor.shutdown()
@@ -167,7 +115,7 @@ class _Samples:
 
     @property
     def latest_s(self) -> float:
-        self._heard()
+        self._check_any()
         return self.times_s[-1]
 
     def forget(self) -> None:
@@ -204,7 +152,7 @@ class _Samples:
                 f"{self._backward} samples came with a stamp not after the last; each must be "
                 "later: is there a second publisher?"
             )
-        self._heard()
+        self._check_any()
         count = len(self.times_s)
         return TensionSeries(
             self._order.names,
@@ -215,8 +163,8 @@ class _Samples:
             tuple(problems),
         )
 
-    def _heard(self) -> None:
+    def _check_any(self) -> None:
         if not self.times_s:
             raise CommissioningError(
-                f"{topics.CABLE_TENSIONS} fell silent; its driver's diagnostics say why"
+                f"{topics.CABLE_TENSIONS} stopped; its driver's diagnostics give the reason"
             )

@@ -7,29 +7,31 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
 from cablesense_online.page.snapshot import Contact, Level, Snapshot, Status
-from cablesense_ros.demo.script import (
+from cablesense_ros.demo.pushes import (
+    PushRecord,
     PushResult,
-    Record,
     ScriptError,
-    as_json,
     make_script,
+    metrics,
     push_results,
     results_table,
     summary,
 )
 
 
-def recorded(script, estimate_of, heard=True):
+def recorded(script, estimate_of, level=Level.OK):
     times = np.arange(0.0, script[-1].end_s, 0.04)
     snapshots = []
     for time_s in times:
         push = next((p for p in script if p.start_s <= time_s < p.end_s), None)
         estimate = estimate_of(push) if push else None
         pose = np.zeros(8)
-        status = Status(Level.OK, "fine")
+        status = Status(level, "fine")
         snapshots.append(Snapshot(time_s, pose, np.full(12, 50.0), None, estimate, None, status))
-    return Record(times, snapshots, np.full(len(times), heard))
+    return PushRecord(times, snapshots)
 
 
 def exact(push):
@@ -87,7 +89,7 @@ def test_a_wrong_segment_has_no_direction_error():
 
 def test_silence_and_no_contact_are_told_apart():
     script = make_script(4, 4.0, seed=0)
-    (silent,) = push_results(script, recorded(script, exact, heard=False))
+    (silent,) = push_results(script, recorded(script, exact, level=Level.STALE))
     (none,) = push_results(script, recorded(script, lambda _: None))
     assert (silent.sample_count, silent.estimate) == (0, None)
     assert none.sample_count > 10
@@ -111,7 +113,7 @@ def test_the_table_fits_eighty_columns_with_every_figure():
 def test_json_has_what_the_table_has():
     script = make_script(4, 4.0, seed=0)
     none = PushResult(script[0], None, 5)
-    figures = as_json([none])
+    figures = metrics([none])
     assert figures["pushes"][0]["estimated"] is None
     assert figures["summary"]["segment_right"] == 0
 
@@ -120,7 +122,7 @@ def test_the_picture_is_whole_and_not_empty(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    from cablesense_ros.demo.pictures import draw_picture
+    from cablesense_ros.demo.pictures import draw_pushes
     from cablesense_sim.arm import open_arm
     from cablesense_sim.build import mechanism_of
 
@@ -129,7 +131,7 @@ def test_the_picture_is_whole_and_not_empty(tmp_path):
     record = recorded(script, lambda p: Contact(p.segment, p.angle_deg, p.magnitude_n, force))
     path = tmp_path / "demo.png"
     results = push_results(script, record)
-    draw_picture(path, mechanism_of(open_arm("cdsm")), record, results)
+    draw_pushes(path, mechanism_of(open_arm("cdsm")), record, results)
     image = np.asarray(Image.open(path).convert("RGB"))
     assert image.shape[0] > 600
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200

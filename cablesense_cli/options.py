@@ -1,0 +1,57 @@
+"""What several verbs do with their options and results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import typer
+from rich.table import Table
+
+from cablesense_base.errors import CableSenseError
+
+
+class OptionError(CableSenseError):
+    """Options that do not go together."""
+
+
+def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None:
+    """Refuse options that this run would ignore.
+
+    Args:
+        context: of the command.
+        names: the function's parameters that are without effect.
+        why: ends the sentence "… has no effect".
+
+    Raises:
+        OptionError: one of them was given.
+    """
+    given = [
+        parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.opts[0].upper()
+        for parameter in context.command.params
+        if parameter.name in set(names) and _was_given(context, parameter.name)
+    ]
+    if given:
+        have = "has" if len(given) == 1 else "have"
+        raise OptionError(f"{', '.join(given)} {have} no effect {why}; leave it out")
+
+
+def _was_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name != "DEFAULT"
+
+
+def print_json(content: Any) -> None:
+    """Print a result for machines."""
+    print(json.dumps(content, indent=2))
+
+
+def titled_table(title: str, *headings: str, right: Iterable[str] = ()) -> Table:
+    """A table without rows, its title and columns to the left; those in `right` to the right."""
+    table = Table(
+        title=title, title_justify="left", header_style="bold", show_header=bool(headings)
+    )
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in right else "left")
+    return table

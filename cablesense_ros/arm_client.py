@@ -1,0 +1,98 @@
+"""What shows or drives a running arm: subscriptions to arm and estimator, commands and loads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from cablesense_base.arrays import Array
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py import qos, topics
+from cablesense_msgs_py.joint_states import put_joint_angles
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_ros.endpoints import of_node, overridable
+from cablesense_ros.node_process import WARN_EVERY_S
+from cablesense_sim.arm import Arm
+
+LISTENERS = 3
+"""Readers of a command once all are up: the arm, the estimator and the client itself."""
+
+
+class ArmClient:
+    """Feeds a `LiveArm` with every message, and publishes what a person or a script asks for."""
+
+    def __init__(self, node: Node, arm: Arm, live: LiveArm, estimator: str) -> None:
+        """Subscribe `node`; messages that break the contract are logged."""
+        self._node = node
+        self._live = live
+        self._joint_names = list(arm.joint_names)
+        now = time.monotonic
+        inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
+            (JointState, topics.CABLE_TENSIONS, qos.SENSOR, lambda m: live.on_tensions(m, now())),
+            (JointState, topics.JOINT_STATES, qos.SENSOR, live.on_joint_states),
+            (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
+            (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
+            (WrenchStamped, topics.WRENCH, qos.SENSOR, lambda m: live.on_wrench(m, now())),
+            (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR, live.on_probabilities),
+            (
+                DiagnosticArray,
+                topics.DIAGNOSTICS,
+                qos.COMMAND,
+                lambda m: live.on_diagnostics(m, now()),
+            ),
+        )
+        for kind, topic, quality, handle in inputs:
+            name = of_node(estimator, topic)
+            node.create_subscription(
+                kind, name, self._guarded(name, handle), **overridable(quality)
+            )
+        self._loads = node.create_publisher(
+            WrenchStamped, topics.APPLIED_WRENCH, **overridable(qos.COMMAND)
+        )
+        self._commands = node.create_publisher(
+            JointState, topics.JOINT_COMMANDS, **overridable(qos.COMMAND)
+        )
+
+    @property
+    def connected(self) -> bool:
+        """Whether arm and estimator read commands."""
+        return self._commands.get_subscription_count() >= LISTENERS
+
+    def command(self, joint_angles_rad: Array) -> None:
+        """Send joint angles (2N,)."""
+        message = JointState(name=self._joint_names)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        put_joint_angles(message, joint_angles_rad)
+        self._commands.publish(message)
+
+    def push(self, segment: int, angle_deg: float, magnitude_n: float) -> None:
+        """Put one load on the arm in place of any other; 0 N, or segment 0, releases.
+
+        Raises:
+            LoadError: no such segment, or numbers that are not finite.
+        """
+        for load in self._live.loads_of(segment, angle_deg, magnitude_n):
+            message = WrenchStamped()
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            message.header.frame_id = self._live.frames.segment(load.segment)
+            force = message.wrench.force
+            force.x, force.y, force.z = (float(component) for component in load.force_base_n)
+            self._loads.publish(message)
+
+    def _guarded(self, topic: str, handle: Callable[[Any], None]) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            try:
+                handle(message)
+            except CableSenseError as error:
+                self._node.get_logger().warning(
+                    f"{topic}: {error}", throttle_duration_sec=WARN_EVERY_S
+                )
+
+        return take

@@ -1,0 +1,56 @@
+"""The demo: which nodes each combination of options starts, and a headless run of each kind."""
+
+import json
+
+import pytest
+
+from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
+
+SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("controller", Controller)
+@pytest.mark.parametrize("source", Source)
+def test_source_and_controller_are_honoured_in_every_combination(
+    source, controller, live, tmp_path
+):
+    options = DemoOptions(out=tmp_path, seed=3, source=source, controller=controller)
+    commands = node_commands(options, live)
+    driving = ["admittance", "obstacle"] if controller is Controller.ADMITTANCE else []
+    page = ["page"] if live else []
+    assert list(commands) == [*SOURCES[source], "estimator", *driving, *page]
+    assert "seed:=3" in commands["sim"]
+    if source is Source.SIM:
+        assert "-r" not in commands["sim"]
+    else:
+        link = f'channel:="{tmp_path}/can_adapter"'
+        assert link in commands["can_emulator"]
+        assert link in commands["can_driver"]
+        assert "cable_tensions:=simulated_tensions" in commands["sim"]
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_push_is_estimated_through_can_frames(tmp_path, capfd):
+    pytest.importorskip("rclpy")
+    options = DemoOptions(out=tmp_path, source=Source.CAN)
+    run_headless(options, duration_s=4.0, as_json=True)
+    found = json.loads(capfd.readouterr().out)["summary"]
+    assert found["pushes"] == found["segment_right"] > 0
+    assert found["magnitude_mae_n"] < 2.0
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_controller_yields_to_a_wall_felt_through_can_frames(tmp_path, capfd):
+    pytest.importorskip("rclpy")
+    options = DemoOptions(out=tmp_path, source=Source.CAN, controller=Controller.ADMITTANCE)
+    run_headless(options, duration_s=12.0, as_json=True)
+    found = json.loads(capfd.readouterr().out)
+    assert found["steps"] > 0
+    assert found["settled_n"] < 0.5 * found["without_controller_n"]
+    assert "slcan" in (tmp_path / "logs" / "can_driver.log").read_text(encoding="utf-8")
+    assert (tmp_path / "admittance.png").is_file()
