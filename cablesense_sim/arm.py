@@ -10,7 +10,9 @@ The arm files that come with CableSense, found by name; any other arm is found b
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,6 +34,9 @@ from cablesense_sim.effects.registry import checked_entry
 
 MAX_FILE_BYTES = 200_000
 """An arm file is a page of text; anything larger is not one."""
+
+LEAST_HOLE_DISTANCE_M = 1e-4
+"""Between the centres of two guide holes of a plate: no cable is thinner."""
 
 
 class ArmFileError(CableSenseError):
@@ -192,6 +197,7 @@ class Arm(_Part):
                 f"{stiffness:g}, which is that of cable and actuator in series"
             )
         self._check_cables_span_every_joint()
+        self._check_holes_are_apart()
         self._check_effects()
         return self
 
@@ -218,6 +224,25 @@ class Arm(_Part):
                 f"cables.angle_deg.per_cable = {per_cable} leaves {max(gaps):.0f} degrees of a "
                 "segment without a cable; cables only pull, so every gap must be below 180 degrees"
             )
+
+    def _check_holes_are_apart(self) -> None:
+        """All cables pass the plates at joint 1, each in a hole of its own."""
+        count, each, angles = self.segments.count, self.cables.per_segment, self.cables.angle_deg
+        radii = per_segment(self.cables.routing_radius_m, count)
+        holes = [
+            (radii[n], math.radians(angles.first + angles.per_segment * n + angles.per_cable * k))
+            for n in range(count)
+            for k in range(each)
+        ]
+        places = [(r * math.sin(angle), r * math.cos(angle)) for r, angle in holes]
+        for i, j in itertools.combinations(range(len(places)), 2):
+            if math.dist(places[i], places[j]) < LEAST_HOLE_DISTANCE_M:
+                raise ValueError(
+                    f"cables.angle_deg puts cable_{i + 1} and cable_{j + 1} into one hole, "
+                    f"{holes[i][0]:g} m from the axis at {math.degrees(holes[i][1]) % 360.0:g} "
+                    f"degrees; {each} cables on each of {count} segments are apart, for example, "
+                    f"with per_cable = {-360.0 / each:g}, per_segment = {360.0 / len(holes):g}"
+                )
 
     @property
     def segment_count(self) -> int:

@@ -176,6 +176,26 @@ def test_what_cannot_be_is_refused_with_what_could(changes: dict[str, Any], word
     assert next(iter(changes)).rpartition(".")[2] in line
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "pair"),
+    [
+        ("cables.per_segment", 4, "cable_1 and cable_4"),
+        ("cables.angle_deg.per_segment", 240, "cable_1 and cable_6"),
+        ("segments.count", 5, "cable_1 and cable_14"),
+    ],
+)
+def test_two_cables_in_one_hole_are_refused(key: str, value: int, pair: str) -> None:
+    """Cables of every segment pass the plates of the first joint."""
+    line = refusal(changed(described(), key, value))
+    assert f"{pair} into one hole" in line
+    assert "with per_cable = " in line
+
+
+def test_holes_at_one_angle_may_differ_in_radius() -> None:
+    radii = [0.05, 0.04, 0.03, 0.02]
+    variant({"cables.angle_deg.per_segment": 0, "cables.routing_radius_m": radii})
+
+
 def bomb(levels: int) -> str:
     """YAML whose last name stands for ten to the power of `levels` items."""
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
@@ -282,6 +302,7 @@ def test_segments_and_cables_are_data(count: int, each: int) -> None:
             "segments.count": count,
             "cables.per_segment": each,
             "cables.angle_deg.per_cable": -360 / each,
+            "cables.angle_deg.per_segment": 360 / (each * count),
         }
     )
     assert (arm.segment_count, arm.cable_count, arm.joint_count) == (

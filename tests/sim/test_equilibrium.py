@@ -113,7 +113,11 @@ def test_weightless_and_straight_the_arm_looks_the_same_every_third_of_a_turn() 
 
 
 def test_left_and_right_are_mirror_images() -> None:
-    arm = mechanism_of(variant({"cables.angle_deg.per_segment": 0}, "cdsm_lab"))
+    holes = {
+        "cables.angle_deg.per_segment": 0,
+        "cables.routing_radius_m": [0.05, 0.048, 0.046, 0.044],
+    }
+    arm = mechanism_of(variant(holes, "cdsm_lab"))
     cases = random_cases(arm, 50, degrees=8, contacts=2, largest_n=60)
     rest = solve_equilibrium(arm, *cases)
     mirrored = solve_equilibrium(

@@ -69,6 +69,7 @@ def test_other_arms_come_to_rest_too(count: int, each: int) -> None:
                 "segments.count": count,
                 "cables.per_segment": each,
                 "cables.angle_deg.per_cable": 360 / each,
+                "cables.angle_deg.per_segment": 360 / (each * count),
             }
         )
     )

@@ -163,6 +163,7 @@ def _mirrored_arm():
     """Six cables a segment, symmetric left to right."""
     content = CDSM.model_dump()
     content["cables"]["per_segment"] = 6
+    content["cables"]["routing_radius_m"] = [0.05, 0.048, 0.046, 0.044]
     content["cables"]["angle_deg"] = {"first": 0.0, "per_segment": 0.0, "per_cable": 60.0}
     return type(CDSM).model_validate(content)
 
