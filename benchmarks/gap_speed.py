@@ -29,7 +29,7 @@ import numpy as np
 from mujoco import sysid
 
 from cablesense_base.arrays import Array
-from cablesense_gap.arm_simulator import with_one_rest
+from cablesense_gap.arm_simulator import has_one_equilibrium
 from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.checks import read_recording
@@ -204,7 +204,7 @@ class _Rests:
         self._measured = recording.tensions_n
         self._run_m = mechanism.run_m
         nominal = self._rests_n(build_spec(mechanism).compile())[self._same]
-        self._used = with_one_rest(nominal)
+        self._used = has_one_equilibrium(nominal, open_arm(ARM))
         self.nominal_n = float(np.sqrt(((nominal - self._measured)[self._used] ** 2).mean()))
 
     def residual_of(self, spec: mujoco.MjSpec) -> Callable[..., tuple[list[Array], None, None]]:

@@ -32,11 +32,12 @@ from cablesense_sim.sensors import reading_variance_n2
 class ArmSimulator:
     """A `Simulator` of an arm under the commands and loads of one recording.
 
-    Attributes: see `Simulator`.
+    Attributes: see `Simulator`, and `arm`, the nominal one.
     """
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
         """What the arm file lists already is part of the nominal arm."""
+        self.arm = arm
         self.floor = float(np.sqrt(reading_variance_n2(arm.sensors)))
         sizes = arm.segment_count, arm.cable_count
         effects = known_effects().values()
@@ -89,16 +90,17 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     return Candidate(effect.name, places, numbers, history_dependent)
 
 
-SLACK_N = 2.5
-MOST_SLACK = 2
+SLACK_SHARE = 0.05
+"""Of the pretension: a cable with less tension is slack or about to be."""
 
 
-def with_one_rest(tensions_n: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(…,) whether at most two cables are slack or about to be, of predicted tensions (…, M).
+def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
+    """(…,) whether no segment can have its whole set of cables slack, of tensions (…, M).
 
-    With more of them slack an arm has two places to rest in, and which one it takes is chance.
+    With more of them slack an arm has several static equilibria, and which one it takes is chance.
     """
-    return np.asarray((tensions_n < SLACK_N).sum(-1) <= MOST_SLACK)
+    slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
+    return np.asarray(slack.sum(-1) < arm.cables.per_segment)
 
 
 def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, with_one_rest
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
 from cablesense_gap.diagnosis.probability import (
     Ranked,
     ambiguity,
@@ -267,7 +267,7 @@ def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) ->
 
     Rows do not count where the arm has more than one place to rest in, or is about to.
     """
-    used = with_one_rest(nominal)
+    used = has_one_equilibrium(nominal, simulator.arm)
     return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
 
 

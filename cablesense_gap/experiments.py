@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.arm_simulator import ArmSimulator, entries_from, with_one_rest
+from cablesense_gap.arm_simulator import ArmSimulator, entries_from, has_one_equilibrium
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
@@ -149,7 +149,7 @@ def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tr
         predicted = [replay.readings_n([[*listed, *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
         return None
-    used = np.all([with_one_rest(p) for p in predicted], axis=0)
+    used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
     if not all(np.isfinite(p).all() for p in predicted) or not used.any():
         return None
     apart = tuple((predicted[0] - other)[used] for other in predicted[1:])

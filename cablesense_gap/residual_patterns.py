@@ -188,8 +188,10 @@ def jumps(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Jump
 
 WITHIN_FLOORS = 1.2
 MOST_OF_IT = 0.8
-ALIKE, AGAINST = 0.6, 0.9
-"""Shares of common mode and of bending; by chance these would be 0.33 and 0.67."""
+ALIKE, AGAINST = 1.8, 0.3
+"""Times the share of the common mode that chance would give, one over the cables of a segment."""
+SELF_STRESS = 0.6
+"""Share of the square, from which the rest is secondary."""
 LOOP_SHARE = 0.4
 GROWS = 2.0
 GOES_WITH, REPEATS = 0.3, 0.2
@@ -219,7 +221,7 @@ def residual_patterns(
         return ()
     return (
         _cables(parts),
-        *_modes(parts),
+        *_modes(parts, arm.cables.per_segment),
         *_goes_with(found),
         *_grows(parts),
         *_loop(parts),
@@ -243,16 +245,23 @@ def _cables(parts: Decomposition) -> str:
     return f"{share:.0%} of its square is in {_and(numbers)}."
 
 
-def _modes(parts: Decomposition) -> Iterator[str]:
-    """How the cables of a set go together."""
-    square = {
-        mode: sum(p.rms_n**2 for p in parts.of_group(SET) if p.member.endswith(mode))
-        for mode in MODES
-    }
-    common = square[MODES[0]] / max(sum(square.values()), 1e-12)
-    if common >= ALIKE:
+def _modes(parts: Decomposition, cable_count: int) -> Iterator[str]:
+    """How the cables of one segment change together."""
+    square = dict.fromkeys(MODES, 0.0)
+    for part in parts.of_group(SET):
+        mode = next(mode for mode in MODES if part.member.endswith(mode))
+        columns = cable_count - len(MODES) + 1 if mode == MODES[-1] else 1
+        square[mode] += columns * part.rms_n**2
+    total, chance = max(sum(square.values()), 1e-12), 1.0 / cable_count
+    common, self_stress = square[MODES[0]] / total, square[MODES[-1]] / total
+    if common >= ALIKE * chance:
         yield "The cables that end on one segment change alike, as pretension and length would."
-    elif 1.0 - common >= AGAINST:
+    elif self_stress >= SELF_STRESS:
+        yield (
+            "The cables that end on one segment change against each other without a torque on "
+            "the segment, as cables that are tensioned or measured differently would."
+        )
+    elif common <= AGAINST * chance:
         yield (
             "The cables that end on one segment change against each other, as a torque on the "
             "segment would make them."

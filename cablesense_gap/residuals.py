@@ -1,18 +1,7 @@
 """A residual taken apart by place, regime and time, each part beside the noise floor.
 
-One part of a residual, measured beside the noise floor.
-
-The residual of the cables that end on one segment, as common mode and bending parts.
-
-What pulls all cables of a set alike (pretension, creep) is common mode; what bends the arm
-(weight, loads, tilt, joint springs) is in the other two. The three are orthonormal, so each has
-the noise of one cable, and their squares add up to that of the set where it has three cables.
-
-Loading against unloading: what the load last did, and how far apart both ways lie.
-
-The rows of a recording by what the arm was doing: load, pose, motion, time, trial.
-
-The regimes in which a gap is clearly larger than elsewhere.
+Places are cables, and the modes of the cables that end on one segment. Regimes are what the arm
+was doing: load, pose, motion, time; `regimes` names those in which the gap is clearly larger.
 """
 
 from __future__ import annotations
@@ -39,7 +28,7 @@ class Part:
 
     Attributes:
         group: by what the residual is taken apart.
-        member: which of that; a place by its name, a regime in plain words.
+        member: which of that; a place by its name, a regime in plain text.
         rms_n: root mean square.
         over_floor: the same in noise floors.
         mean_n: signed mean over all its numbers.
@@ -80,26 +69,26 @@ def measure(group: str, member: str, values_n: Array, floor_n: float) -> Part | 
     )
 
 
-MODES = ("common mode", "bending, y", "bending, z")
+MODES = ("common mode", "bending, y", "bending, z", "self-stress")
 
 
-def set_modes_n(residual_n: Array, arm: Arm) -> Array:
-    """The modes (R, N, 3) of a residual (R, M), N: common, towards +y and towards +z of the holes.
+def segment_modes_n(residual_n: Array, arm: Arm) -> Array:
+    """The modes (R, N, K) of a residual (R, M) in the K cables of each of N segments, N.
 
-    NaN where a cable of the set has none.
+    First the common mode, which pretension, creep and compression are in; then bending towards +y
+    and +z of the holes, as weight, loads, tilt and joint springs; the other K - 3 are self-stress,
+    which neither compresses nor bends the segment. All are orthonormal: each has the noise of one
+    cable, and their squares add up to those of the cables. NaN where a cable of the segment has
+    none.
     """
-    per_set = arm.cables.per_segment
-    by_set = residual_n.reshape(len(residual_n), arm.segment_count, per_set)
-    return np.einsum("rnk,nkm->rnm", by_set, _bases(arm))
-
-
-def _bases(arm: Arm) -> Array:
-    angles = arm.cables.angle_deg
-    n, k = np.arange(arm.segment_count)[:, None], np.arange(arm.cables.per_segment)
+    angles, count = arm.cables.angle_deg, arm.cables.per_segment
+    n, k = np.arange(arm.segment_count)[:, None], np.arange(count)
     hole = np.deg2rad(angles.first + n * angles.per_segment + k * angles.per_cable)
     spans = np.stack([np.ones_like(hole), np.sin(hole), np.cos(hole)], axis=-1)
-    basis, triangle = np.linalg.qr(spans)
-    return basis * np.sign(np.diagonal(triangle, axis1=1, axis2=2))[:, None, :]
+    basis, triangle = np.linalg.qr(spans, mode="complete")
+    basis[..., :3] *= np.sign(np.diagonal(triangle, axis1=1, axis2=2))[:, None, :]
+    by_segment = residual_n.reshape(len(residual_n), arm.segment_count, count)
+    return np.einsum("rnk,nkm->rnm", by_segment, basis)
 
 
 BRANCHES = ("before the load", "loading", "unloading", "after the load")
@@ -200,8 +189,10 @@ def _loads(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
     third_n = float(size.max()) / 3.0
     if third_n == 0.0:
         return
+    digits = max(0, -int(np.floor(np.log10(third_n))))
     for low, high in pairwise((0.0, third_n, 2.0 * third_n, np.inf)):
-        name = f"{low:.0f} to {high:.0f} N" if high < np.inf else f"above {low:.0f} N"
+        name = f"{low:.{digits}f} to {high:.{digits}f} N"
+        name = name if high < np.inf else f"above {low:.{digits}f} N"
         yield LEVEL, name, (segment > 0) & (size > low) & (size <= high)
 
 
@@ -274,10 +265,10 @@ def _pieces(recording: Recording, residual_n: Array, arm: Arm) -> Iterator[tuple
     yield ALL, "all", residual_n
     for name, column in zip(arm.cable_names, residual_n.T, strict=True):
         yield CABLE, name, column[:, None]
-    modes = set_modes_n(residual_n, arm)
+    modes = segment_modes_n(residual_n, arm)
     for n in range(arm.segment_count):
-        for mode, name in enumerate(MODES):
-            yield SET, f"segment_{n + 1}, {name}", modes[:, n, mode, None]
+        for name, columns in zip(MODES, np.split(modes[:, n], [1, 2, 3], axis=1), strict=True):
+            yield SET, f"segment_{n + 1}, {name}", columns
     yield LOOP, "half the width of the loop", loop_n(recording, residual_n)
     for group, member, rows in row_groups(recording):
         yield group, member, residual_n[rows]
@@ -290,7 +281,7 @@ ABOVE_FLOORS = 2.0
 FEWEST_ROWS = 20
 """Four seconds at 5 Hz; what is shorter can be large by chance."""
 
-_WORDS = {
+_TEXT = {
     LOADED: "load on {}",
     POSE: "{} poses",
     JOINT: "{} bent most",
@@ -303,7 +294,7 @@ _WORDS = {
 
 
 def regimes(decomposition: Decomposition) -> list[str]:
-    """Regimes in plain words, the largest gap first; none where all is within the floor.
+    """Regimes in plain text, the largest gap first; none where all is within the floor.
 
     Where a gap is there and no regime stands out, `EVERYWHERE`.
     """
@@ -311,7 +302,7 @@ def regimes(decomposition: Decomposition) -> list[str]:
     clear += [p for p in decomposition.of_group(LOOP) if p.over_floor >= ABOVE_FLOORS]
     if not clear and decomposition.rms_n >= ABOVE_FLOORS * decomposition.floor_n:
         return [EVERYWHERE]
-    return [_words(part) for part in sorted(clear, key=lambda part: -part.rms_n)]
+    return [_text(part) for part in sorted(clear, key=lambda part: -part.rms_n)]
 
 
 def _standing_out(decomposition: Decomposition, group: str) -> list[Part]:
@@ -334,7 +325,7 @@ def _stands_out(part: Part, others: list[Part]) -> bool:
     )
 
 
-def _words(part: Part) -> str:
+def _text(part: Part) -> str:
     if part.member == "no load":
         return part.member
-    return _WORDS[part.group].format(part.member.replace("_", " "))
+    return _TEXT[part.group].format(part.member.replace("_", " "))

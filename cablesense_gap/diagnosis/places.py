@@ -27,7 +27,7 @@ from cablesense_sim.effects.effect import WHOLE_ARM, Parameter
 WORTH = 1.12
 """A further place must make the cost of what is left smaller by this factor."""
 
-MOST_IN_TWOS = 12
+MOST_IN_TWOS = 40
 """With so many places or fewer left, two at a time are tried where one is not worth it."""
 
 _SHAPE_STEP = 0.3

@@ -32,7 +32,8 @@ Offered = Mapping[str, tuple[Candidate, Sequence[tuple[LinearEffect, ...]]]]
 _PROMISING = 3.0
 _HOPELESS = 2.5
 _ROUNDS = 2
-_MOST_PLACES = 12
+_LEAST_CHANNELS = 12
+"""Places of a pair are added up to the number of channels, or this many."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,7 @@ def _best_pairs(
 class _Pairing:
     def __init__(self, problem: Problem, placing: Placing, weight_: float) -> None:
         self._problem = problem
+        self._most_places = max(_LEAST_CHANNELS, problem.nominal.shape[1])
         self._owned: list[Indices] = [own - placing.base for own in placing.owned]
         self._reduced = Reduced(
             placing.data, placing.base, placing.precision, weight_, problem.fold
@@ -162,7 +164,7 @@ class _Pairing:
     def grow(self, one: _Side, other: _Side) -> _Grown:
         """The best place of each, and further places of either, as long as they are worth it."""
         grown = self._best([list(both) for both in product(one.places, other.places)])
-        while len(grown.chosen) < _MOST_PLACES:
+        while len(grown.chosen) < self._most_places:
             rests = [[k for k in s.places if k not in grown.chosen] for s in (one, other)]
             tried, worth = self._further(grown, rests, 1), WORTH
             if tried and tried.cost * WORTH > grown.cost:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm_variants import five_by_four, variant
 from gap_recordings import CYCLE, LAB, small_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,7 +29,7 @@ from cablesense_gap.residuals import (
     loop_n,
     regimes,
     row_groups,
-    set_modes_n,
+    segment_modes_n,
 )
 
 SMALL = small_recording()
@@ -77,12 +78,37 @@ def test_a_pull_on_all_cables_of_a_set_is_common_mode():
         assert modes[name].over_floor < 1.3
 
 
-def test_modes_keep_noise_and_squares():
-    residual = np.random.default_rng(2).normal(size=(4000, 12))
-    modes = set_modes_n(residual, LAB)
-    assert modes.shape == (4000, 4, 3)
+FIVE = variant({"cables.per_segment": 5, "cables.angle_deg.per_cable": -72})
+
+
+@pytest.mark.parametrize("arm", [LAB, five_by_four(), FIVE])
+def test_modes_keep_noise_and_squares(arm):
+    """Parseval: nothing of a residual is lost, however many cables a segment has."""
+    residual = np.random.default_rng(2).normal(size=(4000, arm.cable_count))
+    modes = segment_modes_n(residual, arm)
+    assert modes.shape == (4000, arm.segment_count, arm.cables.per_segment)
     np.testing.assert_allclose((modes**2).sum(axis=(1, 2)), (residual**2).sum(axis=1), rtol=1e-12)
     np.testing.assert_allclose(modes.std(axis=0), 1.0, atol=0.06)
+
+
+def test_two_pairs_of_cables_against_each_other_are_self_stress():
+    """Neither compressed nor bent; of three cables there is none."""
+    arm, size = five_by_four(), len(SMALL)
+    residual = np.zeros((size, 20))
+    residual[:, 4:8] = [1.0, -1.0, 1.0, -1.0]
+    recording = replace(
+        SMALL,
+        tensions_n=np.full((size, 20), 50.0),
+        command_rad=np.pad(SMALL.command_rad, ((0, 0), (0, 2))),
+    )
+    parts = by_name(decompose(recording, residual, FLOOR_N, arm), SET)
+    assert abs(parts["segment_2, self-stress"].rms_n) == pytest.approx(2.0)
+    for name in MODES[:3]:
+        assert parts[f"segment_2, {name}"].rms_n == pytest.approx(0.0, abs=1e-9)
+    whole = sum(part.rms_n**2 for part in parts.values())
+    assert whole == pytest.approx((residual[0] ** 2).sum())
+    three = decompose(SMALL, noise(), FLOOR_N, LAB).of_group(SET)
+    assert not any("self-stress" in part.member for part in three)
 
 
 def test_a_residual_towards_z_of_the_holes_is_the_z_part():
@@ -91,7 +117,7 @@ def test_a_residual_towards_z_of_the_holes_is_the_z_part():
         hole = np.deg2rad(angles.first + angles.per_segment * n + angles.per_cable * np.arange(3))
         residual = np.zeros((1, 12))
         residual[0, 3 * n : 3 * n + 3] = np.cos(hole)
-        modes = set_modes_n(residual, LAB)[0, n]
+        modes = segment_modes_n(residual, LAB)[0, n]
         assert modes[MODES.index("bending, z")] == pytest.approx(1.5**0.5)
         np.testing.assert_allclose(modes[:2], 0.0, atol=1e-12)
 
