@@ -64,7 +64,7 @@ def _verdict(path: Path) -> Verdict:
     if not (folder / "verdict.json").exists():
         arm = open_arm(ARM)
         recording = read_recording(path, arm)
-        write_diagnosis(folder, recording, arm, diagnose(recording, arm))
+        write_diagnosis(folder, diagnose(recording, arm))
     return read_verdict(folder / "verdict.json")
 
 

@@ -80,7 +80,7 @@ def diagnose(
             errors = estimator_errors(recorded, nominal, found.amended, tell, workers)
             verdict = found.verdict.model_copy(update={"estimator": errors})
             found = replace(found, verdict=verdict)
-    write_diagnosis(out, recorded, nominal, found)
+    write_diagnosis(out, found)
     console.print(headline(found.verdict), soft_wrap=True)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 

@@ -1,17 +1,15 @@
 """From a recording and a nominal arm to a verdict.
 
-Which trials of a recording are held out together.
-
-How large the gap is before and after, and how sure that is.
-
-Places and numbers of the effects found, as the verdict names them.
+The way of a recording, from here downward: checks (`recordings.checks`), the nominal arm and the
+candidates (`arm_simulator`), screening and fits (`diagnosis.search`), probabilities
+(`diagnosis.probability`), then what the verdict says of places, numbers and the gap.
 """
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,13 +30,146 @@ from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.checks import check_recording
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import decompose, regimes
-from cablesense_gap.simulator import Candidate, Term
+from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_gap.unlisted import describe_unlisted
-from cablesense_gap.verdict import CandidateResult, Estimate, Gap, Verdict, Where, removed_fraction
+from cablesense_gap.verdict import (
+    UNKNOWN,
+    CandidateResult,
+    Estimate,
+    Gap,
+    Verdict,
+    Where,
+    removed_fraction,
+)
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import replay_arm
 
 FOLDS = 5
+NEGLIGIBLE = 0.1
+"""A place that changes the readings by less than this share of the foremost one is not named."""
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A verdict, the arm that follows from it, and what both arms predict.
+
+    Attributes:
+        recording: R rows of M cables.
+        nominal: the nominal arm.
+        verdict: as it is written to `verdict.json`.
+        amended: the arm with what was found.
+        predicted_before_n: (R, M) by the nominal arm.
+        predicted_after_n: (R, M) by the amended arm.
+        held_out_n: (R, M) by the amended arm, each trial fitted without its fold; NaN where none.
+        findings: of the checks of the recording, as sentences.
+    """
+
+    recording: Recording
+    nominal: Arm
+    verdict: Verdict
+    amended: Arm
+    predicted_before_n: Array
+    predicted_after_n: Array
+    held_out_n: Array
+    findings: tuple[str, ...] = ()
+
+    @property
+    def before_n(self) -> Array:
+        """Residual (R, M) of the nominal arm, measured less predicted."""
+        return self.recording.tensions_n - self.predicted_before_n
+
+    @property
+    def after_n(self) -> Array:
+        """Residual (R, M) of the amended arm on held-out trials."""
+        return self.recording.tensions_n - self.held_out_n
+
+    @property
+    def after_label(self) -> str:
+        """What pictures call the state after; empty where nothing was changed."""
+        if np.allclose(self.before_n, self.after_n, equal_nan=True):
+            return ""
+        return "flexible correction" if self.verdict.effects == (UNKNOWN,) else "amended arm"
+
+
+def diagnose(
+    recording: Recording,
+    arm: Arm,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
+) -> Diagnosis:
+    """Find what makes the recorded arm differ from the nominal one.
+
+    `progress` is called with what is under way and which share of the whole is done.
+
+    Raises:
+        RecordingError: the recording cannot be used.
+        EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
+    """
+    began = time.monotonic()
+    check_recording(recording, arm).raise_if_unusable()
+    progress("predicting the nominal arm", 0.0)
+    simulator = ArmSimulator(arm, recording)
+    nominal = simulator.predict([{}])[0]
+    if not np.isfinite(nominal).all():  # says which row cannot be borne
+        nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    checked = check_recording(recording, arm, nominal)
+    checked.raise_if_unusable()
+    problem = problem_of(recording, simulator, nominal)
+    ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
+    progress("describing the verdict", 0.98)
+    best = ranked[0].hypothesis
+    fitted = [r.hypothesis for r in ranked if r.hypothesis is not None]
+    none = next(h for h in fitted if not h.effects)
+    explained = best or none
+    values = foremost(explained, simulator.candidates)
+    unlisted = None if best else describe_unlisted(problem, recording, fitted, arm)
+    held_out = unlisted.held_out_n if unlisted else explained.held_out
+    used, before = problem.used, recording.tensions_n - nominal
+    parts = decompose(recording.rows(used), before[used], problem.floor, arm)
+    group = ambiguity(problem, ranked)
+    rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
+    verdict = Verdict(
+        effects=ranked[0].effects,
+        probability=ranked[0].probability,
+        ambiguity_group=group.group,
+        next_experiment=unlisted.next_experiment
+        if unlisted
+        else next_experiment(arm, [values, *rivals], problem.floor).text,
+        where=where(values, tuple(regimes(parts))),
+        parameters=estimates(values, explained.deviations, simulator.candidates),
+        gap=gap_size(
+            before[used],
+            (recording.tensions_n - held_out)[used],
+            problem.trial[used],
+            problem.floor,
+        ),
+        candidates=tuple(_candidate_result(each, none) for each in ranked),
+        why=unlisted.reasons if unlisted else group.reasons,
+        seconds=time.monotonic() - began,
+        recording=recording.name,
+        arm=arm.name,
+    )
+    progress("done", 1.0)
+    return Diagnosis(
+        recording=recording,
+        nominal=arm,
+        verdict=verdict,
+        amended=amended_arm(arm, values, explained.tolerances),
+        predicted_before_n=nominal,
+        predicted_after_n=held_out if unlisted else explained.prediction,
+        held_out_n=held_out,
+        findings=tuple(finding.text for finding in checked.findings),
+    )
+
+
+def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Problem:
+    """The recording as the search works on it.
+
+    Rows do not count where the arm may have more than one static equilibrium.
+    """
+    used = has_one_equilibrium(nominal, simulator.arm)
+    return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
 
 
 def folds_of(recording: Recording) -> NDArray[np.int64]:
@@ -58,33 +189,23 @@ def folds_of(recording: Recording) -> NDArray[np.int64]:
     return fold
 
 
-_DRAWS = 2000
-
-
 def gap_size(before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n: float) -> Gap:
     """Sizes over residuals (R, M) before and after, with a bootstrap over trials (R,).
 
-    The floor is that of the sensors; what a workshop leaves is in the amended arm's own file.
+    The floor is that of the sensors; manufacturing tolerances are in the amended arm's own file.
     """
     trial = np.unique(trial, return_inverse=True)[1]  # a draw of empty trials has no size
-    per_trial = [np.bincount(trial, (residual**2).sum(-1)) for residual in (before_n, after_n)]
-    count = np.bincount(trial) * before_n.shape[1]
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(0, len(count), (_DRAWS, len(count)))
-    numbers = count[drawn].sum(-1)
-    sizes = [np.sqrt(squares[drawn].sum(-1) / numbers) for squares in per_trial]
-    fractions = [
-        removed_fraction(before, after, floor_n) for before, after in zip(*sizes, strict=True)
-    ]
+    squares = [np.bincount(trial, (each**2).sum(-1)).astype(float) for each in (before_n, after_n)]
+    count = np.bincount(trial).astype(float) * before_n.shape[1]
+    drawn = zip(*(_bootstrapped_rms(each, count) for each in squares), strict=True)
+    fractions = [removed_fraction(before, after, floor_n) for before, after in drawn]
     low, high = np.quantile(fractions, [0.025, 0.975])
-    whole_before, whole_after = (
-        float(np.sqrt(squares.sum() / count.sum())) for squares in per_trial
-    )
+    before, after = (float(np.sqrt(each.sum() / count.sum())) for each in squares)
     return Gap(
-        before_n=whole_before,
-        after_n=whole_after,
+        before_n=before,
+        after_n=after,
         floor_n=floor_n,
-        removed_fraction=removed_fraction(whole_before, whole_after, floor_n),
+        removed_fraction=removed_fraction(before, after, floor_n),
         ci95=(float(low), float(high)),
         by_cable_n=tuple(float(v) for v in np.sqrt((before_n**2).mean(0))),
     )
@@ -92,28 +213,28 @@ def gap_size(before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n:
 
 def rmse_interval_n(squares: Array, count: Array) -> tuple[float, float]:
     """95 % interval of the root mean square of squares (T,) of trials, by bootstrap over them."""
-    squares, count = squares[count > 0], count[count > 0]
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(0, len(count), (_DRAWS, len(count)))
-    sizes = np.sqrt(squares[drawn].sum(-1) / count[drawn].sum(-1))
+    sizes = _bootstrapped_rms(squares[count > 0], count[count > 0])
     low, high = np.quantile(sizes, [0.025, 0.975])
     return float(low), float(high)
 
 
-NEGLIGIBLE = 0.1
-"""A place that changes the readings by less than this share of the foremost one is not named."""
+def _bootstrapped_rms(squares: Array, count: Array) -> Array:
+    """(draws,) root mean squares of trials (T,) drawn with replacement, the same at each call.
+
+    `scipy.stats.bootstrap` takes samples of one statistic; these are ratios of two sums.
+    """
+    drawn = np.random.default_rng(0).integers(0, len(count), (_DRAWS, len(count)))
+    return np.asarray(np.sqrt(squares[drawn].sum(-1) / count[drawn].sum(-1)))
 
 
-def foremost(hypothesis: Hypothesis, candidates: tuple[Candidate, ...]) -> dict[Term, float]:
+def foremost(hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> dict[Term, float]:
     """The values in those places that matter, effect by effect."""
-    parameters = {(c.effect, p.name): p for c in candidates for p in c.parameters}
+    parameters = parameters_of(candidates)
     changes: dict[tuple[str, str], float] = {}
     for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
-        parameter = parameters[term.effect, term.parameter]
-        if parameter.role == "size":
-            size = float(np.sqrt((column**2).mean())) * abs(to_scaled(parameter, value))
-            key = term.effect, term.place
-            changes[key] = float(np.hypot(changes.get(key, 0.0), size))
+        if parameters[term].role == "size":
+            size = float(np.sqrt((column**2).mean())) * abs(to_scaled(parameters[term], value))
+            changes[term[:2]] = float(np.hypot(changes.get(term[:2], 0.0), size))
     largest = {
         effect: max(size for (name, _), size in changes.items() if name == effect)
         for effect in hypothesis.effects
@@ -121,42 +242,38 @@ def foremost(hypothesis: Hypothesis, candidates: tuple[Candidate, ...]) -> dict[
     return {
         term: value
         for term, value in hypothesis.values.items()
-        if changes[term.effect, term.place] >= NEGLIGIBLE * largest[term.effect]
+        if changes[term[:2]] >= NEGLIGIBLE * largest[term.effect]
     }
 
 
 def where(values: Mapping[Term, float], regimes: tuple[str, ...]) -> Where:
     """The places by kind; an effect of the whole arm names none."""
-    named: dict[str, set[int]] = {"cable": set(), "segment": set(), "joint": set()}
-    for term in values:
-        place = term.place.split("_into_")[0]  # of a leak, the channel that it comes from
-        for kind, number in re.findall(r"(cable|segment|joint)_(\d+)", place):
-            named[kind].add(int(number))
-    listed = {
-        kind: tuple(f"{kind}_{n}" for n in sorted(numbers)) for kind, numbers in named.items()
-    }
+    # of crosstalk, the channel that it comes from
+    places = " ".join(term.place.split("_into_")[0] for term in values)
+
+    def named(kind: str) -> tuple[str, ...]:
+        numbers = sorted({int(number) for number in re.findall(rf"{kind}_(\d+)", places)})
+        return tuple(f"{kind}_{n}" for n in numbers)
+
     return Where(
-        cables=listed["cable"],
-        segments=listed["segment"],
-        joints=listed["joint"],
-        regimes=regimes,
+        cables=named("cable"), segments=named("segment"), joints=named("joint"), regimes=regimes
     )
 
 
 def estimates(
     values: Mapping[Term, float],
     deviations: Mapping[Term, float],
-    candidates: tuple[Candidate, ...],
+    candidates: Sequence[Candidate],
 ) -> dict[str, Estimate]:
     """Numbers with units, and intervals within what is plausible.
 
     The place is in the name where there are several, of one effect or of two.
     """
-    known = {(c.effect, p.name): p for c in candidates for p in c.parameters}
-    single = len({(term.effect, term.place) for term in values}) == 1
+    parameters = parameters_of(candidates)
+    single = len({term[:2] for term in values}) == 1
     found = {}
     for term, value in values.items():
-        parameter, half = known[term.effect, term.parameter], deviations[term]
+        parameter, half = parameters[term], deviations[term]
         found[f"{term.effect}.{term.parameter}" if single else str(term)] = Estimate(
             value=value,
             unit=parameter.unit,
@@ -165,113 +282,7 @@ def estimates(
     return found
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """A verdict, the arm that follows from it, and what both arms predict.
-
-    Attributes:
-        verdict: as it is written to `verdict.json`.
-        amended: the arm with what was found.
-        predicted_before_n: (R, M) by the nominal arm.
-        predicted_after_n: (R, M) by the amended arm.
-        held_out_n: (R, M) by the amended arm, each trial fitted without its fold.
-        findings: what the checks of the recording found.
-    """
-
-    verdict: Verdict
-    amended: Arm
-    predicted_before_n: Array
-    predicted_after_n: Array
-    held_out_n: Array
-    findings: tuple[str, ...]
-
-
-def diagnose(
-    recording: Recording,
-    arm: Arm,
-    progress: Callable[[str, float], None] = lambda *_: None,
-    workers: int = 1,
-) -> Diagnosis:
-    """Tell what makes the recorded arm differ from the nominal one.
-
-    `tell` hears what is under way and which share of it is behind.
-
-    Raises:
-        RecordingError: the recording cannot be used.
-        EquilibriumError: the nominal arm finds no rest under its commands and loads.
-    """
-    began = time.monotonic()
-    check_recording(recording, arm).raise_if_unusable()
-    progress("predicting the nominal arm", 0.0)
-    simulator = ArmSimulator(arm, recording)
-    nominal = _nominal(simulator, recording, arm)
-    checked = check_recording(recording, arm, nominal)
-    checked.raise_if_unusable()
-    problem = problem_of(recording, simulator, nominal)
-    ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
-    progress("what it means", 0.98)
-    none = next(b.hypothesis for b in ranked if b.effects == ("none",))
-    assert none is not None
-    found = ranked[0].hypothesis
-    explained = found or none
-    values = foremost(explained, tuple(simulator.candidates))
-    fitted = [b.hypothesis for b in ranked if b.hypothesis is not None]
-    unlisted = None if found else describe_unlisted(problem, recording, fitted, arm)
-    held_out = explained.held_out if unlisted is None else unlisted.held_out_n
-    used = problem.used
-    before = recording.tensions_n - nominal
-    regimes_ = tuple(regimes(decompose(recording.rows(used), before[used], problem.floor, arm)))
-    group = ambiguity(problem, ranked)
-    rivals = [b.hypothesis.values for b in rivals_of(ranked) if b.hypothesis is not None]
-    verdict = Verdict(
-        effects=ranked[0].effects,
-        probability=ranked[0].probability,
-        ambiguity_group=group.group,
-        next_experiment=next_experiment(arm, [values, *rivals], problem.floor).text
-        if unlisted is None
-        else unlisted.next_experiment,
-        where=where(values, regimes_),
-        parameters=estimates(values, explained.deviations, tuple(simulator.candidates)),
-        gap=gap_size(
-            before[used],
-            (recording.tensions_n - held_out)[used],
-            problem.trial[used],
-            problem.floor,
-        ),
-        candidates=tuple(_candidate(ranked, none) for ranked in ranked),
-        why=group.reasons if unlisted is None else unlisted.reasons,
-        seconds=time.monotonic() - began,
-        recording=recording.name,
-        arm=arm.name,
-    )
-    progress("done", 1.0)
-    return Diagnosis(
-        verdict=verdict,
-        amended=amended_arm(arm, values, explained.tolerances),
-        predicted_before_n=nominal,
-        predicted_after_n=explained.prediction if unlisted is None else held_out,
-        held_out_n=held_out,
-        findings=tuple(finding.text for finding in checked.findings),
-    )
-
-
-def _nominal(simulator: ArmSimulator, recording: Recording, arm: Arm) -> Array:
-    nominal = simulator.predict([{}])[0]
-    if not np.isfinite(nominal).all():
-        return replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
-    return nominal
-
-
-def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Problem:
-    """The recording as the search works on it.
-
-    Rows do not count where the arm has more than one place to rest in, or is about to.
-    """
-    used = has_one_equilibrium(nominal, simulator.arm)
-    return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
-
-
-def _candidate(ranked: Ranked, none: Hypothesis) -> CandidateResult:
+def _candidate_result(ranked: Ranked, none: Hypothesis) -> CandidateResult:
     hypothesis = ranked.hypothesis or none
     return CandidateResult(
         effects=ranked.effects,

@@ -1,9 +1,4 @@
-"""Writes the report.
-
-All that a report is made of.
-
-The folder that a diagnosis leaves: `verdict.json`, `arm.yaml` and `report.html`.
-"""
+"""The folder that a diagnosis leaves: `verdict.json`, `arm.yaml` and `report.html`."""
 
 from __future__ import annotations
 
@@ -13,8 +8,6 @@ from typing import Any
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import write_arm
 from cablesense_gap.diagnose import Diagnosis
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.report.inputs import ReportInputs
 from cablesense_gap.report.pictures import (
     MOST,
     cable_picture,
@@ -36,45 +29,52 @@ from cablesense_gap.report.text import (
     ambiguity,
     effect_places,
     headline,
-    place_words,
-    regime_words,
+    place_text,
+    regime_text,
     shrinkage,
     steps,
 )
 from cablesense_gap.residuals import ALL, TRIAL, Decomposition, decompose
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, VerdictError, write_verdict
-from cablesense_sim.arm import Arm
 
 WORST = 8
 """Parts of what remains that are shown before one asks for all."""
 
 
-def write_report(path: str | Path, inputs: ReportInputs) -> None:
-    """Write the report, one HTML file that needs nothing beside it; whole or not at all.
+def write_diagnosis(folder: Path, found: Diagnosis) -> None:
+    """Write all three files, each whole or not at all.
 
     Raises:
-        ReportError: the place cannot be written to.
+        VerdictError: the folder cannot be made, or the verdict not be written.
+        ArmFileError: the arm file cannot be written.
+        ReportError: the report cannot be written.
     """
-    write_atomically(path, report_page(inputs), ReportError)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_verdict(folder / "verdict.json", found.verdict)
+    write_arm(folder / "arm.yaml", found.amended, headline(found.verdict))
+    write_atomically(folder / "report.html", report_page(found), ReportError)
 
 
-def report_page(inputs: ReportInputs) -> str:
-    """The report as HTML text."""
+def report_page(found: Diagnosis) -> str:
+    """The report, one HTML page that needs nothing beside it."""
     filters = {"newtons": newtons, "percent": percent}
-    return rendered("cablesense_gap.report", "report.html", _content(inputs), filters)
+    return rendered("cablesense_gap.report", "report.html", _content(found), filters)
 
 
-def _content(inputs: ReportInputs) -> dict[str, Any]:
-    verdict, recording = inputs.verdict, inputs.recording
+def _content(found: Diagnosis) -> dict[str, Any]:
+    verdict, recording = found.verdict, found.recording
     floor_n = verdict.gap.floor_n
-    before = decompose(recording, inputs.before_n, floor_n, inputs.arm)
-    after = decompose(recording, inputs.after_n, floor_n, inputs.arm)
+    before = decompose(recording, found.before_n, floor_n, found.nominal)
+    after = decompose(recording, found.after_n, floor_n, found.nominal)
     with style():
         pictures = {
-            "time": time_picture(inputs),
-            "cable": cable_picture(before, after, inputs.after_label),
-            "set": cable_set_picture(before, after, inputs.after_label),
-            "regime": regime_picture(before, after, inputs.after_label),
+            "time": time_picture(found),
+            "cable": cable_picture(before, after, found.after_label),
+            "set": cable_set_picture(before, after, found.after_label),
+            "regime": regime_picture(before, after, found.after_label),
             "candidates": candidate_picture(verdict) if verdict.candidates else "",
         }
     return {
@@ -82,23 +82,22 @@ def _content(inputs: ReportInputs) -> dict[str, Any]:
         "headline": headline(verdict),
         "shrinkage": shrinkage(verdict),
         "ambiguity": ambiguity(verdict),
-        "steps": steps(inputs),
+        "steps": steps(found),
         "verdict": verdict,
         "recording": recording,
         "trials": len(set(recording.trial.tolist())),
-        "arm": inputs.arm,
-        "held_out": inputs.held_out_n is not None,
-        "places": place_words(all_places(verdict)),
-        "regimes": regime_words(verdict),
+        "arm": found.nominal,
+        "places": place_text(all_places(verdict)),
+        "regimes": regime_text(verdict),
         "pictures": pictures,
         "hidden_candidates": max(0, len(verdict.candidates) - MOST),
         "parameters": _parameters(verdict),
         "estimator": _estimator(verdict),
         "before": before,
         "after": after,
-        "changed": inputs.after_label != "",
+        "changed": found.after_label != "",
         "worst": _worst(after),
-        "findings": inputs.findings,
+        "findings": found.findings,
     }
 
 
@@ -126,41 +125,15 @@ def _estimator(verdict: Verdict) -> list[tuple[str, str, str]]:
         return []
     before, after = verdict.estimator.before, verdict.estimator.after
     return [
-        (name, _figure(before.get(name)), _figure(after.get(name)))
+        (name, _number(before.get(name)), _number(after.get(name)))
         for name in dict.fromkeys((*before, *after))
     ]
 
 
-def _figure(value: float | None) -> str:
+def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.4g}"
 
 
 def _worst(after: Decomposition) -> list[Any]:
     parts = [part for part in after.parts if part.group not in (ALL, TRIAL)]
     return sorted(parts, key=lambda part: -part.over_floor)[:WORST]
-
-
-def write_diagnosis(folder: Path, recording: Recording, arm: Arm, found: Diagnosis) -> None:
-    """Write all three files.
-
-    Raises:
-        VerdictError: the folder cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
-    write_verdict(folder / "verdict.json", found.verdict)
-    write_arm(folder / "arm.yaml", found.amended, headline(found.verdict))
-    write_report(
-        folder / "report.html",
-        ReportInputs(
-            recording=recording,
-            arm=arm,
-            verdict=found.verdict,
-            predicted_before_n=found.predicted_before_n,
-            predicted_after_n=found.predicted_after_n,
-            held_out_n=found.held_out_n,
-            findings=found.findings,
-        ),
-    )

@@ -1,9 +1,4 @@
-"""The gap by cable, by cable set and by regime: before, after, and the floor.
-
-The candidates: what each leaves on held-out trials, and how probable it is.
-
-The residual of each cable over time, before and after.
-"""
+"""Pictures of a report: the gap over time, by cable, by segment and by regime; the candidates."""
 
 from __future__ import annotations
 
@@ -13,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.report.inputs import ReportInputs
+from cablesense_gap.diagnose import Diagnosis
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -42,8 +37,8 @@ def cable_picture(before: Decomposition, after: Decomposition, after_label: str)
     shown = [(before, 0.0, BEFORE, "nominal arm")]
     if after_label:
         shown = [(before, -0.2, BEFORE, "nominal arm"), (after, 0.2, AFTER, after_label)]
-    for found, aside, colour, label in shown:
-        size = {part.member: part.rms_n for part in found.of_group(CABLE)}
+    for parts, aside, colour, label in shown:
+        size = {part.member: part.rms_n for part in parts.of_group(CABLE)}
         heights = [size.get(name, np.nan) for name in names]
         axes.bar(x + aside, heights, 0.38, color=colour, label=label)
     axes.axhline(before.floor_n, color=FLOOR, ls="--", lw=1.2, label="floor")
@@ -60,7 +55,7 @@ def regime_picture(before: Decomposition, after: Decomposition, after_label: str
 
 
 def cable_set_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
-    """RMS gap of each cable set's common mode and bending parts, likewise."""
+    """RMS gap of each segment's cables in modes, likewise."""
     return _dumbbells(before, after, after_label, (SET,))
 
 
@@ -97,9 +92,9 @@ def _dumbbells(
         max(np.nanmax(sizes) * 1.2, before.floor_n * 5.0, 10.0 * LEAST_N),
     )
     axes.set_yticks(at, labels)
-    for height, words in heads:
+    for height, text in heads:
         axes.text(
-            -0.012, height, words, weight="bold", ha="right", va="center",
+            -0.012, height, text, weight="bold", ha="right", va="center",
             transform=axes.get_yaxis_transform(),
         )  # fmt: skip
     axes.set_ylim(y - 0.4, -0.8)
@@ -179,11 +174,11 @@ MOST_POINTS = 3000
 ROW_IN = 1.45
 
 
-def time_picture(inputs: ReportInputs) -> str:
+def time_picture(found: Diagnosis) -> str:
     """Small multiples with one scale; of very many cables, those with the largest gap."""
     import matplotlib.pyplot as plt
 
-    cables, columns = _shown(inputs), inputs.arm.cables.per_segment
+    cables, columns = _shown(found), found.nominal.cables.per_segment
     rows = -(-len(cables) // columns)
     figure, axes = plt.subplots(
         rows,
@@ -194,9 +189,9 @@ def time_picture(inputs: ReportInputs) -> str:
         squeeze=False,
         layout="constrained",
     )
-    reach_n = _reach_n(inputs)
+    reach_n = _reach_n(found)
     for panel, cable in zip(axes.flat, cables, strict=False):
-        _panel(panel, inputs, cable)
+        _panel(panel, found, cable)
         panel.set_ylim(-reach_n, reach_n)
     for panel in axes.flat[len(cables) :]:
         panel.set_visible(False)
@@ -210,10 +205,10 @@ def time_picture(inputs: ReportInputs) -> str:
     return as_uri(figure, "png")
 
 
-def _panel(panel: Any, inputs: ReportInputs, cable: int) -> None:
+def _panel(panel: Any, found: Diagnosis, cable: int) -> None:
     from matplotlib.transforms import blended_transform_factory
 
-    recording, floor_n = inputs.recording, inputs.verdict.gap.floor_n
+    recording, floor_n = found.recording, found.verdict.gap.floor_n
     panel.fill_between(
         recording.time_s,
         0.0,
@@ -226,32 +221,32 @@ def _panel(panel: Any, inputs: ReportInputs, cable: int) -> None:
         label="a load acts",
     )
     panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
-    drawn = [(inputs.before_n, BEFORE, 1.4, "nominal arm")]
-    if inputs.after_label:
-        drawn.append((inputs.after_n, AFTER, 0.9, inputs.after_label))
+    drawn = [(found.before_n, BEFORE, 1.4, "nominal arm")]
+    if found.after_label:
+        drawn.append((found.after_n, AFTER, 0.9, found.after_label))
     for residual_n, colour, width, label in drawn:
         panel.plot(
             *_drawn(recording.time_s, residual_n[:, cable]), color=colour, lw=width, label=label
         )
-    panel.set_title(inputs.arm.cable_names[cable].replace("_", " "), pad=2)
+    panel.set_title(found.nominal.cable_names[cable].replace("_", " "), pad=2)
     panel.set_xlim(recording.time_s[0], recording.time_s[-1])
     panel.grid(axis="y")
 
 
-def _shown(inputs: ReportInputs) -> list[int]:
-    count = inputs.arm.cable_count
+def _shown(found: Diagnosis) -> list[int]:
+    count = found.nominal.cable_count
     if count <= MOST_CABLES:
         return list(range(count))
-    size = np.nanmean(inputs.before_n**2, axis=0)
+    size = np.nanmean(found.before_n**2, axis=0)
     return sorted(np.argsort(size)[-MOST_CABLES:].tolist())
 
 
-def _reach_n(inputs: ReportInputs) -> float:
+def _reach_n(found: Diagnosis) -> float:
     """What all panels show: nearly all, so that one stray row hides nothing."""
-    both = np.abs(np.concatenate([inputs.before_n, inputs.after_n]))
+    both = np.abs(np.concatenate([found.before_n, found.after_n]))
     known = both[np.isfinite(both)]
     largest = float(np.quantile(known, 0.999)) if known.size else 1.0
-    return 1.08 * max(largest, 4.0 * inputs.verdict.gap.floor_n, 1e-3)
+    return 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
 
 
 def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:

@@ -1,13 +1,7 @@
-"""How the pictures of a report look, and how they get into the page.
+"""The common style of pages that need nothing beside them: template, pictures and numbers.
 
 Colours are of Okabe and Ito (*Color Universal Design*, 2008); the two that carry the message also
 differ in lightness, so that they stay apart in grey print.
-
-Pages that need nothing beside them: made from a template in the common style, written whole.
-
-Numbers as a page shows them.
-
-The error of a report that cannot be written.
 """
 
 from __future__ import annotations
@@ -117,7 +111,7 @@ def page_css() -> str:
 
 
 def newtons(value: float) -> str:
-    """`3.20 N`: hundredths below 10 N, tenths above, no more than a sensor tells."""
+    """`3.20 N`: hundredths below 10 N, tenths above, no more than a sensor resolves."""
     return f"{value:.2f} N" if abs(value) < 10.0 else f"{value:.1f} N"
 
 
@@ -143,8 +137,8 @@ def with_interval(estimate: Estimate) -> tuple[str, str]:
     return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f} to {high:.{decimals}f}"
 
 
-def listed(words: list[str], last: str = "and") -> str:
+def listed(items: list[str], last: str = "and") -> str:
     """`a, b and c`."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"

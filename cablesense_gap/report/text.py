@@ -1,16 +1,11 @@
-"""The verdict in plain sentences.
-
-What to do next, as steps that someone who has never seen the tool can follow.
-
-Effects in words for people who have never seen the tool: what each is, what to look at.
-"""
+"""The verdict in plain sentences, and what to do next, for people who have never seen the tool."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
-from cablesense_gap.report.inputs import ReportInputs
+from cablesense_gap.diagnose import Diagnosis
 from cablesense_gap.report.style import listed, newtons, percent
 from cablesense_gap.residuals import EVERYWHERE
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined
@@ -30,7 +25,7 @@ def effect_advice(name: str) -> str:
 
 
 SURE = 0.9
-"""From this probability on, a verdict is said without `probably`."""
+"""From this probability on, a verdict is stated without `probably`."""
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
@@ -41,8 +36,8 @@ def headline(verdict: Verdict) -> str:
     sure, gap = percent(verdict.probability), verdict.gap
     if verdict.effects == (NONE,):
         return (
-            f"Nothing to add: the gap of {newtons(gap.before_n)} is what noise and a careful "
-            f"workshop leave ({sure} sure)."
+            f"Nothing to add: the gap of {newtons(gap.before_n)} is what noise and "
+            f"manufacturing tolerances leave ({sure} sure)."
         )
     if verdict.effects == (UNKNOWN,):
         return (
@@ -87,7 +82,7 @@ def ambiguity(verdict: Verdict) -> str:
 
 
 def cause(verdict: Verdict, effect: str) -> str:
-    """An effect in words with its places."""
+    """An effect in plain text with its places."""
     return effect_about(effect) + _at(effect_places(verdict, effect))
 
 
@@ -109,7 +104,7 @@ def all_places(verdict: Verdict) -> tuple[str, ...]:
     return (*verdict.where.cables, *verdict.where.segments, *verdict.where.joints)
 
 
-def regime_words(verdict: Verdict) -> str:
+def regime_text(verdict: Verdict) -> str:
     """A sentence on the regimes; empty where the verdict names none."""
     named = verdict.where.regimes
     if not named:
@@ -119,7 +114,7 @@ def regime_words(verdict: Verdict) -> str:
     return f"The gap is clearly larger than elsewhere here: {', '.join(named)}."
 
 
-def place_words(places: tuple[str, ...]) -> str:
+def place_text(places: tuple[str, ...]) -> str:
     """`at cables 3 and 5, on segment 2`."""
     numbers: dict[str, list[int]] = {}
     for place in places:
@@ -138,7 +133,7 @@ def candidate_name(effects: tuple[str, ...]) -> str:
 
 
 def _at(places: tuple[str, ...]) -> str:
-    return f", {place_words(places)}" if places else ""
+    return f", {place_text(places)}" if places else ""
 
 
 POOR_SHARE = 0.5
@@ -160,18 +155,18 @@ class Step:
     commands: tuple[str, ...] = ()
 
 
-def steps(inputs: ReportInputs) -> tuple[Step, ...]:
+def steps(found: Diagnosis) -> tuple[Step, ...]:
     """What to do about the verdict, the most urgent first."""
-    verdict = inputs.verdict
+    verdict = found.verdict
     if verdict.effects == (NONE,):
-        return (_keep(), *_experiment(inputs, "To be surer"))
+        return (_keep(), *_experiment(found, "To be surer"))
     if verdict.effects == (UNKNOWN,):
-        return (*_experiment(inputs, "Narrow it down"), *_look(), _own_effect())
-    use = _use_amended(inputs)
+        return (*_experiment(found, "Narrow it down"), *_look(), _own_effect())
+    use = _use_amended(found)
     doubtful = verdict.probability < SURE or ambiguity(verdict) != ""
     if doubtful or verdict.gap.removed_fraction < POOR_SHARE:
-        return (*_experiment(inputs, "First make sure"), use, *_mend(inputs))
-    return (use, *_mend(inputs), *_experiment(inputs, "To be surer still"))
+        return (*_experiment(found, "First make sure"), use, *_mend(found))
+    return (use, *_mend(found), *_experiment(found, "To be surer still"))
 
 
 def _keep() -> Step:
@@ -182,37 +177,35 @@ def _keep() -> Step:
     )
 
 
-def _use_amended(inputs: ReportInputs) -> Step:
-    name = inputs.amended_file
+def _use_amended(found: Diagnosis) -> Step:
     return Step(
-        f"Use the amended arm file {name}",
-        f"It lies beside this page: arm {inputs.arm.name} with the parameters of the table below. "
-        "Check it on a recording that was not used here, train the estimator on it, and measure "
-        "again.",
+        "Use the amended arm file arm.yaml",
+        f"It lies beside this page: arm {found.nominal.name} with the parameters of the table "
+        "below. Check it on a recording that was not used here, train the estimator on it, and "
+        "measure again.",
         (
-            f"cablesense gap predict NEW_RECORDING --arm {name} --out predicted.csv",
-            f"cablesense train --arm {name} --out amended.onnx",
+            "cablesense gap predict NEW_RECORDING --arm arm.yaml --out predicted.csv",
+            "cablesense train --arm arm.yaml --out amended.onnx",
         ),
     )
 
 
-def _mend(inputs: ReportInputs) -> tuple[Step, ...]:
+def _mend(found: Diagnosis) -> tuple[Step, ...]:
     return tuple(
-        Step(f"Or mend the arm: {cause(inputs.verdict, name)}", effect_advice(name))
-        for name in inputs.verdict.effects
+        Step(f"Or mend the arm: {cause(found.verdict, name)}", effect_advice(name))
+        for name in found.verdict.effects
         if effect_advice(name)
     )
 
 
-def _experiment(inputs: ReportInputs, title: str) -> tuple[Step, ...]:
-    verdict = inputs.verdict
+def _experiment(found: Diagnosis, title: str) -> tuple[Step, ...]:
+    verdict = found.verdict
     if not verdict.next_experiment:
         return ()
     text = verdict.next_experiment
     if verdict.effects not in ((NONE,), (UNKNOWN,)) and verdict.probability < SURE:
-        text += (
-            f" As it stands, {percent(1.0 - verdict.probability)} of the belief lies elsewhere."
-        )
+        elsewhere = percent(1.0 - verdict.probability)
+        text += f" As it stands, {elsewhere} of the probability lies elsewhere."
     return (Step(title, text, ("cablesense gap record --out next.mcap",)),)
 
 
@@ -221,8 +214,8 @@ def _look() -> tuple[Step, ...]:
         Step(
             "Do not amend the arm file",
             "The nominal arm is still the best that the library offers. The pictures below show "
-            "in which cables and regimes the gap is; look at the arm there for what rubs, gives "
-            "way, touches or comes loose.",
+            "in which cables and regimes the gap is; look at the arm there for friction, play, "
+            "contact and loose parts.",
         ),
     )
 

@@ -1,9 +1,4 @@
-"""The report: its first line says the verdict, each way out has its words, it stands alone.
-
-The verdict in words, and the numbers in it.
-
-The frame that all pages share: one style, written whole or not at all.
-"""
+"""The report: its first line is the verdict, it says what to do, and it stands alone."""
 
 from __future__ import annotations
 
@@ -18,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.report.inputs import ReportInputs
-from cablesense_gap.report.page import report_page, write_report
+from cablesense_gap.arm_simulator import amended_arm
+from cablesense_gap.diagnose import Diagnosis
+from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.style import (
     ReportError,
     listed,
@@ -33,11 +29,20 @@ from cablesense_gap.report.text import (
     ambiguity,
     effect_places,
     headline,
-    place_words,
-    regime_words,
+    place_text,
+    regime_text,
     shrinkage,
 )
-from cablesense_gap.verdict import CandidateResult, Estimate, Estimator, Where
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import (
+    CandidateResult,
+    Estimate,
+    Estimator,
+    VerdictError,
+    Where,
+    read_verdict,
+)
+from cablesense_sim.arm import load_arm
 
 pytestmark = pytest.mark.slow  # each page has five pictures to draw
 
@@ -55,20 +60,15 @@ PAYLOAD = verdict_of(
 )
 
 
-def inputs_of(verdict, **changes):
-    inputs = ReportInputs(
-        recording=SMALL,
-        arm=LAB,
-        verdict=verdict,
-        predicted_before_n=SMALL.tensions_n + NOISE - 3.0,
-        predicted_after_n=SMALL.tensions_n + NOISE,
-    )
-    return replace(inputs, **changes)
+def found(verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=()):
+    """A diagnosis with such residuals before and after, negated."""
+    before_n, after_n = recording.tensions_n + before_n, recording.tensions_n + after_n
+    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, after_n, findings)
 
 
 @pytest.fixture(scope="module")
 def html():
-    return report_page(inputs_of(PAYLOAD))
+    return report_page(found(PAYLOAD))
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +105,7 @@ def test_it_stands_alone(page):
 
 def test_none_says_to_keep_the_arm_and_shows_nothing_amended():
     verdict = verdict_of("none", 0.97, gap=gap_of(0.12, 0.12))
-    near = SMALL.tensions_n + NOISE
-    page = Page(report_page(inputs_of(verdict, predicted_before_n=near, predicted_after_n=near)))
+    page = Page(report_page(found(verdict, before_n=NOISE)))
     assert page.h1.startswith("Nothing to add")
     assert "Keep the nominal arm file" in page.text
     assert "amended" not in page.text.lower()
@@ -115,7 +114,7 @@ def test_none_says_to_keep_the_arm_and_shows_nothing_amended():
 
 def test_unknown_warns_against_amending_and_says_where():
     verdict = verdict_of("unknown", 0.7, cables=("cable_1", "cable_2"))
-    page = Page(report_page(inputs_of(verdict)))
+    page = Page(report_page(found(verdict)))
     assert page.h1 == (
         "Something that no known effect explains makes a gap of 3.00 N, at cables 1 and 2 "
         "(70 % sure)."
@@ -125,10 +124,9 @@ def test_unknown_warns_against_amending_and_says_where():
 
 
 def test_held_out_predictions_with_gaps_and_findings_are_shown_for_what_they_are():
-    held_out = SMALL.tensions_n + 2.0 * NOISE
+    held_out = 2.0 * NOISE
     held_out[SMALL.trial == 0] = np.nan
-    inputs = inputs_of(PAYLOAD, held_out_n=held_out, findings=("cable_4 <hung>",))
-    page = Page(report_page(inputs))
+    page = Page(report_page(found(PAYLOAD, after_n=held_out, findings=("cable_4 <hung>",))))
     assert "by a fit that has not seen it" in page.text
     assert "0.20 N RMS" in page.text
     assert "cable_4 <hung>" in page.text
@@ -137,16 +135,21 @@ def test_held_out_predictions_with_gaps_and_findings_are_shown_for_what_they_are
 
 def test_it_is_written_whole_small_and_the_same_each_time(tmp_path, html):
     path = tmp_path / "report.html"
-    write_report(path, inputs_of(PAYLOAD))
-    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+    write_diagnosis(tmp_path, found(PAYLOAD))
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "report.html",
+        "verdict.json",
+        "arm.yaml",
+    }
     assert path.stat().st_size < 3_000_000
     assert path.read_text(encoding="utf-8") == html
 
 
 def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("cablesense_gap.report.page.report_page", lambda _: "page")
+    (tmp_path / "report.html").mkdir()
     with pytest.raises(ReportError, match="cannot be written"):
-        write_report(tmp_path / "nowhere" / "report.html", inputs_of(PAYLOAD))
+        write_diagnosis(tmp_path, found(PAYLOAD))
 
 
 def test_readings_without_noise_can_be_shown_too():
@@ -161,9 +164,9 @@ def test_readings_without_noise_can_be_shown_too():
             )
         }
     )
-    exact = SMALL.tensions_n
-    inputs = inputs_of(verdict, predicted_before_n=exact, predicted_after_n=exact)
-    assert Page(report_page(inputs)).h1.startswith("Nothing to add: the gap of 0.00 N")
+    assert Page(report_page(found(verdict, before_n=0.0, after_n=0.0))).h1.startswith(
+        "Nothing to add: the gap of 0.00 N"
+    )
 
 
 def test_a_long_recording_is_drawn_small_and_soon():
@@ -173,16 +176,14 @@ def test_a_long_recording_is_drawn_small_and_soon():
         time_s=np.arange(times * len(SMALL)) / 5.0,
     )
     noise = np.tile(NOISE, (times, 1))
-    html = report_page(
-        ReportInputs(many, LAB, PAYLOAD, many.tensions_n + noise + 1.0, many.tensions_n + noise)
-    )
+    html = report_page(found(PAYLOAD, many, noise + 1.0, noise))
     assert len(html) < 3_000_000
     assert f"{len(many):,} rows" in html
 
 
 def test_a_number_of_the_only_place_is_shown_with_that_place():
     alone = {"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))}
-    page = report_page(inputs_of(PAYLOAD.model_copy(update={"parameters": alone})))
+    page = report_page(found(PAYLOAD.model_copy(update={"parameters": alone})))
     assert "<td>segment 2</td><td>mass_kg</td>" in page
 
 
@@ -246,16 +247,16 @@ def test_how_far_the_gap_shrinks_is_said(effects, after_n, words):
 
 def test_regimes_are_said():
     verdict = verdict_of("payload")
-    assert regime_words(verdict) == ""
+    assert regime_text(verdict) == ""
     for regimes, words in (
         (("everywhere alike",), "alike whatever the arm does"),
         (("moving", "bent poses"), "here: moving, bent poses."),
     ):
-        assert words in regime_words(verdict.model_copy(update={"where": Where(regimes=regimes)}))
+        assert words in regime_text(verdict.model_copy(update={"where": Where(regimes=regimes)}))
 
 
 def test_places_are_gathered_by_kind():
-    assert place_words(("cable_12", "cable_3", "joint_1")) == "at cables 3 and 12, in joint 1"
+    assert place_text(("cable_12", "cable_3", "joint_1")) == "at cables 3 and 12, in joint 1"
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert listed([]) == ""
 
@@ -291,3 +292,23 @@ def test_the_style_is_in_every_page():
     content |= {"with_paper": {}, "otherwise": {"yes": 0}}
     page = rendered("cablesense_paper", "paper.html", content, {"figure": str})
     assert page_css() in page
+
+
+def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
+    folder = tmp_path / "new" / "diagnosis"
+    heavier = amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {})
+    diagnosis = replace(found(PAYLOAD, findings=("cable_3 stands still",)), amended=heavier)
+    write_diagnosis(folder, diagnosis)
+    assert read_verdict(folder / "verdict.json") == PAYLOAD
+    assert load_arm(folder / "arm.yaml") == heavier
+    headline = (folder / "arm.yaml").read_text(encoding="utf-8").splitlines()[0]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert headline.removeprefix("# ") in page
+    assert "cable_3 stands still" in page
+
+
+def test_a_folder_that_cannot_be_made_is_refused_in_a_line(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(VerdictError, match="cannot be made") as refused:
+        write_diagnosis(tmp_path / "file" / "diagnosis", found(PAYLOAD))
+    assert "\n" not in str(refused.value)

@@ -15,7 +15,6 @@ import json
 
 import numpy as np
 import pytest
-from gap_recordings import LAB, small_recording
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
@@ -23,9 +22,6 @@ from typer.testing import CliRunner
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_cli.app import app
-from cablesense_gap.arm_simulator import amended_arm
-from cablesense_gap.diagnose import Diagnosis
-from cablesense_gap.report.page import write_diagnosis
 from cablesense_gap.scoring import (
     Answer,
     Proportion,
@@ -36,9 +32,7 @@ from cablesense_gap.scoring import (
     reliability,
     score,
 )
-from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import VerdictError, read_verdict, write_verdict
-from cablesense_sim.arm import load_arm
+from cablesense_gap.verdict import VerdictError, write_verdict
 
 HEADER = "recording,effects,where\n"
 
@@ -299,34 +293,3 @@ def test_an_answer_without_a_verdict_is_refused():
         score(VERDICTS, [answer("z", "none")])
     with pytest.raises(ScoreError, match="no answers"):
         score(VERDICTS, [])
-
-
-RECORDING = small_recording()
-FOUND = Diagnosis(
-    verdict=verdict_of("payload", 0.95, segments=("segment_2",)),
-    amended=amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {}),
-    predicted_before_n=RECORDING.tensions_n - 3.0,
-    predicted_after_n=RECORDING.tensions_n + 0.2,
-    held_out_n=RECORDING.tensions_n + 0.2,
-    findings=("cable_3 stands still",),
-)
-
-
-@pytest.mark.slow  # the report's pictures
-def test_it_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
-    folder = tmp_path / "new" / "diagnosis"
-    write_diagnosis(folder, RECORDING, LAB, FOUND)
-    assert {path.name for path in folder.iterdir()} == {"verdict.json", "arm.yaml", "report.html"}
-    assert read_verdict(folder / "verdict.json") == FOUND.verdict
-    assert load_arm(folder / "arm.yaml") == FOUND.amended
-    headline = (folder / "arm.yaml").read_text(encoding="utf-8").splitlines()[0]
-    page = (folder / "report.html").read_text(encoding="utf-8")
-    assert headline.removeprefix("# ") in page
-    assert "cable_3 stands still" in page
-
-
-def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path):
-    (tmp_path / "file").write_text("no folder")
-    with pytest.raises(VerdictError, match="cannot be made") as told:
-        write_diagnosis(tmp_path / "file" / "diagnosis", RECORDING, LAB, FOUND)
-    assert "\n" not in str(told.value)
