@@ -1,27 +1,19 @@
-"""All checks of a recording, as one report.
-
-Whether a recording can be one of its arm at all: shapes, numbers, time, trials and labels.
-
-A recording by its path, whatever its format.
-"""
+"""A recording read by its path, and whether it can be used: shapes, numbers, labels, channels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from cablesense_base.arrays import Array
 from cablesense_gap.recordings import csv_file
-from cablesense_gap.recordings.channel_checks import (
-    Finding,
-    RecordingReport,
-    Severity,
-    channel_findings,
-    refuse,
-    warn,
-)
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_gap.recordings.mcap_file import is_bag, read_mcap
 from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
@@ -30,207 +22,75 @@ from cablesense_msgs_py.wrenches import MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-
-FASTEST_RAD_S = float(np.deg2rad(40.0))
-"""Twice the speed at which arms approach a command; a faster command is a jump."""
-GAP_INTERVALS = 10.0
-
-
-def form_findings(recording: Recording, arm: Arm) -> list[Finding]:
-    """What is wrong with shapes, numbers, time and labels; later checks wait for earlier ones."""
-    for check in (_shapes, _numbers, _content):
-        findings = list(check(recording, arm))
-        if findings:
-            return findings
-    return []
-
-
-def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    rows, cables, joints = len(recording), arm.cable_count, arm.joint_count
-    if rows == 0:
-        yield refuse("rows", "has no rows; it must have one per sample")
-    if recording.tensions_n.shape[1:] != (cables,):
-        yield refuse(
-            "cables",
-            f"has {recording.tensions_n.shape[-1]} tensions a row; arm {arm.name} has {cables} "
-            "cables",
-        )
-    if recording.command_rad.shape[1:] != (joints,):
-        yield refuse(
-            "joints",
-            f"has {recording.command_rad.shape[-1]} commanded angles a row; arm {arm.name} has "
-            f"{joints}, pitch and yaw of each joint",
-        )
-
-
-def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    named = {
-        csv_file.TIME: recording.time_s,
-        **dict(
-            zip(csv_file.command_columns(arm.joint_count), recording.command_rad.T, strict=True)
-        ),
-        **dict(zip(csv_file.LOAD, recording.load_n.T, strict=True)),
-        **dict(
-            zip(csv_file.tension_columns(arm.cable_count), recording.tensions_n.T, strict=True)
-        ),
-    }
-    for name, values in named.items():
-        wrong = ~np.isfinite(values)
-        if wrong.any():
-            yield refuse(
-                "numbers",
-                f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "
-                "number: leave out rows that lack one",
-            )
-
-
-def _content(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    yield from _time(recording)
-    yield from _labels(recording, arm)
-    yield from _angles(recording, arm)
-
-
-def _time(recording: Recording) -> Iterator[Finding]:
-    steps = np.diff(recording.time_s)
-    back = np.concatenate([[False], steps <= 0.0])
-    if back.any():
-        yield refuse(
-            "time",
-            f"{csv_file.TIME} does not go on in {rows_named(back)}; each row must be later than "
-            "the one before: sort the rows, and leave out those that stand twice",
-        )
-        return
-    within = steps[np.diff(recording.trial) == 0]
-    if within.size:
-        usual = float(np.median(within))
-        gap = np.concatenate([[False], (steps > GAP_INTERVALS * usual)])
-        gap[1:] &= np.diff(recording.trial) == 0
-        if gap.any():
-            yield warn(
-                "gap",
-                f"{csv_file.TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
-                f"{rows_named(gap)}, where {usual:.3g} s is usual; a break ends a trial",
-            )
-    starts = np.concatenate([[True], np.diff(recording.trial) != 0])
-    numbers, counts = np.unique(recording.trial[starts], return_counts=True)
-    if (counts > 1).any():
-        yield warn(
-            "trial",
-            f"trial {numbers[counts > 1][0]} comes back after another one; a trial is one block "
-            "of rows with a number of its own",
-        )
-
-
-def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    segment = recording.load_segment
-    loaded = (recording.load_n != 0.0).any(axis=1)
-    outside = (segment < 0) | (segment > arm.segment_count)
-    if outside.any():
-        yield refuse(
-            "segment",
-            f"{csv_file.LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
-            f"be from 1 to {arm.segment_count}, or 0 without a load",
-        )
-    unnamed = loaded & (segment == 0)
-    if unnamed.any():
-        yield refuse(
-            "label",
-            f"a load stands in {rows_named(unnamed)} beside {csv_file.LOAD_SEGMENT} 0; name the "
-            "segment it acts on, or give 0 N",
-        )
-    bare = ~loaded & (segment > 0)
-    if bare.any():
-        yield warn(
-            "label",
-            f"{csv_file.LOAD_SEGMENT} names a segment beside a load of 0 N in {rows_named(bare)}; "
-            "0 is right there, unless a load was forgotten",
-        )
-    huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
-    if huge.any():
-        yield refuse(
-            "load",
-            f"the load is over {MAX_LOAD_N:g} N in {rows_named(huge)}; loads are in N",
-        )
-
-
-def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    command = recording.command_rad
-    far = np.asarray((np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1))
-    if far.any():
-        yield refuse(
-            "degrees",
-            f"a commanded angle is {np.abs(command).max():.4g} rad in {rows_named(far)}; angles "
-            "are in rad, and these look like degrees",
-        )
-        return
-    limit = mechanism_of(arm).bend_limit_rad
-    bent = (kinematics.bend_rad(command) >= limit).any(axis=1)
-    if bent.any():
-        yield refuse(
-            "bend",
-            f"the command bends a joint so far in {rows_named(bent)} that guide plates meet, at "
-            f"{np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
-        )
-    moved_rad = np.abs(np.diff(command, axis=0)).max(axis=1)
-    fast = moved_rad > FASTEST_RAD_S * np.diff(recording.time_s)
-    # over a break between trials the arm had all the time it needed
-    jump = np.concatenate([[False], fast & (np.diff(recording.trial) == 0)])
-    if jump.any():
-        yield warn(
-            "jump",
-            f"the command jumps in {rows_named(jump)}, and the arm follows later; send a move in "
-            "small steps, or leave out the rows until the arm is there",
-        )
-
+from cablesense_sim.sensors import reading_variance_n2
 
 FEWEST_ROWS, FEWEST_TRIALS = 6, 2
 """Below these nothing can be held out."""
 GOOD_ROWS, GOOD_TRIALS = 200, 8
 
+_FASTEST_RAD_S = float(np.deg2rad(40.0))
+"""Twice the speed at which arms approach a command; a faster command is a jump."""
+_GAP_INTERVALS = 10.0
+_MOVED_FLOORS = 50.0
+"""A cable whose prediction varies by this many noise floors must show it."""
+_STUCK_TRIALS = 3
+_SATURATED_RUNS = 3
+_LEAST_CORRELATION = 0.5
+"""No effect turns the responses of half the cables further away from the prediction than this."""
+_SCALES = (0.2, 5.0)
+"""Nor does any scale them by more."""
+_BETTER = 0.4
+"""A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
-def check_recording(
-    recording: Recording, arm: Arm, nominal_n: Array | None = None
-) -> RecordingReport:
-    """What is wrong with a recording that is to be diagnosed, the worst first.
 
-    Args:
-        recording: as read, or made.
-        arm: the nominal arm.
-        nominal_n: (R, M) tensions that the nominal arm predicts for the rows. Without them nothing
-            is said of exchanged channels and other arms.
+class Severity(StrEnum):
+    """Whether a recording can still be used."""
+
+    WARN = "warn"
+    REFUSE = "refuse"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One problem of a recording.
+
+    Attributes:
+        severity: whether it rules the recording out.
+        kind: one word for programs, such as `time` or `swapped`.
+        text: what, where (rows from 1, columns by name) and what would be right.
     """
-    findings = form_findings(recording, arm)
-    if all(finding.severity is not Severity.REFUSE for finding in findings):
-        findings += _amount(recording)
-        findings += channel_findings(recording, arm, nominal_n)
-    ordered = sorted(findings, key=lambda finding: finding.severity is not Severity.REFUSE)
-    return RecordingReport(recording.name, tuple(ordered))
+
+    severity: Severity
+    kind: str
+    text: str
 
 
-def check_form(recording: Recording, arm: Arm) -> RecordingReport:
-    """What is wrong with a recording by itself, whatever it is for: shapes, numbers, labels."""
-    return RecordingReport(recording.name, tuple(form_findings(recording, arm)))
+@dataclass(frozen=True)
+class RecordingReport:
+    """All that was found in a recording, the worst first."""
 
+    name: str
+    findings: tuple[Finding, ...]
 
-def _amount(recording: Recording) -> list[Finding]:
-    rows, trials = len(recording), len(np.unique(recording.trial))
-    if rows < FEWEST_ROWS or trials < FEWEST_TRIALS:
-        return [
-            refuse(
-                "amount",
-                f"has {rows} rows in {trials} trials; a diagnosis needs at least {FEWEST_ROWS} "
-                f"rows in {FEWEST_TRIALS} trials, since it judges on trials it has not seen",
-            )
-        ]
-    if rows < GOOD_ROWS or trials < GOOD_TRIALS:
-        return [
-            warn(
-                "amount",
-                f"has only {rows} rows in {trials} trials; `cablesense gap protocol` says what to "
-                "record so that effects can be told apart",
-            )
-        ]
-    return []
+    @property
+    def usable(self) -> bool:
+        """Whether nothing rules it out."""
+        return all(finding.severity is not Severity.REFUSE for finding in self.findings)
+
+    def of_kind(self, kind: str) -> tuple[Finding, ...]:
+        """The findings of a kind."""
+        return tuple(finding for finding in self.findings if finding.kind == kind)
+
+    def raise_if_unusable(self) -> None:
+        """Nothing, where the recording can be used.
+
+        Raises:
+            RecordingError: the first reason that rules it out, and how many more there are.
+        """
+        refusals = [f.text for f in self.findings if f.severity is Severity.REFUSE]
+        if refusals:
+            more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
+            raise RecordingError(f"{self.name}: {refusals[0]}{more}")
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
@@ -250,3 +110,318 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         )
     check_form(recording, arm).raise_if_unusable()
     return recording
+
+
+def check_form(recording: Recording, arm: Arm) -> RecordingReport:
+    """Problems of a recording by itself, whatever it is for: shapes, numbers, time, labels."""
+    return RecordingReport(recording.name, _form(recording, arm))
+
+
+def check_recording(
+    recording: Recording, arm: Arm, nominal_n: Array | None = None
+) -> RecordingReport:
+    """Problems of a recording that is to be diagnosed, the worst first.
+
+    Args:
+        recording: as read, or made.
+        arm: the nominal arm.
+        nominal_n: (R, M) tensions that the nominal arm predicts for the rows. Exchanged channels
+            and other arms can only be found with them.
+    """
+    report = check_form(recording, arm)
+    if not report.usable:
+        return report
+    found = [*report.findings, *_amount(recording), *channel_findings(recording, arm, nominal_n)]
+    return RecordingReport(recording.name, _worst_first(found))
+
+
+def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) -> list[Finding]:
+    """Problems of the channels: saturated, stuck, of other cables or another arm.
+
+    Without a nominal prediction (R, M) only constant and saturated ones can be found.
+    """
+    read = recording.tensions_n
+    findings = [*_at_range_ends(read, arm), *_constant(recording)]
+    if nominal_n is None:
+        return findings
+    moved_n = _MOVED_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors)))
+    predicted = np.ptp(nominal_n, axis=0) > moved_n
+    if predicted.sum() < 2:
+        return findings
+    cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
+    own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
+    if len(cables) >= 2:
+        swapped = list(_swapped(own, expected, cables))
+        if swapped:  # other findings would be of the wrong channels
+            return [*findings, *swapped]
+    findings += _stuck(recording, nominal_n, moved_n)
+    return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
+
+
+def _refuse(kind: str, text: str) -> Finding:
+    return Finding(Severity.REFUSE, kind, text)
+
+
+def _warn(kind: str, text: str) -> Finding:
+    return Finding(Severity.WARN, kind, text)
+
+
+def _worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
+    return tuple(sorted(findings, key=lambda finding: finding.severity is not Severity.REFUSE))
+
+
+def _form(recording: Recording, arm: Arm) -> tuple[Finding, ...]:
+    """Later checks wait for earlier ones."""
+    for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
+        findings = [finding for check in checks for finding in check(recording, arm)]
+        if findings:
+            return _worst_first(findings)
+    return ()
+
+
+def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    rows, cables, joints = len(recording), arm.cable_count, arm.joint_count
+    if rows == 0:
+        yield _refuse("rows", "has no rows; it must have one per sample")
+    if recording.tensions_n.shape[1:] != (cables,):
+        yield _refuse(
+            "cables",
+            f"has {recording.tensions_n.shape[-1]} tensions a row; arm {arm.name} has {cables} "
+            "cables",
+        )
+    if recording.command_rad.shape[1:] != (joints,):
+        yield _refuse(
+            "joints",
+            f"has {recording.command_rad.shape[-1]} commanded angles a row; arm {arm.name} has "
+            f"{joints}, pitch and yaw of each joint",
+        )
+
+
+def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    columns = [recording.time_s, *recording.command_rad.T, *recording.load_n.T]
+    names = [csv_file.TIME, *csv_file.command_columns(arm.joint_count), *csv_file.LOAD]
+    names += csv_file.tension_columns(arm.cable_count)
+    for name, values in zip(names, [*columns, *recording.tensions_n.T], strict=True):
+        wrong = ~np.isfinite(values)
+        if wrong.any():
+            yield _refuse(
+                "numbers",
+                f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "
+                "number: leave out rows that lack one",
+            )
+
+
+def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    del arm
+    steps, same_trial = np.diff(recording.time_s), np.diff(recording.trial) == 0
+    back = _later_rows(steps <= 0.0)
+    if back.any():
+        yield _refuse(
+            "time",
+            f"{csv_file.TIME} does not go on in {rows_named(back)}; each row must be later than "
+            "the one before: sort the rows, and leave out those that stand twice",
+        )
+        return
+    within = steps[same_trial]
+    if within.size:
+        usual = float(np.median(within))
+        gap = _later_rows((steps > _GAP_INTERVALS * usual) & same_trial)
+        if gap.any():
+            yield _warn(
+                "gap",
+                f"{csv_file.TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
+                f"{rows_named(gap)}, where {usual:.3g} s is usual; a break ends a trial",
+            )
+    starts = np.concatenate([[True], ~same_trial])
+    numbers, counts = np.unique(recording.trial[starts], return_counts=True)
+    if (counts > 1).any():
+        yield _warn(
+            "trial",
+            f"trial {numbers[counts > 1][0]} comes back after another one; a trial is one block "
+            "of rows with a number of its own",
+        )
+
+
+def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    segment = recording.load_segment
+    loaded = (recording.load_n != 0.0).any(axis=1)
+    outside = (segment < 0) | (segment > arm.segment_count)
+    if outside.any():
+        yield _refuse(
+            "segment",
+            f"{csv_file.LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
+            f"be from 1 to {arm.segment_count}, or 0 without a load",
+        )
+    unnamed = loaded & (segment == 0)
+    if unnamed.any():
+        yield _refuse(
+            "label",
+            f"a load stands in {rows_named(unnamed)} beside {csv_file.LOAD_SEGMENT} 0; name the "
+            "segment it acts on, or give 0 N",
+        )
+    bare = ~loaded & (segment > 0)
+    if bare.any():
+        yield _warn(
+            "label",
+            f"{csv_file.LOAD_SEGMENT} names a segment beside a load of 0 N in {rows_named(bare)}; "
+            "0 is right there, unless a load was forgotten",
+        )
+    huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
+    if huge.any():
+        yield _refuse(
+            "load", f"the load is over {MAX_LOAD_N:g} N in {rows_named(huge)}; loads are in N"
+        )
+
+
+def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    command = recording.command_rad
+    far = np.asarray((np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1))
+    if far.any():
+        yield _refuse(
+            "degrees",
+            f"a commanded angle is {np.abs(command).max():.4g} rad in {rows_named(far)}; angles "
+            "are in rad, and these seem to be degrees",
+        )
+        return
+    limit = mechanism_of(arm).bend_limit_rad
+    bent = (kinematics.bend_rad(command) >= limit).any(axis=1)
+    if bent.any():
+        yield _refuse(
+            "bend",
+            f"the command bends a joint so far in {rows_named(bent)} that guide plates meet, at "
+            f"{np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
+        )
+    moved_rad = np.abs(np.diff(command, axis=0)).max(axis=1)
+    fast = moved_rad > _FASTEST_RAD_S * np.diff(recording.time_s)
+    # over a break between trials the arm had all the time it needed
+    jump = _later_rows(fast & (np.diff(recording.trial) == 0))
+    if jump.any():
+        yield _warn(
+            "jump",
+            f"the command jumps in {rows_named(jump)}, and the arm follows later; send a move in "
+            "small steps, or leave out the rows until the arm is there",
+        )
+
+
+def _later_rows(steps: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(R,) the rows to which marked steps (R - 1,) lead."""
+    return np.concatenate([[False], steps])
+
+
+def _amount(recording: Recording) -> Iterator[Finding]:
+    rows, trials = len(recording), len(np.unique(recording.trial))
+    if rows < FEWEST_ROWS or trials < FEWEST_TRIALS:
+        yield _refuse(
+            "amount",
+            f"has {rows} rows in {trials} trials; a diagnosis needs at least {FEWEST_ROWS} "
+            f"rows in {FEWEST_TRIALS} trials, since it judges on trials it has not seen",
+        )
+    elif rows < GOOD_ROWS or trials < GOOD_TRIALS:
+        yield _warn(
+            "amount",
+            f"has only {rows} rows in {trials} trials; `cablesense gap protocol` lists what to "
+            "record so that effects can be told apart",
+        )
+
+
+def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
+    if arm.sensors.range_n is None:
+        return
+    low, high = arm.sensors.range_n
+    tolerance = 0.5 * arm.sensors.step_n
+    for cable, values in enumerate(read.T, start=1):
+        for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
+            if end.any():
+                yield _warn(
+                    "saturated",
+                    f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "
+                    f"{rows_named(end)}; load less, or widen the range",
+                )
+
+
+def _constant(recording: Recording) -> Iterator[Finding]:
+    if not (np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any()):
+        return
+    for cable, values in enumerate(recording.tensions_n.T, start=1):
+        if np.ptp(values) == 0.0:
+            yield _warn(
+                "stuck",
+                f"tension_{cable}_n is {values[0]:g} N in every row, whatever loads and poses; "
+                "see whether its sensor is connected",
+            )
+
+
+def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[Finding]:
+    """Channels that stop at one value while the prediction moves on.
+
+    Friction and slack hold a tension as well, but not from one trial to the next, as a dead
+    channel does, nor at the same maximum in one cycle of loads after another.
+    """
+    channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
+    for cable, (values, predicted) in enumerate(channels, start=1):
+        if np.ptp(values) == 0.0:  # found by `_constant`
+            continue
+        edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
+        runs = [slice(start, end) for start, end in pairwise(edges)]
+        longest = max(runs, key=lambda run: run.stop - run.start)
+        trials = len(np.unique(recording.trial[longest]))
+        if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
+            yield _warn(
+                "stuck",
+                f"tension_{cable}_n stands still in rows {longest.start + 1} to {longest.stop}, "
+                "while loads or poses change; see whether its sensor is connected",
+            )
+            continue
+        tops = [
+            run for run in runs if values[run.start] == values.max() and run.stop - run.start >= 3
+        ]
+        at_top = np.concatenate([predicted[run] for run in tops]) if tops else np.zeros(1)
+        if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
+            yield _warn(
+                "saturated",
+                f"tension_{cable}_n does not exceed {values.max():g} N in "
+                f"{rows_named(values == values.max())}, while the load on it goes on; load less, "
+                "or give the sensors' range_n in the arm file",
+            )
+
+
+def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterator[Finding]:
+    """Channels that another cable's prediction explains better, if all fit an exchange.
+
+    `own` and `predicted` (R, C) are of the C `cables`, less their means.
+    """
+    left_n = np.sqrt(((own[:, :, None] - predicted[:, None, :]) ** 2).mean(axis=0))
+    channel, cable = linear_sum_assignment(left_n)
+    moved = channel != cable
+    better = left_n[channel, cable] < _BETTER * left_n[channel, channel]
+    pairs = [
+        f"tension_{cables[i] + 1}_n reads cable_{cables[j] + 1}"
+        for i, j in zip(channel[moved & better], cable[moved & better], strict=True)
+    ]
+    if pairs and (better | ~moved).all():
+        yield _warn(
+            "swapped",
+            f"{', '.join(pairs)}, by all that loads and poses do to it; see whether the plugs or "
+            "the columns are exchanged",
+        )
+
+
+def _foreign(own: Array, predicted: Array, arm: Arm) -> Iterator[Finding]:
+    """Tensions of another arm, or in another unit; as `_swapped`."""
+    product, power = (own * predicted).sum(axis=0), (predicted**2).sum(axis=0)
+    correlation = np.median(product / np.sqrt((own**2).sum(axis=0) * power))
+    if correlation < _LEAST_CORRELATION:
+        yield _refuse(
+            "arm",
+            f"the tensions do not follow loads and poses as arm {arm.name} does (correlation "
+            f"{correlation:.2f}); give the arm file of this arm, and see that axes and signs of "
+            "loads and joints are those of the base frame",
+        )
+        return
+    scale = np.median(product / power)
+    if not _SCALES[0] <= scale <= _SCALES[1]:
+        yield _refuse(
+            "unit",
+            f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; they and "
+            "the loads must be in N",
+        )

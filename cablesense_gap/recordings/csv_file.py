@@ -1,7 +1,4 @@
-"""Recordings as CSV: one row a sample, columns named with their units (docs/recordings.md).
-
-The columns of a recording as a table: their names, and how many decimals each is written to.
-"""
+"""Recordings as CSV: one row a sample, columns named with their units (docs/recordings.md)."""
 
 from __future__ import annotations
 

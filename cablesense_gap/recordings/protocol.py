@@ -8,16 +8,12 @@ What each part is for:
 - slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
   how the others share pretension and weight; no taut cable tells these apart as well;
 - pose sweeps: weight and level of the base against the springs of the joints, friction of joints
-  and guides; each joint alone, and all at once so that every joint's answer is in several trials;
+  and guides; each joint alone, and all at once so that every joint's response is in several trials;
 - small reversals: the lost motion of actuators, which larger motion hides;
 - a long hold, then a long release: creep, which a load starts and its end turns back, against
   drift, which does neither;
-- steps: what the sensors' filters take to follow;
+- steps: the lag of the sensors' filters;
 - one rest pose at the start, in the middle and at the end: zeros and pretension, and their drift.
-
-A block of a protocol: one thing done to the arm without a break, recorded as one trial.
-
-How strong a protocol's loads are: all cables taut, or some slack and the arm still safe.
 """
 
 from __future__ import annotations
@@ -38,6 +34,36 @@ from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.sensors import reading_variance_n2
 
+STRONGEST_N = 60.0
+"""What a person hangs on an arm or pulls over a pulley without a crane."""
+DIRECTIONS: dict[str, tuple[float, float, float]] = {
+    "down": (0.0, 0.0, -1.0),
+    "to the left": (0.0, 1.0, 0.0),
+    "to the right": (0.0, -1.0, 0.0),
+    "up and to the right": (0.0, -(0.5**0.5), 0.5**0.5),
+    "down and to the left": (0.0, 0.5**0.5, -(0.5**0.5)),
+    "down and to the right": (0.0, -(0.5**0.5), -(0.5**0.5)),
+}
+"""Unit vectors of the base frame, as someone sees them who looks along the arm from its base."""
+
+_LOAD_STEPS = 30
+"""Loads are whole multiples of the strongest by this, so that they can be set by hand."""
+_TAUT_SHARE = 0.1
+"""Cables keep this share of their pretension, so that manufacturing tolerances leave them taut."""
+_BEYOND_SLACK, _REST_MARGIN = 1.5, 1.3
+_RANGE_SHARE = 0.9
+_WORTH_FLOORS = 20.0
+
+_STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
+_SLACKENING_SIDES = ("down", "to the right")
+_LEVELS = (0.25, 0.5, 0.75, 1.0)
+_LEVEL_S = 1.0
+_SPEED_RAD_S = float(np.deg2rad(5.0))
+_LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
+_SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
+_HOLD_S, _RELEASE_S = 40.0, 20.0
+_REST_S = 5.0
+
 
 class BlockKind(StrEnum):
     """What is done in a block."""
@@ -54,9 +80,10 @@ class BlockKind(StrEnum):
 
 @dataclass(frozen=True)
 class Block:
-    """Commands and a load on one segment over time, straight lines between knots.
+    """One thing done to the arm without a break, recorded as one trial.
 
-    Two knots at one time are a step; what holds from then on is the second.
+    Commands and a load on one segment over time are straight lines between knots. Two knots at one
+    time are a step; from then on the second holds.
 
     Attributes:
         kind: what is done.
@@ -79,17 +106,6 @@ class Block:
         """How long it takes."""
         return float(self.knots_s[-1])
 
-    @property
-    def peak_n(self) -> float:
-        """Magnitude of the strongest load."""
-        return float(np.linalg.norm(self.loads_n, axis=-1).max())
-
-    def at(self, time_s: Array) -> tuple[Array, Array]:
-        """Commands (R, 2N) and loads (R, 3) at times (R,) since the block began."""
-        return _between(time_s, self.knots_s, self.commands_rad), _between(
-            time_s, self.knots_s, self.loads_n
-        )
-
 
 class ProtocolRows(NamedTuple):
     """What a recording of a protocol has beside tensions; arrays as in `Recording`."""
@@ -101,49 +117,87 @@ class ProtocolRows(NamedTuple):
     load_n: Array
 
 
+def standard_protocol(arm: Arm) -> tuple[Block, ...]:
+    """The blocks to record on an arm, in their order; about eight minutes for four segments.
+
+    Loads are as strong as leaves every cable of the nominal arm taut (`bearable_load_n`), but for
+    slackening cycles; poses are as bent as its guide plates and cables allow.
+
+    Raises:
+        EquilibriumError: the nominal arm finds no rest.
+    """
+    straight = np.zeros(arm.joint_count)
+    reach_rad = _reach_rad(arm)
+    bent = reach_rad * _pattern(arm.joint_count)
+    tip = arm.segment_count
+    segments = range(1, tip + 1)
+    first, second = "first bent pose", "second bent pose"
+    return (
+        _rest(straight, "straight, at the start"),
+        *(
+            _cycle(arm, straight, n, side, "straight")
+            for n in segments
+            for side in _STRAIGHT_SIDES
+        ),
+        *(_slackening(arm, straight, tip, side, "straight") for side in _SLACKENING_SIDES),
+        _steps(arm, straight, tip, "to the left", "straight"),
+        _rest(straight, "straight, in the middle"),
+        *_single_sweeps(arm, reach_rad),
+        _joint_sweep(arm.joint_count, reach_rad, 1.0),
+        _reversals(straight, "straight"),
+        _move(straight, bent, f"to the {first}"),
+        *(_slackening(arm, bent, n, "down and to the left", first) for n in segments),
+        _hold(arm, bent, tip, "down and to the right", first),
+        _steps(arm, bent, 1, "down", first),
+        _reversals(bent, first),
+        _move(bent, -bent, f"to the {second}, the mirror of the first"),
+        *(_slackening(arm, -bent, n, "down and to the right", second) for n in segments),
+        _move(-bent, straight, "back to straight"),
+        _joint_sweep(arm.joint_count, reach_rad, -1.0),
+        _rest(straight, "straight, at the end"),
+    )
+
+
+def protocol_rows(
+    arm: Arm, blocks: tuple[Block, ...], rate_hz: float | None = None
+) -> ProtocolRows:
+    """The blocks as rows at `rate_hz`, by default that of the arm's sensors."""
+    return rows_of(blocks, arm.sensors.rate_hz if rate_hz is None else rate_hz)
+
+
 def rows_of(blocks: tuple[Block, ...], rate_hz: float) -> ProtocolRows:
     """One row every 1 / `rate_hz`, block after block, each a trial of its own."""
     counts = [max(1, round(block.duration_s * rate_hz)) for block in blocks]
-    sampled = [
-        block.at(np.arange(count) / rate_hz) for block, count in zip(blocks, counts, strict=True)
+    times = [np.arange(count) / rate_hz for count in counts]
+    commands = [
+        _between(at, block.knots_s, block.commands_rad)
+        for at, block in zip(times, blocks, strict=True)
     ]
-    load_n = np.concatenate([load for _, load in sampled])
+    loads = [
+        _between(at, block.knots_s, block.loads_n) for at, block in zip(times, blocks, strict=True)
+    ]
+    load_n = np.concatenate(loads)
     segment = np.repeat([block.segment for block in blocks], counts)
     return ProtocolRows(
         time_s=np.arange(sum(counts)) / rate_hz,
         trial=np.repeat(np.arange(len(blocks)), counts),
-        command_rad=np.concatenate([command for command, _ in sampled]),
+        command_rad=np.concatenate(commands),
         load_segment=np.where((load_n != 0.0).any(axis=1), segment, 0),
         load_n=load_n,
     )
 
 
-def _between(time_s: Array, knots_s: Array, values: Array) -> Array:
-    return np.stack([np.interp(time_s, knots_s, column) for column in values.T], axis=-1)
-
-
-STRONGEST_N = 60.0
-"""What a person hangs on an arm or pulls over a pulley without a crane."""
-STEP_N = 2.0
-"""Loads are whole multiples of this, so that a quarter of one can still be set by hand."""
-_TAUT_SHARE = 0.1
-"""Cables keep this share of their pretension, so that workshop scatter leaves them taut too."""
-BEYOND_SLACK, REST_MARGIN = 1.5, 1.3
-_RANGE_SHARE = 0.9
-_WORTH_FLOORS = 20.0
-
-
 def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
-    A multiple of `STEP_N`, at most `STRONGEST_N`. Where no force that shows (20 noise floors in
-    some cable) leaves all cables taut, the weakest that shows.
+    A multiple of a step, at most 30 of them (`_step_n`). Where no force that shows (20 noise floors
+    in some cable) leaves all cables taut, the weakest that shows.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism = mechanism_of(arm)
-    magnitude_n = np.arange(0.0, STRONGEST_N + STEP_N, STEP_N)
+    mechanism, step_n = mechanism_of(arm), _step_n(arm)
+    magnitude_n = np.arange(0.0, _LOAD_STEPS * step_n + step_n, step_n)
     tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
     unloaded = tensions[0]
     least = np.minimum(_TAUT_SHARE * mechanism.pretension_n, 0.5 * unloaded)
@@ -159,22 +213,36 @@ def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Arr
 
     Half as strong again as the weakest that does, and never so strong that the nominal arm would
     be without a rest at 1.3 times the force, or a sensor near the end of its range. Where there is
-    none up to `STRONGEST_N`, the force of `bearable_load_n`.
+    none up to the strongest load, the force of `bearable_load_n`.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism = mechanism_of(arm)
-    magnitude_n = np.arange(0.0, REST_MARGIN * STRONGEST_N + STEP_N, STEP_N)
+    mechanism, step_n = mechanism_of(arm), _step_n(arm)
+    strongest_n = _LOAD_STEPS * step_n
+    magnitude_n = np.arange(0.0, _REST_MARGIN * strongest_n + step_n, step_n)
     tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
     slack = (tensions <= 0.0).any(axis=1)
     weakest_n = float(magnitude_n[np.argmax(slack)])
-    safe_n = float(magnitude_n[len(tensions) - 1]) / REST_MARGIN
+    safe_n = float(magnitude_n[len(tensions) - 1]) / _REST_MARGIN
     readable_n = float(magnitude_n[_last_in_row(_readable(arm, tensions))])
-    wanted_n = min(STRONGEST_N, BEYOND_SLACK * weakest_n, safe_n, readable_n) // STEP_N * STEP_N
+    wanted_n = min(strongest_n, _BEYOND_SLACK * weakest_n, safe_n, readable_n) // step_n * step_n
     if not slack.any() or wanted_n <= weakest_n:
         return bearable_load_n(arm, command_rad, segment, direction)
     return wanted_n
+
+
+def _step_n(arm: Arm) -> float:
+    """A thirtieth of the strongest load: 2 N, or on a weak arm less, by 1, 2 or 5 times 10^k N.
+
+    The strongest is at most three times the moment of the pretension about the axis, by the reach.
+    """
+    mechanism = mechanism_of(arm)
+    radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
+    moment_nm = float((mechanism.pretension_n * radius_m).sum())
+    bears_n = 3.0 * moment_nm / float(mechanism.segment_length_m.sum())
+    steps = (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5))
+    return next(step for step in steps if _LOAD_STEPS * step <= min(STRONGEST_N, bears_n))
 
 
 def _readable(arm: Arm, tensions_n: Array) -> NDArray[np.bool_]:
@@ -201,85 +269,15 @@ def _tensions_n(mechanism: Mechanism, command_rad: Array, segment: int, loads_n:
         return solve_equilibrium(mechanism, command_rad, borne).tensions_n
 
 
-__all__ = ["Block", "BlockKind", "ProtocolRows", "protocol_rows", "standard_protocol"]
-
-
-DIRECTIONS: dict[str, tuple[float, float, float]] = {
-    "down": (0.0, 0.0, -1.0),
-    "to the left": (0.0, 1.0, 0.0),
-    "to the right": (0.0, -1.0, 0.0),
-    "up and to the right": (0.0, -(0.5**0.5), 0.5**0.5),
-    "down and to the left": (0.0, 0.5**0.5, -(0.5**0.5)),
-    "down and to the right": (0.0, -(0.5**0.5), -(0.5**0.5)),
-}
-"""Unit vectors of the base frame, as someone sees them who looks along the arm from its base."""
-
-STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
-SLACKENING_SIDES = ("down", "to the right")
-LEVELS = (0.25, 0.5, 0.75, 1.0)
-LEVEL_S = 1.0
-SPEED_RAD_S = float(np.deg2rad(5.0))
-LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
-SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
-HOLD_S, RELEASE_S = 40.0, 20.0
-REST_S = 5.0
-
-
-def standard_protocol(arm: Arm) -> tuple[Block, ...]:
-    """The blocks to record on an arm, in their order; about eight minutes for four segments.
-
-    Loads are as strong as leaves every cable of the nominal arm taut (`bearable_load_n`), but for
-    slackening cycles; poses are as bent as its guide plates and cables allow.
-
-    Raises:
-        EquilibriumError: the nominal arm finds no rest.
-    """
-    straight = np.zeros(arm.joint_count)
-    reach_rad = _reach_rad(arm)
-    bent = reach_rad * _pattern(arm.joint_count)
-    tip = arm.segment_count
-    segments = range(1, tip + 1)
-    return (
-        _rest(straight, "straight, at the start"),
-        *(_cycle(arm, straight, n, side, "straight") for n in segments for side in STRAIGHT_SIDES),
-        *(_slackening(arm, straight, tip, side, "straight") for side in SLACKENING_SIDES),
-        _steps(arm, straight, tip, "to the left", "straight"),
-        _rest(straight, "straight, in the middle"),
-        *_single_sweeps(arm, reach_rad),
-        _joint_sweep(arm.joint_count, reach_rad, 1.0),
-        _reversals(straight, "straight"),
-        _move(straight, bent, "to the first bent pose"),
-        *(_slackening(arm, bent, n, "down and to the left", "first bent pose") for n in segments),
-        _hold(arm, bent, tip, "down and to the right", "first bent pose"),
-        _steps(arm, bent, 1, "down", "first bent pose"),
-        _reversals(bent, "first bent pose"),
-        _move(bent, -bent, "to the second bent pose, the mirror of the first"),
-        *(
-            _slackening(arm, -bent, n, "down and to the right", "second bent pose")
-            for n in segments
-        ),
-        _move(-bent, straight, "back to straight"),
-        _joint_sweep(arm.joint_count, reach_rad, -1.0),
-        _rest(straight, "straight, at the end"),
-    )
-
-
-def protocol_rows(
-    arm: Arm, blocks: tuple[Block, ...], rate_hz: float | None = None
-) -> ProtocolRows:
-    """The blocks as rows at `rate_hz`, by default that of the arm's sensors."""
-    return rows_of(blocks, arm.sensors.rate_hz if rate_hz is None else rate_hz)
-
-
 def _rest(command: Array, where: str) -> Block:
     return _unloaded(
-        BlockKind.REST, f"Leave the arm alone, {where}.", (0.0, REST_S), [command] * 2
+        BlockKind.REST, f"Leave the arm alone, {where}.", (0.0, _REST_S), [command] * 2
     )
 
 
 def _move(start: Array, end: Array, where: str) -> Block:
     took_s = _way_s(start, end)
-    knots_s = (0.0, took_s, took_s + REST_S / 2)
+    knots_s = (0.0, took_s, took_s + _REST_S / 2)
     listed = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(end))
     does = f"Move {where} (joints at {listed} degrees), and wait."
     return _unloaded(BlockKind.MOVE, does, knots_s, [start, end, end])
@@ -298,7 +296,7 @@ def _slackening(arm: Arm, command: Array, segment: int, side: str, pose: str) ->
 
 
 def _levels(pose: str, segment: int, side: str, peak_n: float) -> str:
-    listed = ", ".join(f"{share * peak_n:.3g}" for share in LEVELS)
+    listed = ", ".join(f"{share * peak_n:.3g}" for share in _LEVELS)
     return f"{pose.capitalize()}: load segment {segment} {side}, {listed} N, and back"
 
 
@@ -306,8 +304,8 @@ def _up_and_down(
     kind: BlockKind, does: str, command: Array, segment: int, side: str, peak_n: float
 ) -> Block:
     """Up in levels, the strongest twice as long, and down by the same levels."""
-    shares = (0.0, *LEVELS, *LEVELS[::-1], 0.0)
-    return _stepped(kind, does, command, segment, side, peak_n, shares, LEVEL_S)
+    shares = (0.0, *_LEVELS, *_LEVELS[::-1], 0.0)
+    return _stepped(kind, does, command, segment, side, peak_n, shares, _LEVEL_S)
 
 
 def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
@@ -316,22 +314,22 @@ def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Bloc
     shares = (0.0, 1.0) * 3 + (0.0,)
     return _stepped(
         BlockKind.STEP_LOAD, does + "off at once, three times.", command, segment, side, peak_n,
-        shares, 2.0 * LEVEL_S,
+        shares, 2.0 * _LEVEL_S,
     )  # fmt: skip
 
 
 def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
     peak_n = _peak_n(arm, command, segment, side)
     does = (
-        f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {HOLD_S:g} s, "
-        f"take it off, and wait {RELEASE_S:g} s."
+        f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {_HOLD_S:g} s, "
+        f"take it off, and wait {_RELEASE_S:g} s."
     )
     load = peak_n * np.asarray(DIRECTIONS[side])
-    knots_s = np.array([0.0, LEVEL_S, LEVEL_S, LEVEL_S + HOLD_S, LEVEL_S + HOLD_S])
+    knots_s = np.array([0.0, _LEVEL_S, _LEVEL_S, _LEVEL_S + _HOLD_S, _LEVEL_S + _HOLD_S])
     return Block(
         BlockKind.HOLD,
         does,
-        np.append(knots_s, LEVEL_S + HOLD_S + RELEASE_S),
+        np.append(knots_s, _LEVEL_S + _HOLD_S + _RELEASE_S),
         np.repeat(command[None], 6, axis=0),
         segment,
         np.outer([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], load),
@@ -357,9 +355,9 @@ def _joint_sweep(joint_count: int, reach_rad: float, sign: float) -> Block:
 
 def _reversals(command: Array, pose: str) -> Block:
     """Each joint by a degree to both sides, twice, one after the other."""
-    twice = np.array([1.0, -1.0, 1.0, -1.0, 0.0]) * SMALL_ANGLE_RAD
+    twice = np.array([1.0, -1.0, 1.0, -1.0, 0.0]) * _SMALL_ANGLE_RAD
     way = [command, *(command + angle * row for row in np.eye(len(command)) for angle in twice)]
-    does = f"{pose.capitalize()}: turn each joint by ±{np.rad2deg(SMALL_ANGLE_RAD):.0f}° twice."
+    does = f"{pose.capitalize()}: turn each joint by ±{np.rad2deg(_SMALL_ANGLE_RAD):.0f}° twice."
     return _unloaded(BlockKind.REVERSALS, does, _times_s(np.array(way)), way)
 
 
@@ -387,13 +385,17 @@ def _unloaded(
     return Block(kind, does, knots, way, 0, np.zeros((len(knots), 3)))
 
 
+def _between(time_s: Array, knots_s: Array, values: Array) -> Array:
+    return np.stack([np.interp(time_s, knots_s, column) for column in values.T], axis=-1)
+
+
 def _times_s(way: Array) -> Array:
     legs = [_way_s(a, b) for a, b in pairwise(way)]
     return np.concatenate([[0.0], np.cumsum(legs)])
 
 
 def _way_s(start: Array, end: Array) -> float:
-    return max(0.2, float(np.abs(end - start).max()) / SPEED_RAD_S)
+    return max(0.2, float(np.abs(end - start).max()) / _SPEED_RAD_S)
 
 
 def _peak_n(arm: Arm, command: Array, segment: int, side: str) -> float:
@@ -411,7 +413,7 @@ def _pattern(joint_count: int, turn: int = 0) -> Array:
 def _reach_rad(arm: Arm) -> float:
     """Largest angle of the protocol: a third of what the guide plates leave, cables taut."""
     mechanism = mechanism_of(arm)
-    reach = min(LARGEST_ANGLE_RAD, float(mechanism.bend_limit_rad.min()) / 3.0)
+    reach = min(_LARGEST_ANGLE_RAD, float(mechanism.bend_limit_rad.min()) / 3.0)
     least = 0.1 * mechanism.pretension_n
     corners = np.array([_pattern(arm.joint_count, turn) for turn in range(7)])
     for _ in range(4):

@@ -1,10 +1,4 @@
-"""One recording of an arm, as arrays.
-
-The error of a recording that cannot be used.
-
-Rows as people count them.
-
-Trials of a recording that names none: where one thing done to the arm ends and the next begins.
+"""One recording of an arm, as arrays, and the trials of one that names none.
 
 A new trial begins at a row where
 
@@ -13,8 +7,7 @@ A new trial begins at a row where
 - a load starts after a rest without any, on another segment than the last load, or from another
   side.
 
-What follows a load, the arm unloaded again, belongs to the load's trial: it shows what the load
-left behind.
+The arm unloaded again belongs to the trial of the load before: it shows what the load left behind.
 """
 
 from __future__ import annotations
@@ -27,6 +20,21 @@ from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
+
+_STILL_S = 1.0
+"""A command that has not changed for this long stands still."""
+_REST_S = 3.0
+"""An arm that has borne no load for this long is at rest; steps of a load come faster."""
+_GAP_S = 1.0
+_GAP_INTERVALS = 5.0
+_SAME_SIDE_COSINE = 0.866
+"""Loads within 30 degrees of each other come from one side."""
+
+_SHOWN = 5
+
+
+class RecordingError(CableSenseError):
+    """A recording that cannot be used: which file, what is wrong, in which rows, what is right."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +83,6 @@ class Recording:
         )
 
 
-class RecordingError(CableSenseError):
-    """A recording that cannot be used: says which file, what, in which rows, and what is right."""
-
-
-_SHOWN = 5
-
-
 def rows_named(wrong: NDArray[Any]) -> str:
     """Marked rows (R,), from 1: `row 7`, `rows 3 to 9 and 12`, `rows 1, 3 … (40 in all)`."""
     rows = np.flatnonzero(wrong) + 1
@@ -93,16 +94,6 @@ def rows_named(wrong: NDArray[Any]) -> str:
         return f"rows {', '.join(named[:_SHOWN])} … ({len(rows)} in all)"
     *first, last = named
     return f"rows {', '.join(first)} and {last}" if first else f"rows {last}"
-
-
-STILL_S = 1.0
-"""A command that has not changed for this long stands still."""
-REST_S = 3.0
-"""An arm that has borne no load for this long is at rest; steps of a load come faster."""
-GAP_S = 1.0
-GAP_INTERVALS = 5.0
-SAME_SIDE_COSINE = 0.866
-"""Loads within 30 degrees of each other come from one side."""
 
 
 def derive_trials(
@@ -120,13 +111,13 @@ def derive_trials(
 def _after_gap(time_s: Array) -> NDArray[np.bool_]:
     intervals = np.diff(time_s)
     usual = float(np.median(intervals)) if intervals.size else 0.0
-    return np.concatenate([[False], intervals > max(GAP_S, GAP_INTERVALS * usual)])
+    return np.concatenate([[False], intervals > max(_GAP_S, _GAP_INTERVALS * usual)])
 
 
 def _starts_to_move(time_s: Array, command_rad: Array) -> NDArray[np.bool_]:
     changed = np.concatenate([[False], (np.diff(command_rad, axis=0) != 0.0).any(axis=1)])
-    # stamps as floats: a move every STILL_S must not count by their rounding
-    return changed & (time_s - _last(time_s, changed) > STILL_S + 1e-6)
+    # stamps as floats: a move every _STILL_S must not count by their rounding
+    return changed & (time_s - _last(time_s, changed) > _STILL_S + 1e-6)
 
 
 def _starts_to_bear(time_s: Array, segment: NDArray[np.int64], load_n: Array) -> NDArray[np.bool_]:
@@ -134,10 +125,10 @@ def _starts_to_bear(time_s: Array, segment: NDArray[np.int64], load_n: Array) ->
     before = _last_row(loaded)
     known = before >= 0
     last = np.where(known, before, 0)
-    rested = time_s - np.where(known, time_s[last], -np.inf) > REST_S + 1e-6
+    rested = time_s - np.where(known, time_s[last], -np.inf) > _REST_S + 1e-6
     size = np.linalg.norm(load_n, axis=1)
     along = (load_n * load_n[last]).sum(axis=1)
-    other_side = along < SAME_SIDE_COSINE * size * size[last]
+    other_side = along < _SAME_SIDE_COSINE * size * size[last]
     return loaded & (rested | (segment != segment[last]) | other_side)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.recordings.channel_checks import Severity, channel_findings
+from cablesense_gap.recordings.checks import Severity, channel_findings
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.commissioning.pull_check import (
     PULLED_FLOORS,

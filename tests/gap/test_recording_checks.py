@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.channel_checks import Severity
-from cablesense_gap.recordings.checks import check_form, check_recording, read_recording
+from cablesense_gap.recordings.checks import Severity, check_form, check_recording, read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
 from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
