@@ -24,11 +24,15 @@ TRIAL: Final = "trial"
 LOAD_SEGMENT: Final = "load_segment"
 LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
 
-TIME_DECIMALS: Final = 6
-COMMAND_DECIMALS: Final = 6
+MAX_FILE_BYTES = 200_000_000
+"""Days at 5 Hz; what is larger is no recording of one protocol."""
+
+_MAX_HEADER_CHARACTERS = 100_000
+_TIME_DECIMALS, _LOAD_DECIMALS, _TENSION_DECIMALS = 6, 4, 4
+_COMMAND_DECIMALS = 6
 """A microradian moves the tension of a stiff cable by less than a sensor's step."""
-LOAD_DECIMALS: Final = 4
-TENSION_DECIMALS: Final = 4
+_PER_ARM = re.compile(r"q\d+_cmd_rad|tension_\d+_n")
+_SHOWN = 6
 
 
 def command_columns(joint_count: int) -> list[str]:
@@ -51,15 +55,6 @@ def all_columns(joint_count: int, cable_count: int) -> list[str]:
         *LOAD,
         *tension_columns(cable_count),
     ]
-
-
-MAX_FILE_BYTES = 200_000_000
-"""Days at 5 Hz; what is larger is no recording of one protocol."""
-
-MAX_HEADER_CHARACTERS = 100_000
-
-_PER_ARM = re.compile(r"q\d+_cmd_rad|tension_\d+_n")
-_SHOWN = 6
 
 
 def read_csv(path: str | Path, arm: Arm) -> Recording:
@@ -101,12 +96,12 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     joints = command_columns(recording.command_rad.shape[1])
     cables = tension_columns(recording.tensions_n.shape[1])
     table = {
-        TIME: _text(recording.time_s, TIME_DECIMALS),
+        TIME: _text(recording.time_s, _TIME_DECIMALS),
         TRIAL: recording.trial,
-        **_texts(joints, recording.command_rad, COMMAND_DECIMALS),
+        **_texts(joints, recording.command_rad, _COMMAND_DECIMALS),
         LOAD_SEGMENT: recording.load_segment,
-        **_texts(LOAD, recording.load_n, LOAD_DECIMALS),
-        **_texts(cables, recording.tensions_n, TENSION_DECIMALS),
+        **_texts(LOAD, recording.load_n, _LOAD_DECIMALS),
+        **_texts(cables, recording.tensions_n, _TENSION_DECIMALS),
     }
     with written_whole(path, RecordingError) as beside:
         pd.DataFrame(table).to_csv(beside, index=False, lineterminator="\n")
@@ -141,9 +136,9 @@ def _header(path: Path) -> list[str]:
                 f"{MAX_FILE_BYTES / 1e6:.0f} MB: leave out what no trial needs"
             )
         with path.open(encoding="utf-8-sig", newline="") as file:
-            line = file.readline(MAX_HEADER_CHARACTERS)
+            line = file.readline(_MAX_HEADER_CHARACTERS)
             # a quote left open would go on to any number of columns
-            if len(line) == MAX_HEADER_CHARACTERS or line.count('"') % 2:
+            if len(line) == _MAX_HEADER_CHARACTERS or line.count('"') % 2:
                 raise RecordingError(
                     f"{path}: its first line has no end; it must name the columns"
                 )

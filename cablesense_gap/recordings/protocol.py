@@ -7,8 +7,8 @@ What each part is for:
   loading and unloading;
 - slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
   how the others share pretension and weight; no taut cable tells these apart as well;
-- pose sweeps: weight and level of the base against the springs of the joints, friction of joints
-  and guides; each joint alone, and all at once so that every joint's response is in several trials;
+- pose sweeps: weight and level of the base against springs and friction of joints, and of guides;
+  each joint alone, and all at once so that every joint's response is in several trials;
 - small reversals: the lost motion of actuators, which larger motion hides;
 - a long hold, then a long release: creep, which a load starts and its end turns back, against
   drift, which does neither;
@@ -190,8 +190,8 @@ def rows_of(blocks: tuple[Block, ...], rate_hz: float) -> ProtocolRows:
 def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
-    A multiple of a step, at most 30 of them (`_step_n`). Where no force that shows (20 noise floors
-    in some cable) leaves all cables taut, the weakest that shows.
+    At most `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. Where no force that shows
+    (20 noise floors in some cable) leaves all cables taut, the weakest that shows.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.

@@ -1,4 +1,4 @@
-"""Trials of a recording that names none."""
+"""Trials of a recording that names none, and rows as people count them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
-from cablesense_gap.recordings.recording import derive_trials
+from cablesense_gap.recordings.recording import derive_trials, rows_named
 from cablesense_sim.arm import open_arm
 
 
@@ -80,3 +80,13 @@ def test_those_of_the_protocol_are_found_again_but_for_rests_between():
     # no derived trial mixes blocks but for those that a rest or another move follows
     loaded = [set(rows.trial[(found == t) & (rows.load_segment > 0)]) for t in set(found)]
     assert max(map(len, loaded)) == 1
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60).filter(any))
+def test_rows_are_named_from_one(marked):
+    text = rows_named(np.array(marked))
+    first = marked.index(True) + 1
+    assert text.startswith(("row ", "rows "))
+    assert str(first) in text
+    if sum(marked) == 1:
+        assert text == f"row {first}"

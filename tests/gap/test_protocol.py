@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from arm_variants import five_by_four, variant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -162,6 +163,30 @@ def test_the_sensors_range_bounds_the_load():
     short = LAB.model_copy(update={"sensors": sensors})
     rows = protocol_rows(short, standard_protocol(short), 2.0)
     assert tensions_of(rows, mechanism_of(short)).max() <= 0.9 * 110.0 + 1e-9
+
+
+def test_a_weak_arm_gets_loads_in_finer_steps():
+    weak = variant({"cables.pretension_n": 2.0, "segments.mass_kg": 0.01}, "cdsm_lab")
+    fine = weak.model_copy(
+        update={"sensors": weak.sensors.model_copy(update={"noise_std_n": 0.001, "step_n": 0.001})}
+    )
+    loads = {
+        float(np.linalg.norm(block.loads_n, axis=1).max())
+        for block in standard_protocol(fine)
+        if block.kind is BlockKind.LOAD_CYCLE
+    }
+    assert 0.0 < max(loads) < 6.0
+    assert any(load % 2.0 for load in loads)  # the steps of a strong arm are too coarse for it
+
+
+@pytest.mark.slow
+def test_five_segments_of_four_cables_have_a_protocol_that_leaves_them_taut():
+    arm = five_by_four()
+    rows, slackening = in_kind(arm, BlockKind.SLACKENING)
+    assert set(rows.load_segment) == set(range(6))
+    tensions = tensions_of(rows, mechanism_of(arm))
+    assert tensions.shape[1] == 20
+    assert tensions[~slackening].min() >= 0.1 * arm.cables.pretension_n
 
 
 def sensitivities(rows):
