@@ -107,7 +107,7 @@ setup(
     python_requires=">=3.11,<3.13",
     packages=packages(),
     package_dir={"cablesense_training": "training"},
-    package_data={"": ["*.html", "*.css", "*.js", "*.json"]},
+    package_data={"": ["*.html", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
     install_requires=REQUIRES,
     extras_require=EXTRAS,

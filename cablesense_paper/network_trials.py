@@ -1,59 +1,23 @@
-"""Shapes trained on the same samples, tested on the same others.
+"""Networks of many shapes, trained on the same samples, tested on the same others, and timed.
 
-The shapes of networks that are tried.
-
-Networks of the shapes that are tried.
-
-Which shapes are tried, and on how much.
-
-How long a network takes for one answer.
-
-A plan, carried out: every shape trained on the same samples, tested, and timed.
-
-What trials of many shapes say together.
-
-Errors of networks against depth, width, parameters and time, as pictures.
+A `Plan` states which shapes are tried and on how much, `explore` carries it out, and
+`TrialResults` answers what the trials show together.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.report.style import WIDTH_IN, plain_log_ticks
-from cablesense_paper.network_findings import (
-    DECOUPLED,
-    FORCE,
-    METRICS,
-    PAPER_BATCH_SIZE,
-    PAPER_FIGURES,
-    PAPER_SAMPLES,
-    PAPER_SHAPE,
-    SHARED_TRUNK,
-    TWO_STAGE,
-    Findings,
-    Plan,
-    Shape,
-)
-from cablesense_paper.study import (
-    BLACK,
-    BLUE,
-    DASHES,
-    GREEN,
-    ORANGE,
-    SERIES,
-    Picture,
-    Tell,
-    picture,
-)
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -71,28 +35,65 @@ from cablesense_training.networks.single_contact import (
     TwoStageNetwork,
 )
 
-_BUILDERS: dict[str, Callable[[int, int, list[int]], SingleContactNetwork]] = {
-    DECOUPLED: lambda cables, segments, widths: DecoupledNetwork(cables, segments, widths),
-    SHARED_TRUNK: lambda cables, segments, widths: SharedBackboneNetwork(cables, segments, widths),
-    TWO_STAGE: lambda cables, segments, widths: TwoStageNetwork(
-        cables, segments, widths[:-1] or widths, widths
-    ),
-}
+DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
+ARCHITECTURES = (DECOUPLED, SHARED_TRUNK, TWO_STAGE)
+"""By the paper: three networks apart, one trunk for all, contact first and force given it."""
 
 
-def build(shape: Shape, arm: Arm, seed: int) -> SingleContactNetwork:
-    """A network of that shape for an arm, with the initial weights that the seed gives."""
-    widths = [shape.width] * shape.depth
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return _BUILDERS[shape.architecture](arm.cable_count, arm.segment_count, widths)
+class Shape(NamedTuple):
+    """A network: its architecture, and how deep and wide each of its trunks is.
+
+    The first stage of two has a layer less than the second.
+    """
+
+    architecture: str
+    depth: int
+    width: int
 
 
-def parameters(network: SingleContactNetwork) -> int:
-    """Trained numbers behind the answers; those that state the uncertainty do not count."""
-    return sum(
-        part.numel() for name, part in network.named_parameters() if not name.startswith("spread.")
-    )
+PAPER_SHAPE = Shape(TWO_STAGE, 3, 128)
+PAPER_SAMPLES, PAPER_BATCH_SIZE = 5_000, 64
+"""The two-stage network that learns from the paper's amount of data, and that amount."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is tried.
+
+    Attributes:
+        depths, widths: of the decoupled networks, each with each.
+        compared_depth: at which the three architectures are compared, over all widths.
+        seeds: each shape is trained with all of them.
+        samples, batch_size, epochs: of every training.
+        test_samples: that all are tested on.
+        paper_poses: at which a network also learns from the paper's amount of data.
+        workers: most processes that train; there are no more than cores.
+    """
+
+    depths: Sequence[int]
+    widths: Sequence[int]
+    compared_depth: int
+    seeds: Sequence[int]
+    samples: int
+    batch_size: int
+    epochs: int
+    test_samples: int
+    paper_poses: Sequence[Pose]
+    workers: int
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All that are tried: decoupled networks first, each once."""
+        others = (name for name in ARCHITECTURES if name != DECOUPLED)
+        return (
+            *(Shape(DECOUPLED, depth, width) for depth in self.depths for width in self.widths),
+            *(Shape(name, self.compared_depth, width) for name in others for width in self.widths),
+        )
+
+    @property
+    def compared(self) -> tuple[Shape, ...]:
+        """Those of all architectures that have the compared depth."""
+        return tuple(shape for shape in self.shapes if shape.depth == self.compared_depth)
 
 
 @dataclass(frozen=True)
@@ -116,42 +117,131 @@ class Trial:
     magnitude_rmse_n: float
 
 
+WRONG, DIRECTION, FORCE = "wrong, %", "direction MAE, °", "force MAE, N"
+METRICS: dict[str, Callable[[Trial], float]] = {
+    WRONG: lambda trial: 100.0 * trial.wrong_contact,
+    DIRECTION: lambda trial: trial.direction_mae_deg,
+    FORCE: lambda trial: trial.magnitude_mae_n,
+}
+"""Errors of a trial, by the names that tables and axes give them."""
+
+PAPER_ERRORS = {WRONG: 2.0, DIRECTION: 5.96, FORCE: 9.97}
+"""Of the paper's single-contact network."""
+
+
+@dataclass(frozen=True)
+class TrialResults:
+    """Of one plan.
+
+    Attributes:
+        plan: what was tried.
+        trials: of every shape and seed of the plan.
+        cost_us: microseconds of one answer of the compared shapes.
+        with_little_data: by pose, the network that learnt from the paper's amount of data.
+    """
+
+    plan: Plan
+    trials: tuple[Trial, ...]
+    cost_us: Mapping[Shape, float]
+    with_little_data: Mapping[Pose, Trial]
+
+    def errors(self, shape: Shape, metric: str) -> list[float]:
+        """One of `METRICS` for every seed of a shape."""
+        return [METRICS[metric](one) for one in self.trials if one.shape == shape]
+
+    def mean(self, shape: Shape, metric: str) -> float:
+        """One of `METRICS`, mean over the seeds."""
+        return float(np.mean(self.errors(shape, metric)))
+
+    def parameters(self, shape: Shape) -> int:
+        """Trained numbers behind the answers of a shape."""
+        return next(one.parameters for one in self.trials if one.shape == shape)
+
+    def smallest_like_the_paper(self) -> Shape | None:
+        """The decoupled shape of fewest parameters that is as good as the paper in all."""
+        reached = [
+            shape
+            for shape in self.plan.shapes
+            if shape.architecture == DECOUPLED
+            and all(self.mean(shape, metric) <= most for metric, most in PAPER_ERRORS.items())
+        ]
+        return min(reached, key=self.parameters, default=None)
+
+    def error_ratios(self, ours: str, theirs: str) -> dict[str, float]:
+        """Errors of one architecture over those of another, by metric.
+
+        Geometric means over the widths, at the compared depth.
+        """
+        pairs = self._pairs(ours, theirs)
+        return {
+            metric: _geometric_mean(self.mean(a, metric) / self.mean(b, metric) for a, b in pairs)
+            for metric in METRICS
+        }
+
+    def parameter_ratio(self, ours: str, theirs: str) -> float:
+        """Parameters of one architecture over those of another, likewise."""
+        pairs = self._pairs(ours, theirs)
+        return _geometric_mean(self.parameters(a) / self.parameters(b) for a, b in pairs)
+
+    def cost_ratio(self, ours: str, theirs: str) -> float:
+        """Time that answers of one architecture take over that of another, all widths together."""
+        one, other = (
+            np.mean([us for shape, us in self.cost_us.items() if shape.architecture == name])
+            for name in (ours, theirs)
+        )
+        return float(one / other)
+
+    def _pairs(self, ours: str, theirs: str) -> list[tuple[Shape, Shape]]:
+        """Compared shapes of two architectures, by width."""
+        compared = self.plan.compared
+        return [(a, a._replace(architecture=theirs)) for a in compared if a.architecture == ours]
+
+
+def _geometric_mean(ratios: Iterable[float]) -> float:
+    return float(np.exp(np.mean(np.log(list(ratios)))))
+
+
+_BUILDERS: dict[str, Callable[[int, int, list[int]], SingleContactNetwork]] = {
+    DECOUPLED: DecoupledNetwork,
+    SHARED_TRUNK: SharedBackboneNetwork,
+    TWO_STAGE: lambda cables, segments, widths: TwoStageNetwork(
+        cables, segments, widths[:-1] or widths, widths
+    ),
+}
+
+
+def build(shape: Shape, arm: Arm, seed: int) -> SingleContactNetwork:
+    """A network of that shape for an arm, with the initial weights that the seed gives."""
+    widths = [shape.width] * shape.depth
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return _BUILDERS[shape.architecture](arm.cable_count, arm.segment_count, widths)
+
+
+def parameter_count(network: SingleContactNetwork) -> int:
+    """Trained numbers behind the answers; those that state the uncertainty do not count."""
+    return sum(
+        part.numel() for name, part in network.named_parameters() if not name.startswith("spread.")
+    )
+
+
 def trial(
-    shape: Shape, seed: int, training: Dataset, test: Dataset, settings: FitSettings
+    training: Dataset, test: Dataset, settings: FitSettings, shape: Shape, seed: int
 ) -> Trial:
-    """Train and test; on one thread, so that the same seed gives the same figures."""
+    """Train and test; on one thread, so that the same seed gives the same metrics."""
     network = build(shape, training.arm, seed)
     fit(network, training, replace(settings, seed=seed, threads=1))
     answer = single_contact_answer(network.double(), test)
-    truth = single_contact_truth(test)
-    metrics = single_contact_metrics(truth, answer, test.arm.segment_count)
+    metrics = single_contact_metrics(single_contact_truth(test), answer, test.arm.segment_count)
     return Trial(
         shape=shape,
         seed=seed,
-        parameters=parameters(network),
+        parameters=parameter_count(network),
         wrong_contact=1.0 - metrics.contact_accuracy,
         direction_mae_deg=metrics.errors.direction_mae_deg,
         magnitude_mae_n=metrics.errors.magnitude_mae_n,
         magnitude_rmse_n=metrics.errors.magnitude_rmse_n,
     )
-
-
-def trials(
-    cases: Sequence[tuple[Shape, int]],
-    training: Dataset,
-    test: Dataset,
-    settings: FitSettings,
-    workers: int,
-) -> Iterator[Trial]:
-    """A trial for every shape and seed, in order; the same for any number of workers."""
-    with WorkerPool(workers, training, test, settings) as pool:
-        yield from pool.map(_trial_of_case, cases)
-
-
-def _trial_of_case(
-    training: Dataset, test: Dataset, settings: FitSettings, case: tuple[Shape, int]
-) -> Trial:
-    return trial(*case, training, test, settings)
 
 
 _BLOCKS, _RUNS = 7, 300
@@ -195,164 +285,44 @@ def answer_us(shape: Shape, arm: Arm) -> float:
 _TRAIN_SEED, _TEST_SEED = 0, 20_260_002
 
 
-def explore(plan: Plan, tell: Tell) -> Findings:
-    """What the plan finds on the arm of the paper; all but microseconds come out the same again.
+def explore(plan: Plan, progress: Callable[[float], None]) -> TrialResults:
+    """Carry out a plan on the arm of the paper; all but microseconds come out the same again.
 
     Args:
         plan: what is tried.
-        tell: hears which share is done, up to 0.99.
+        progress: receives the share that is done, up to 0.99.
     """
     arm = open_arm("cdsm")
+    training, test = _datasets(arm, SingleContact(samples=plan.samples), plan.test_samples)
+    cases = [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
+    settings = FitSettings(epochs=plan.epochs, batch_size=plan.batch_size)
     done: list[Trial] = []
-    for one in _tried(plan, arm):
-        done.append(one)
-        tell(0.7 * len(done) / (len(plan.shapes) * len(plan.seeds)))
+    with WorkerPool(min(plan.workers, os.cpu_count() or 1), training, test, settings) as pool:
+        for one in pool.map(trial, *zip(*cases, strict=True)):
+            done.append(one)
+            progress(0.7 * len(done) / len(cases))
     with_little_data = {pose: _with_little_data(plan, arm, pose) for pose in plan.paper_poses}
-    tell(0.8)
+    progress(0.8)
     cost_us = {}
     for shape in plan.compared:
         cost_us[shape] = answer_us(shape, arm)
-        tell(0.8 + 0.19 * len(cost_us) / len(plan.compared))
-    return Findings(plan, tuple(done), cost_us, with_little_data)
-
-
-def _tried(plan: Plan, arm: Arm) -> Iterator[Trial]:
-    """Trials of all shapes and seeds on the straight arm, as each is done."""
-    training, test = (
-        draw_dataset(arm, SingleContact(samples=samples), seed)
-        for samples, seed in ((plan.samples, _TRAIN_SEED), (plan.test_samples, _TEST_SEED))
-    )
-    cases = [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
-    settings = FitSettings(epochs=plan.epochs, batch_size=plan.batch_size)
-    return trials(cases, training, test, settings, plan.workers)
+        progress(0.8 + 0.19 * len(cost_us) / len(plan.compared))
+    return TrialResults(plan, tuple(done), cost_us, with_little_data)
 
 
 def _with_little_data(plan: Plan, arm: Arm, pose: Pose) -> Trial:
     """A two-stage network on the paper's amount of data, tested as the paper tests."""
-    training, test = (
-        draw_dataset(
-            arm,
-            SingleContact(samples=samples, pose=pose, noise=False, no_contact_fraction=0.0),
-            seed,
-        )
-        for samples, seed in ((PAPER_SAMPLES, _TRAIN_SEED), (plan.test_samples, _TEST_SEED))
+    protocol = SingleContact(
+        samples=PAPER_SAMPLES, pose=pose, noise=False, no_contact_fraction=0.0
     )
     settings = FitSettings(epochs=2 * plan.epochs, batch_size=PAPER_BATCH_SIZE)
-    return trial(PAPER_SHAPE, 0, training, test, settings)
+    training, test = _datasets(arm, protocol, plan.test_samples)
+    return trial(training, test, settings, PAPER_SHAPE, 0)
 
 
-_STYLES = {
-    DECOUPLED: (BLUE, "o", DASHES[0]),
-    SHARED_TRUNK: (ORANGE, "s", DASHES[1]),
-    TWO_STAGE: (GREEN, "D", DASHES[2]),
-}
-
-
-def depth_picture(findings: Findings) -> Picture:
-    """Errors of the decoupled networks against width, a line for each depth."""
-    plan = findings.plan
-    figure, every = _panels()
-    for axes, metric in zip(every, METRICS, strict=True):
-        for n, depth in enumerate(plan.depths):
-            shapes = [Shape(DECOUPLED, depth, width) for width in plan.widths]
-            _curve(
-                axes, plan.widths, shapes, findings, metric,
-                color=SERIES[n % len(SERIES)], marker="osD^v"[n % 5], ls=DASHES[n % len(DASHES)],
-                label=f"{depth} layer{'s' if depth > 1 else ''}" if axes is every[0] else "",
-            )  # fmt: skip
-        axes.set(xscale="log", xlabel="width of every layer", xticks=plan.widths)
-        axes.set_xticks((), minor=True)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    every[0].plot([], [], color=BLACK, ls="--", lw=1.0, label="the paper’s figure")
-    figure.legend(loc="outside upper center", ncols=1 + len(plan.depths))
-    return picture(
-        "networks_depth_and_width",
-        figure,
-        "Section III-C: decoupled networks of several depths and widths. Lines: means over the "
-        "seeds, which are the faint dots. Dashed: what the paper’s network reaches.",
-        "Errors of decoupled networks against width for several depths, in three panels",
+def _datasets(arm: Arm, protocol: SingleContact, test_samples: int) -> tuple[Dataset, Dataset]:
+    """To train on, and to test on."""
+    return (
+        draw_dataset(arm, protocol, _TRAIN_SEED),
+        draw_dataset(arm, replace(protocol, samples=test_samples), _TEST_SEED),
     )
-
-
-def compared_picture(findings: Findings) -> Picture:
-    """Errors of the three architectures against their number of parameters."""
-    plan = findings.plan
-    figure, every = _panels()
-    for axes, metric in zip(every, METRICS, strict=True):
-        for architecture, (colour, mark, dashes) in _STYLES.items():
-            shapes = [shape for shape in plan.compared if shape.architecture == architecture]
-            _curve(
-                axes, [findings.parameters(shape) for shape in shapes], shapes, findings, metric,
-                color=colour, marker=mark, ls=dashes,
-                label=architecture if axes is every[0] else "",
-            )  # fmt: skip
-        axes.set(xscale="log", xlabel="thousand parameters (logarithmic)")
-        plain_log_ticks(axes.xaxis)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1e3:g}")
-    figure.legend(loc="outside upper center", ncols=3)
-    return picture(
-        "networks_architectures",
-        figure,
-        f"Section III-C: three networks apart, one trunk for all, and two stages, of "
-        f"{plan.compared_depth} layers and widths from {min(plan.widths)} to {max(plan.widths)}, "
-        "against their number of parameters. Dashed: what the paper’s network reaches.",
-        "Errors of three architectures against parameters, in three panels",
-    )
-
-
-def cost_picture(findings: Findings) -> Picture:
-    """Force error of the three architectures against the time of one answer."""
-    import matplotlib.pyplot as plt
-
-    cost_us = findings.cost_us
-    figure, axes = plt.subplots(figsize=(0.72 * WIDTH_IN, 3.6), layout="constrained")
-    for architecture, (colour, mark, dashes) in _STYLES.items():
-        shapes = [shape for shape in cost_us if shape.architecture == architecture]
-        x = [cost_us[shape] for shape in shapes]
-        y = [findings.mean(shape, FORCE) for shape in shapes]
-        axes.plot(x, y, mark, ls=dashes, color=colour, lw=1.4, ms=7, label=architecture)
-        for shape, at_us, error_n in zip(shapes, x, y, strict=True):
-            axes.annotate(
-                str(shape.width), (at_us, error_n), xytext=(5, 5), textcoords="offset points",
-                fontsize=8, color=colour,
-            )  # fmt: skip
-    axes.set(
-        xlabel="one answer in ONNX Runtime, µs", ylabel="force MAE, N (logarithmic)", yscale="log"
-    )
-    plain_log_ticks(axes.yaxis)
-    axes.set_xlim(0.0, None)
-    axes.grid()
-    figure.legend(loc="outside right center")
-    return picture(
-        "networks_cost",
-        figure,
-        f"Section III-C: cost against accuracy at {findings.plan.compared_depth} layers; the "
-        "numbers are widths.",
-        "Force error against the time of one answer for three architectures",
-    )
-
-
-def _panels() -> tuple[Any, Any]:
-    """A figure of one panel for each metric, with the paper's figure in it."""
-    import matplotlib.pyplot as plt
-
-    figure, every = plt.subplots(
-        1, len(METRICS), figsize=(WIDTH_IN, 3.5), layout="constrained", squeeze=False
-    )
-    for axes, metric in zip(every[0], METRICS, strict=True):
-        axes.axhline(PAPER_FIGURES[metric], color=BLACK, ls="--", lw=1.0)
-        axes.set(yscale="log", ylabel=f"{metric} (logarithmic)".replace("wrong,", "wrong class,"))
-        plain_log_ticks(axes.yaxis)
-        axes.grid()
-    return figure, every[0]
-
-
-def _curve(
-    axes: Any, x: Sequence[float], shapes: Sequence[Shape], findings: Findings, metric: str,
-    **style: Any,
-) -> None:  # fmt: skip
-    """Means over the seeds as a line, each seed as a faint dot."""
-    axes.plot(x, [findings.mean(shape, metric) for shape in shapes], lw=1.6, ms=6, **style)
-    for at, shape in zip(x, shapes, strict=True):
-        for error in findings.errors(shape, metric):
-            axes.plot(at, error, ".", color=style["color"], ms=4, alpha=0.45)

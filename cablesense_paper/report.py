@@ -1,7 +1,4 @@
-"""The folder of a report: `report.html`, `results.json` and the pictures.
-
-The report as a page that needs nothing beside it.
-"""
+"""The folder of a report: `report.html`, `results.json` and the pictures."""
 
 from __future__ import annotations
 
@@ -14,63 +11,8 @@ from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
-from cablesense_paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
-
-
-def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
-    """The report as HTML text."""
-    return rendered("cablesense_paper", "paper.html", _content(outcomes, quick), {"figure": shown})
-
-
-def shown(value: float | str) -> str:
-    """A number to four digits, with a true minus sign; words as they are."""
-    if isinstance(value, str):
-        return value
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
-        text = f"{value:.4g}"
-    else:
-        mantissa, _, exponent = f"{value:.3e}".partition("e")
-        text = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
-    return text.replace("-", "−")
-
-
-def _content(outcomes: Sequence[Outcome], quick: bool) -> dict[str, Any]:
-    comparisons = [
-        comparison
-        for outcome in outcomes
-        if outcome.result
-        for comparison in outcome.result.comparisons
-    ]
-    with_paper = Counter(c.agreement for c in comparisons if c.source == PAPER)
-    otherwise = Counter(c.agreement for c in comparisons if c.source != PAPER)
-    return {
-        "quick": quick,
-        "outcomes": [(outcome, _pictures(outcome)) for outcome in outcomes],
-        "failed": [outcome.study for outcome in outcomes if outcome.failure],
-        "seconds": sum(outcome.seconds for outcome in outcomes),
-        "agreements": list(Agreement),
-        "with_paper": with_paper,
-        "otherwise": otherwise,
-    }
-
-
-def _pictures(outcome: Outcome) -> list[tuple[Picture, str, int]]:
-    """Each with its data, and how much of the page's width it takes, in percent."""
-    if outcome.result is None:
-        return []
-    return [
-        (
-            picture,
-            image_uri(picture.png, "png"),
-            min(100, round(100.0 * _width_in(picture) / WIDTH_IN)),
-        )
-        for picture in outcome.result.pictures
-    ]
-
-
-def _width_in(picture: Picture) -> float:
-    """Width on paper; a PNG has its width in pixels after 16 bytes of signature and header."""
-    return int.from_bytes(picture.png[16:20], "big") / PRINT_DPI
+from cablesense_paper.study import Outcome, PaperError
+from cablesense_paper.study_result import PAPER, PRINT_DPI, Agreement, Picture
 
 
 def claim_folder(folder: Path) -> None:
@@ -94,27 +36,32 @@ def claim_folder(folder: Path) -> None:
 
 
 def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None:
-    """Write all files.
+    """Write all files, each of them whole or not at all.
 
     Raises:
         ReportError: the place cannot be written to.
     """
-    for outcome in outcomes:
-        for picture in outcome.result.pictures if outcome.result else ():
-            write_atomically(folder / f"{picture.name}.png", picture.png, ReportError)
-    write_atomically(folder / "results.json", results_json(outcomes, quick), ReportError)
-    write_atomically(folder / "report.html", paper_page(outcomes, quick), ReportError)
+    files: dict[str, str | bytes] = {
+        f"{picture.name}.png": picture.png
+        for outcome in outcomes
+        if outcome.result
+        for picture in outcome.result.pictures
+    }
+    files["results.json"] = results_json(outcomes, quick)
+    files["report.html"] = paper_page(outcomes, quick)
+    for name, content in files.items():
+        write_atomically(folder / name, content, ReportError)
 
 
 def results_json(outcomes: Sequence[Outcome], quick: bool) -> str:
-    """All figures of a report as JSON text: what the page shows, pictures by file name."""
+    """All results of a report as JSON text: what the page shows, pictures by file name."""
     studies = [_as_json(outcome, quick) for outcome in outcomes]
     return json.dumps({"quick": quick, "studies": studies}, indent=1, ensure_ascii=False) + "\n"
 
 
 def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
     study, result = outcome.study, outcome.result
-    said: dict[str, Any] = {
+    about: dict[str, Any] = {
         "name": study.name,
         "title": study.title,
         "place": study.place,
@@ -123,8 +70,8 @@ def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
         "failure": outcome.failure,
     }
     if result is None:
-        return said
-    return said | {
+        return about
+    return about | {
         "lead": result.lead,
         "pictures": [
             {"file": f"{picture.name}.png", "caption": picture.caption}
@@ -134,3 +81,44 @@ def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
         "comparisons": [asdict(comparison) for comparison in result.comparisons],
         "notes": list(result.notes),
     }
+
+
+def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
+    """The report as an HTML page that needs nothing beside it."""
+    results = [outcome.result for outcome in outcomes if outcome.result]
+    comparisons = [comparison for result in results for comparison in result.comparisons]
+    content = {
+        "quick": quick,
+        "outcomes": [
+            (
+                outcome,
+                [_embedded(one) for one in outcome.result.pictures] if outcome.result else [],
+            )
+            for outcome in outcomes
+        ],
+        "failed": [outcome.study for outcome in outcomes if outcome.failure],
+        "seconds": sum(outcome.seconds for outcome in outcomes),
+        "agreements": list(Agreement),
+        "with_paper": Counter(c.agreement for c in comparisons if c.source == PAPER),
+        "otherwise": Counter(c.agreement for c in comparisons if c.source != PAPER),
+    }
+    return rendered("cablesense_paper", "paper.html", content, {"figure": shown})
+
+
+def shown(value: float | str) -> str:
+    """A number to four digits, with a true minus sign; text as it is."""
+    if isinstance(value, str):
+        return value
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        text = f"{value:.4g}"
+    else:
+        mantissa, _, exponent = f"{value:.3e}".partition("e")
+        text = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+    return text.replace("-", "−")
+
+
+def _embedded(picture: Picture) -> tuple[Picture, str, int]:
+    """A picture, its data, and how much of the page's width it takes, in percent."""
+    # a PNG has its width in pixels after 16 bytes of signature and header
+    width_in = int.from_bytes(picture.png[16:20], "big") / PRINT_DPI
+    return picture, image_uri(picture.png, "png"), min(100, round(100.0 * width_in / WIDTH_IN))

@@ -1,9 +1,8 @@
-"""A cable between servos in closed form: where it rests, how it starts, which steps are stable.
+"""A cable between servos: where it comes to rest, how it starts, which time steps are stable.
 
-A servo holds a mass m where it is told by a force kp (command - position) - kv speed; a cable of
-stiffness k pulls at it.
-
-The cable driven at both ends, Fig. 3 (b), in MuJoCo: brought to rest, or to burst.
+A servo holds a mass m at its command by a force kp (command - position) - kv speed; a cable of
+stiffness k pulls at it. First the closed forms, then the same cable in MuJoCo: Fig. 3 (b), driven
+at both ends.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ def starting_force_n(
 ) -> Array:
     """Force of one servo (T,) after a start at its command, with the cable tensioned at once.
 
-    With `servo` = (kp, kv, m): m q'' = -kp q - kv q' - T0 - k q from rest at q = 0. The servo
-    begins with no force and swings about T0 kp / (k + kp) up to nearly twice that.
+    With `servo` = (kp, kv, m): m q'' = -kp q - kv q' - T0 - k q from standstill at q = 0. The
+    servo begins with no force and swings about T0 kp / (k + kp) up to nearly twice that.
     """
     kp, kv, mass = servo
     omega = np.sqrt((kp + stiffness_n_m) / mass)
@@ -85,11 +84,6 @@ _PUSHED_M = 1e-7
 _STEPS = 400
 
 
-def critical_kv_n_s_m(kp_n_m: float) -> float:
-    """Damping at which a servo alone does not swing, as in this project's arms."""
-    return float(2.0 * np.sqrt(kp_n_m * ACTUATOR_MASS_KG))
-
-
 def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
     """Where both servos come to rest (C, 2) under commands (C, 2)."""
     data = mujoco.MjData(model := _model(kp_n_m))
@@ -117,7 +111,7 @@ def stays_bounded(kp_n_m: float, timestep_s: float, integrator: str) -> bool:
 
 
 def longest_bounded_step_s(kp_n_m: Any, integrator: str) -> Any:
-    """By closed form, for both ways in which the two servos swing: apart, or along together."""
+    """By closed form, for both modes of the two servos: apart, or along together."""
     kp = np.asarray(kp_n_m, dtype=float)
     steps = []
     for cable in (2.0 * STIFFNESS_N_M, 0.0):
@@ -134,4 +128,6 @@ def _model(kp_n_m: float) -> Any:
 
 @lru_cache(maxsize=128)
 def _compiled(kp_n_m: float) -> Any:
-    return driven_at_both_ends(kp_n_m, critical_kv_n_s_m(kp_n_m)).compile()
+    """Critically damped: a servo alone does not swing, as in this project's arms."""
+    kv_n_s_m = float(2.0 * np.sqrt(kp_n_m * ACTUATOR_MASS_KG))
+    return driven_at_both_ends(kp_n_m, kv_n_s_m).compile()

@@ -1,17 +1,13 @@
 """What makes the gap between Table II's physical rows and this project's simulation of them.
 
 54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Explanations are
-fitted to some rows and judged on others; simulated tables that are diagnosed in the same way give
-the probability.
+fitted to some rows and judged on others.
 
-What 54 numbers can carry: the diagnosis of Table II on simulated tables with known causes.
-
-No calibration made on long recordings of another arm holds here, so the probability of a verdict
-comes from this: tables of each kind are drawn, diagnosed like the measured one, and counted.
-
-They are compared by what listed effects leave of the table that they were fitted to, not of rows
-held out. That is the kinder measure to the listed, and on simulated tables the sharper: a cable
-that goes slack shows in one row or two, which no other row tells of.
+No calibration made on long recordings of another arm holds here, so the probability of the verdict
+comes from a rehearsal: simulated tables with known causes are drawn, diagnosed like the measured
+one, and counted. They are compared by what listed effects leave of the table that they were fitted
+to, not of rows held out. That is the kinder measure to the listed, and on simulated tables the
+sharper: a cable that goes slack shows in one row or two, which no other row tells of.
 """
 
 from __future__ import annotations
@@ -20,15 +16,13 @@ import json
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
 from cablesense_base.files import write_atomically
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnose import gap_size, rmse_interval_n
@@ -44,9 +38,7 @@ from cablesense_paper.tension_changes import (
     Scan,
     TensionChanges,
     explain,
-    held_out_of_best,
     internal_n,
-    moments_n_m,
     most_change,
     numbers_of,
     scan,
@@ -54,15 +46,31 @@ from cablesense_paper.tension_changes import (
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.evaluation.table2 import read_table2
 
-KINDS = ("one listed effect", "two listed effects", "something unlisted")
-SMALLEST_N, LARGEST_N = 0.5, 3.0
-"""Gaps that are rehearsed; the measured one lies between."""
+ARM = "cdsm_table2"
+STEP_N = 0.1813
+FOLDS = {
+    "one row": np.arange(6),
+    "one load point": np.array([0, 1, 2, 0, 1, 2]),
+    "one load level": np.array([0, 0, 0, 1, 1, 1]),
+}
+"""Rows held out together; the table has three load points with 1 kg, then with 2 kg."""
 
-SHIPPED = Path(__file__).with_name("rehearsal.json")
+KINDS = ("one listed effect", "two listed effects", "something unlisted")
+"""Of causes that are rehearsed."""
+
+REHEARSAL = Path(__file__).with_name("rehearsal.json")
 """Counts of a long rehearsal (`benchmarks/table2_gap.py`), which takes minutes."""
 
 PRIOR_UNLISTED = 0.2
-"""Share of causes outside the library that one expects before looking."""
+"""Share of causes outside the library that one expects beforehand."""
+
+_INDEPENDENT = 5.4
+"""What the 54 numbers count for among explanations that all leave most: a tenth, as the search has
+it (`diagnosis.evidence.CORRELATION`)."""
+
+_SEED = 1
+_SMALLEST_N, _LARGEST_N = 0.5, 3.0
+"""Gaps that are rehearsed; the measured one lies between."""
 
 
 @dataclass(frozen=True)
@@ -108,180 +116,25 @@ class Rehearsal:
         return odds / (1.0 + odds)
 
 
-def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -> Judged:
-    """Fit everything to a table (K, M); rows are held out one by one."""
-    rows = np.arange(len(changes_n))
-    singles = tuple(explain(found, changes_n, rows) for found in scans)
-    course = prepare(simulator, changes_n, rows, rows, np.ones(len(rows), dtype=bool))
-    hypotheses = tuple(search(course))
-    gap = np.sqrt(((changes_n - course.nominal) ** 2).mean())
-    left = [
-        *(single.rmse for single in singles),
-        *(np.sqrt(((changes_n - h.prediction) ** 2).mean()) for h in hypotheses),
-    ]
-    return Judged(singles, hypotheses, float(min(left) / gap))
-
-
-def rehearse(
-    simulator: ChangeSimulator,
-    scans: Sequence[Scan],
-    measured: Judged,
-    count: int,
-    seed: int,
-    tell: Callable[[float], None],
-    workers: int = 1,
-) -> Rehearsal:
-    """Draw and diagnose `count` tables of each kind, with workshop scatter, noise and step.
-
-    `tell` hears after every table which share is done. The counts are the same for any number of
-    workers.
-    """
-    unexplained = dict.fromkeys(KINDS, 0)
-    mistaken: Counter[tuple[str, str]] = Counter()
-    named = 0
-    cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
-    with WorkerPool(workers, simulator, scans) as pool:
-        for done, found in enumerate(pool.map(_told, cases), start=1):
-            unexplained[found.kind] += found.least_left >= measured.least_left
-            if found.kind == KINDS[0]:
-                (effect,) = found.effects
-                named += found.best == effect
-                if found.best != effect:
-                    mistaken[effect, found.best] += 1
-            tell(done / len(cases))
-    return Rehearsal(count, unexplained, named, dict(mistaken))
-
-
-class _Told(NamedTuple):
-    """A simulated table: its true effects, what they leave, and whose number leaves least."""
-
-    kind: str
-    effects: list[str]
-    least_left: float
-    best: str
-
-
-_Case = tuple[int, str, int]
-
-
-def _told(simulator: ChangeSimulator, scans: Sequence[Scan], case: _Case) -> _Told:
-    seed, kind, k = case
-    rng = np.random.default_rng([seed, KINDS.index(kind), k])
-    effects, changes_n = _table(simulator, scans, kind, rng)
-    while not np.isfinite(changes_n).all():  # two effects with which no arm is at rest
-        effects, changes_n = _table(simulator, scans, kind, rng)
-    judged = judge(simulator, scans, changes_n)
-    best = min(judged.singles, key=lambda s: s.held_out_rmse).number.effect
-    return _Told(kind, effects, judged.least_left, best)
-
-
-def read_rehearsal(path: Path) -> Rehearsal:
-    """Counts from a file that `write_rehearsal` made."""
-    said = json.loads(path.read_text(encoding="utf-8"))
-    mistaken = {(truth, taken): count for truth, taken, count in said.pop("mistaken")}
-    return Rehearsal(mistaken=mistaken, **said)
-
-
-def write_rehearsal(path: Path, rehearsal: Rehearsal) -> None:
-    """Write counts, so that who wants the verdict need not rehearse."""
-    said = asdict(rehearsal)
-    said["mistaken"] = [[*names, count] for names, count in sorted(rehearsal.mistaken.items())]
-    write_atomically(path, json.dumps(said, indent=1) + "\n", PaperError)
-
-
 def _rate(hits: int, count: int) -> float:
-    """Laplace's rule, so that what was never seen is not impossible."""
+    """Laplace's rule, so that what never occurred is not impossible."""
     return (hits + 1) / (count + 2)
 
 
-def _table(
-    simulator: ChangeSimulator, scans: Sequence[Scan], kind: str, rng: np.random.Generator
-) -> tuple[list[str], Array]:
-    nominal = simulator.predict([{}])[0]
-    variant = _scatter(simulator, rng)
-    if kind == KINDS[2]:
-        return [], simulator.measured(variant, rng, _unlisted(nominal.shape, rng))
-    effects: list[str] = []
-    while len(effects) < 1 + KINDS.index(kind):
-        effect = str(rng.choice(sorted({s.number.effect for s in scans} - set(effects))))
-        drawn = _of_effect([s for s in scans if s.number.effect == effect], nominal, rng)
-        if drawn is not None:
-            effects.append(effect)
-            variant = {**variant, **drawn}
-    return effects, simulator.measured(variant, rng)
-
-
-def _scatter(simulator: ChangeSimulator, rng: np.random.Generator) -> Assignment:
-    return {
-        term: float(rng.normal(0.0, parameter.typical))
-        for candidate in simulator.tolerances
-        for place in candidate.places
-        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
-    }
-
-
-def _of_effect(
-    scans: Sequence[Scan], nominal: Array, rng: np.random.Generator
-) -> Assignment | None:
-    """A place and a value, between those that were scanned, that make a gap of a fit size."""
-    for _ in range(30):
-        found = scans[int(rng.integers(len(scans)))]
-        gap = np.sqrt(((found.predicted - nominal) ** 2).mean(axis=(1, 2)))
-        fit = np.flatnonzero((gap >= SMALLEST_N) & (gap <= LARGEST_N))
-        if len(fit):
-            at = float(rng.choice(fit)) + rng.uniform(-0.5, 0.5)
-            value = np.interp(at, np.arange(len(found.values)), found.values)
-            return found.number.at(float(value))
-    return None
-
-
-def _unlisted(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Any pattern of cables and load points, in proportion to the load: half of them internal.
-
-    Rows are those of Table II: three load points with one load, then with twice as much.
-    """
-    points = shape[0] // 2
-    pattern = rng.normal(size=(points, shape[1]))
-    if rng.random() < 0.5:  # cables of one segment tighten alike
-        pattern = np.repeat(rng.normal(size=(points, shape[1] // 3)), 3, axis=1)
-    beyond = np.concatenate([pattern, 2.0 * pattern])
-    return beyond * rng.uniform(SMALLEST_N, LARGEST_N) / np.sqrt((beyond**2).mean())
-
-
-ARM = "cdsm_table2"
-STEP_N = 0.1813
-SEED = 1
-FOLDS = {
-    "one row": np.arange(6),
-    "one load point": np.array([0, 1, 2, 0, 1, 2]),
-    "one load level": np.array([0, 0, 0, 1, 1, 1]),
-}
-"""Rows held out together; the table has three load points with 1 kg, then with 2 kg."""
-
-INDEPENDENT = 5.4
-"""What the 54 numbers count for among explanations that all leave most: a tenth, as the search has
-it (`diagnosis.evidence.CORRELATION`)."""
-
-
 @dataclass(frozen=True)
-class Findings:
-    """All that the report tells.
+class TableDiagnosis:
+    """All that the report states.
 
     Attributes:
         arm: of the table.
         changes: the physical rows.
         nominal_n, paper_n: (6, 9) this project's and the paper's simulated rows.
         floor_n: what noise and step leave of one change.
-        internal_n: (6, 9) part of the gap that carries no moment.
-        moments: (6, 3) pitch moments about each joint over those of the known load; NaN where
-            there are none.
         blind: effects that no change in this table could show, with the most that they do, N.
-        singles: for each held-out scheme, the best number of each effect, the best first.
-        any_single_n: for each scheme, what is left where the effect is chosen on the fit rows too.
-        proportional_n: (6, 9) each row as the other level's row tells it, in proportion.
+        scans: of every number that can be seen.
+        singles: for each of `FOLDS`, the best number of each effect, the best first.
         judged, rehearsal: see there.
         verdict: of it all.
-        command: that made this.
     """
 
     arm: Arm
@@ -289,85 +142,72 @@ class Findings:
     nominal_n: Array
     paper_n: Array
     floor_n: float
-    internal_n: Array
-    moments: Array
     blind: dict[str, float]
+    scans: Sequence[Scan]
     singles: dict[str, tuple[Explained, ...]]
-    any_single_n: dict[str, float]
-    proportional_n: Array
     judged: Judged
     rehearsal: Rehearsal
     verdict: Verdict
-    command: str
 
     @property
     def gap_n(self) -> Array:
         """(6, 9) measured less simulated."""
         return self.changes.changes_n - self.nominal_n
 
+    @property
+    def internal_n(self) -> Array:
+        """(6, 9) the part of the gap that carries no moment."""
+        return internal_n(self.arm, self.gap_n)
+
 
 def diagnose_table(
-    tables: int | None,
-    command: str,
-    tell: Callable[[float], None] = lambda done: None,
+    tables: int,
+    progress: Callable[[float], None] = lambda done: None,
     workers: int = 1,
-) -> Findings:
+) -> TableDiagnosis:
     """Everything from the table to the verdict.
 
     Args:
-        tables: of each kind that are simulated and diagnosed for the probability; None takes the
+        tables: of each kind that are simulated and diagnosed for the probability; 0 takes the
             counts that ship with the package.
-        command: that makes the findings again.
-        tell: hears which share is done.
+        progress: receives the share that is done.
         workers: processes that diagnose the simulated tables.
 
     Raises:
-        CableSenseError: the verdict is no longer `unknown`, so that the words do not hold.
+        PaperError: the verdict is no longer `unknown`, so that the text does not hold.
     """
     began = time.monotonic()
-    arm, physical, paper_n = open_arm(ARM), table("physical"), table("simulated").changes_n
+    arm, physical = open_arm(ARM), table("physical")
+    measured = physical.changes_n
     everything = ChangeSimulator(arm, physical)
     nominal = everything.predict([{}])[0]
     scans, blind = _scans(everything, nominal)
-    seen = {found.number.effect for found in scans}
-    simulator = ChangeSimulator(arm, physical, seen)
-    measured = physical.changes_n
+    simulator = ChangeSimulator(arm, physical, {found.number.effect for found in scans})
     judged = judge(simulator, scans, measured)
-    tell(0.1 if tables else 0.6)
+    progress(0.1 if tables else 0.6)
     if tables:
         rehearsal = rehearse(
-            simulator, scans, judged, tables, SEED, lambda done: tell(0.1 + 0.9 * done), workers
-        )
+            simulator, scans, judged, tables, _SEED, lambda done: progress(0.1 + 0.9 * done),
+            workers,
+        )  # fmt: skip
     else:
-        rehearsal = read_rehearsal(SHIPPED)
+        rehearsal = read_rehearsal(REHEARSAL)
     singles = {name: _best_of_each(scans, measured, fold) for name, fold in FOLDS.items()}
-    proportional = np.concatenate([0.5 * measured[3:], 2.0 * measured[:3]])
-    expected = moments_n_m(arm, nominal)[:, ::2]
-    carried = moments_n_m(arm, measured)[:, ::2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(np.abs(expected) > 1e-3, carried / expected, np.nan)
-    found = Findings(
+    verdict = _verdict(simulator, physical, nominal, judged, rehearsal)
+    seconds = round(time.monotonic() - began, 1)
+    return TableDiagnosis(
         arm=arm,
         changes=physical,
         nominal_n=nominal,
-        paper_n=paper_n,
+        paper_n=table("simulated").changes_n,
         floor_n=simulator.floor,
-        internal_n=internal_n(arm, measured - nominal),
-        moments=ratio,
         blind=blind,
+        scans=scans,
         singles=singles,
-        any_single_n={
-            name: float(np.sqrt(held_out_of_best(scans, measured, fold).sum() / measured.size))
-            for name, fold in FOLDS.items()
-        },
-        proportional_n=proportional,
         judged=judged,
         rehearsal=rehearsal,
-        verdict=_verdict(simulator, physical, nominal, judged, rehearsal, proportional),
-        command=command,
+        verdict=verdict.model_copy(update={"seconds": seconds}),
     )
-    seconds = round(time.monotonic() - began, 1)
-    return replace(found, verdict=found.verdict.model_copy(update={"seconds": seconds}))
 
 
 def table(source: str) -> TensionChanges:
@@ -400,6 +240,20 @@ def _scans(simulator: ChangeSimulator, nominal: Array) -> tuple[list[Scan], dict
     return seen, blind
 
 
+def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -> Judged:
+    """Fit everything to a table (K, M); rows are held out one by one."""
+    rows = np.arange(len(changes_n))
+    singles = tuple(explain(found, changes_n, rows) for found in scans)
+    problem = prepare(simulator, changes_n, rows, rows, np.ones(len(rows), dtype=bool))
+    hypotheses = tuple(search(problem))
+    gap = np.sqrt(((changes_n - problem.nominal) ** 2).mean())
+    left = [
+        *(single.rmse for single in singles),
+        *(np.sqrt(((changes_n - h.prediction) ** 2).mean()) for h in hypotheses),
+    ]
+    return Judged(singles, hypotheses, float(min(left) / gap))
+
+
 def _best_of_each(
     scans: Sequence[Scan], measured: Array, fold: NDArray[np.int64]
 ) -> tuple[Explained, ...]:
@@ -418,60 +272,160 @@ def _verdict(
     nominal: Array,
     judged: Judged,
     rehearsal: Rehearsal,
-    proportional: Array,
 ) -> Verdict:
-    """Unknown while that is the most probable; the words of the report are about that alone."""
+    """Unknown while that is the most probable; the text of the report is about that alone."""
     if rehearsal.probability <= 0.5:
-        raise CableSenseError(
+        raise PaperError(
             f"listed effects leave {judged.least_left:.0%} of the gap, and something unlisted is "
-            f"only {rehearsal.probability:.0%} probable: the words of the report no longer hold"
+            f"only {rehearsal.probability:.0%} probable: the text of the report no longer holds"
         )
-    gap = physical.changes_n - nominal
-    rows = np.arange(len(gap))
+    measured = physical.changes_n
+    gap = measured - nominal
+    # each row as the other load level's row predicts it, in proportion to the load
+    left_n = measured - np.concatenate([0.5 * measured[3:], 2.0 * measured[:3]])
     by_cable = np.sqrt((gap**2).mean(0))
+    loud = np.flatnonzero(by_cable > 1.1 * np.sqrt((gap**2).mean()))
     return Verdict(
         effects=(UNKNOWN,),
         probability=rehearsal.probability,
         ambiguity_group=(UNKNOWN,),
         where=Where(
-            cables=tuple(
-                f"cable_{i + 1}" for i in np.flatnonzero(by_cable > 1.1 * np.sqrt((gap**2).mean()))
-            ),
-            regimes=("in proportion to the load",),
+            cables=tuple(f"cable_{i + 1}" for i in loud), regimes=("in proportion to the load",)
         ),
-        gap=gap_size(gap, physical.changes_n - proportional, rows, simulator.floor),
-        candidates=_candidates(judged, rehearsal, physical.changes_n - proportional),
+        gap=gap_size(gap, left_n, np.arange(len(gap)), simulator.floor),
+        candidates=_candidates(judged, rehearsal.probability, left_n),
         recording=physical.name,
         arm=ARM,
     )
 
 
-def _candidates(
-    judged: Judged, rehearsal: Rehearsal, flexible_n: Array
-) -> tuple[CandidateResult, ...]:
+def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[Candidate, ...]:
     """Listed explanations share what the unlisted leaves, the more the less they leave."""
-    count = np.full(6, 9.0)
     squares = {h.effects or ("none",): h.squares for h in judged.hypotheses}
     for single in judged.singles:
         effects = (single.number.effect,)
         if effects not in squares or single.squares.sum() < squares[effects].sum():
             squares[effects] = single.squares
-    weight = {e: float(s.sum()) ** (-0.5 * INDEPENDENT) for e, s in squares.items()}
-    share = (1.0 - rehearsal.probability) / sum(weight.values())
-    listed = [
-        _candidate(effects, left, count, share * weight[effects])
-        for effects, left in squares.items()
+    weight = {e: float(s.sum()) ** (-0.5 * _INDEPENDENT) for e, s in squares.items()}
+    share = (1.0 - probability) / sum(weight.values())
+    every = [
+        ((UNKNOWN,), (left_n**2).sum(-1), probability),
+        *((effects, left, share * weight[effects]) for effects, left in squares.items()),
     ]
-    unlisted = _candidate((UNKNOWN,), (flexible_n**2).sum(-1), count, rehearsal.probability)
-    return tuple(sorted([unlisted, *listed], key=lambda c: -c.probability))
-
-
-def _candidate(
-    effects: tuple[str, ...], squares: Array, count: Array, probability: float
-) -> CandidateResult:
-    return CandidateResult(
-        effects=effects,
-        held_out_rmse_n=float(np.sqrt(squares.sum() / count.sum())),
-        probability=probability,
-        held_out_ci95_n=rmse_interval_n(squares, count),
+    count = np.full(left_n.shape[0], float(left_n.shape[1]))
+    candidates = (
+        Candidate(
+            effects=effects,
+            held_out_rmse_n=float(np.sqrt(left.sum() / count.sum())),
+            probability=own,
+            held_out_ci95_n=rmse_interval_n(left, count),
+        )
+        for effects, left, own in every
     )
+    return tuple(sorted(candidates, key=lambda c: -c.probability))
+
+
+def rehearse(
+    simulator: ChangeSimulator,
+    scans: Sequence[Scan],
+    measured: Judged,
+    count: int,
+    seed: int,
+    progress: Callable[[float], None],
+    workers: int = 1,
+) -> Rehearsal:
+    """Draw and diagnose `count` tables of each kind, with manufacturing tolerance, noise and step.
+
+    `progress` receives the share that is done. The counts are the same for any number of workers.
+    """
+    unexplained = dict.fromkeys(KINDS, 0)
+    mistaken: Counter[tuple[str, str]] = Counter()
+    cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
+    with WorkerPool(workers, simulator, scans) as pool:
+        for done, (case, found) in enumerate(
+            zip(cases, pool.map(_rehearsed, cases), strict=True), start=1
+        ):
+            effects, best, least_left = found
+            unexplained[case[1]] += least_left >= measured.least_left
+            if case[1] == KINDS[0] and best not in effects:
+                mistaken[effects[0], best] += 1
+            progress(done / len(cases))
+    return Rehearsal(count, unexplained, count - mistaken.total(), dict(mistaken))
+
+
+def _rehearsed(
+    simulator: ChangeSimulator, scans: Sequence[Scan], case: tuple[int, str, int]
+) -> tuple[list[str], str, float]:
+    """Of a simulated table: its true effects, whose number leaves least, and what they leave."""
+    seed, kind, k = case
+    rng = np.random.default_rng([seed, KINDS.index(kind), k])
+    effects, changes_n = _drawn_table(simulator, scans, kind, rng)
+    while not np.isfinite(changes_n).all():  # two effects with which no arm is at rest
+        effects, changes_n = _drawn_table(simulator, scans, kind, rng)
+    judged = judge(simulator, scans, changes_n)
+    best = min(judged.singles, key=lambda s: s.held_out_rmse).number.effect
+    return effects, best, judged.least_left
+
+
+def _drawn_table(
+    simulator: ChangeSimulator, scans: Sequence[Scan], kind: str, rng: np.random.Generator
+) -> tuple[list[str], Array]:
+    nominal = simulator.predict([{}])[0]
+    variant: Assignment = {
+        term: float(rng.normal(0.0, parameter.typical))
+        for candidate in simulator.tolerances
+        for place in candidate.places
+        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
+    }
+    if kind == KINDS[2]:
+        return [], simulator.measured(variant, rng, _unlisted(nominal.shape, rng))
+    effects: list[str] = []
+    while len(effects) < 1 + KINDS.index(kind):
+        effect = str(rng.choice(sorted({s.number.effect for s in scans} - set(effects))))
+        drawn = _of_effect([s for s in scans if s.number.effect == effect], nominal, rng)
+        if drawn is not None:
+            effects.append(effect)
+            variant = {**variant, **drawn}
+    return effects, simulator.measured(variant, rng)
+
+
+def _of_effect(
+    scans: Sequence[Scan], nominal: Array, rng: np.random.Generator
+) -> Assignment | None:
+    """A place and a value, between those that were scanned, that make a gap of a fit size."""
+    for _ in range(30):
+        found = scans[int(rng.integers(len(scans)))]
+        gap = np.sqrt(((found.predicted - nominal) ** 2).mean(axis=(1, 2)))
+        fit = np.flatnonzero((gap >= _SMALLEST_N) & (gap <= _LARGEST_N))
+        if len(fit):
+            at = float(rng.choice(fit)) + rng.uniform(-0.5, 0.5)
+            value = np.interp(at, np.arange(len(found.values)), found.values)
+            return found.number.at(float(value))
+    return None
+
+
+def _unlisted(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Any pattern of cables and load points, in proportion to the load: half of them internal.
+
+    Rows are those of Table II: three load points with one load, then with twice as much.
+    """
+    points = shape[0] // 2
+    pattern = rng.normal(size=(points, shape[1]))
+    if rng.random() < 0.5:  # cables of one segment tighten alike
+        pattern = np.repeat(rng.normal(size=(points, shape[1] // 3)), 3, axis=1)
+    beyond = np.concatenate([pattern, 2.0 * pattern])
+    return beyond * rng.uniform(_SMALLEST_N, _LARGEST_N) / np.sqrt((beyond**2).mean())
+
+
+def read_rehearsal(path: Path) -> Rehearsal:
+    """Counts from a file that `write_rehearsal` made."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    mistaken = {(truth, named): count for truth, named, count in content.pop("mistaken")}
+    return Rehearsal(mistaken=mistaken, **content)
+
+
+def write_rehearsal(path: Path, rehearsal: Rehearsal) -> None:
+    """Write counts, so that the verdict can be had without the rehearsal."""
+    content = asdict(rehearsal)
+    content["mistaken"] = [[*names, n] for names, n in sorted(rehearsal.mistaken.items())]
+    write_atomically(path, json.dumps(content, indent=1) + "\n", PaperError)

@@ -1,20 +1,11 @@
-"""Changes of the tensions under loads that are hung on the arm: what a table of loads reports.
+"""Changes of the tensions under loads hung on the arm, and explanations of them by one number.
 
 A change is a loaded reading less the unloaded one just before it. What is the same in both, such
 as a sensor's zero or the arm's own weight, is not in it.
 
-Which part of a tension change balances moments, and which only other cables.
-
-On an arm at rest with taut cables, J(q)ᵀ ΔT is the change of the joint moments, whatever the
-stiffness of the cables. What lies in the range of J carries moments; what is orthogonal to it
-bends nothing. With three cables a segment that is one number a segment: all its cables tighter or
-slacker by the same.
-
-Explanations with one number, tried over its whole plausible range.
-
-A handful of readings bears no more. The range is gone through value by value, so that an effect
-that only acts from some size on, such as a cable that goes slack, is not missed for a slope of
-zero.
+A handful of readings bears explanations with one number and no more. Its range is gone through
+value by value, so that an effect that only acts from some size on, such as a cable that goes
+slack, is not missed for a slope of zero.
 """
 
 from __future__ import annotations
@@ -37,6 +28,11 @@ from cablesense_sim.kinematics import cable_jacobian_m
 from cablesense_sim.sensors import difference_variance_n2, read_tensions_n
 
 _HOLD_S = 60.0
+VALUES = 81
+"""Of a number that are tried over its range."""
+
+_AS_GOOD = 1.001
+"""Of values that leave no more than this times the least, the one nearest zero is taken."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class TensionChanges:
     load_n: Array
     changes_n: Array
 
-    def course(self, joint_count: int) -> Recording:
+    def protocol(self, joint_count: int) -> Recording:
         """(2K rows) each load hung on the unloaded arm, and taken off for the next."""
         count = len(self.load_segment)
         loaded = np.tile([0, 1], count)
@@ -71,10 +67,7 @@ class TensionChanges:
 
 
 class ChangeSimulator:
-    """A `Simulator` whose K rows are changes under load.
-
-    Attributes: see `Simulator`.
-    """
+    """A `Simulator` whose K rows are changes under load."""
 
     candidates: Sequence[Candidate]
     tolerances: Sequence[Candidate]
@@ -85,7 +78,7 @@ class ChangeSimulator:
     ) -> None:
         """Candidates are those among `effects`, or all; never those that need the time."""
         self._sensors = arm.sensors
-        self._arm = ArmSimulator(arm, changes.course(2 * arm.segment_count))
+        self._arm = ArmSimulator(arm, changes.protocol(2 * arm.segment_count))
         self.floor = float(np.sqrt(difference_variance_n2(arm.sensors, tare_samples=1)))
         known = known_effects()
         self.candidates = tuple(
@@ -102,7 +95,7 @@ class ChangeSimulator:
     def measured(
         self, variant: Assignment, rng: np.random.Generator, beyond_n: Array | float = 0.0
     ) -> Array:
-        """Changes (K, M) as sensors would tell them, N: each reading has its own noise and step.
+        """Changes (K, M) as sensors would read them, N: each reading has its own noise and step.
 
         `beyond_n` (K, M) is added to the loaded tensions: what no effect of the library does.
         """
@@ -121,19 +114,19 @@ def moments_n_m(arm: Arm, changes_n: Array) -> Array:
 
 
 def internal_n(arm: Arm, changes_n: Array) -> Array:
-    """The part (K, M) of changes (K, M) that carries no moment on the straight arm, N."""
+    """The part (K, M) of changes (K, M) that carries no moment on the straight arm, N.
+
+    At rest with taut cables, J(q)ᵀ ΔT is the change of the joint moments, whatever the stiffness
+    of the cables. What lies in the range of J carries moments; what is orthogonal to it bends
+    nothing. With three cables a segment that is one number a segment: all its cables tighter or
+    slacker by the same.
+    """
     basis, _ = np.linalg.qr(_jacobian_m(arm))
     return np.asarray(changes_n - changes_n @ basis @ basis.T)
 
 
 def _jacobian_m(arm: Arm) -> Array:
     return np.asarray(cable_jacobian_m(mechanism_of(arm), np.zeros(2 * arm.segment_count)))
-
-
-VALUES = 81
-
-_AS_GOOD = 1.001
-"""Of values that leave no more than this times the least, the one nearest zero is taken."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +136,7 @@ class OneNumber:
     Attributes:
         terms: that take the value.
         low, high: its plausible range; zero, which is within it, means that nothing is different.
-        held: numbers that say how the effect behaves where it is present.
+        held: numbers that state how the effect behaves where it is present.
     """
 
     terms: tuple[Term, ...]
@@ -157,7 +150,7 @@ class OneNumber:
         return self.terms[0].effect
 
     def at(self, value: float) -> Assignment:
-        """What a simulator is told."""
+        """The assignment that a simulator takes."""
         return {**self.held, **dict.fromkeys(self.terms, value)}
 
     def values(self) -> Array:
@@ -230,7 +223,7 @@ def most_change(found: Scan, nominal: Array) -> float:
 def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
     """The value that fits best, and what values leave on rows that they were not fitted to.
 
-    `fold` (R,) 0 to F - 1 says which rows are held out together.
+    `fold` (R,) 0 to F - 1 states which rows are held out together.
     """
     squares = _squares(found, readings)
     best = _choice(squares.sum(-1), found.values)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import base64
 
 from cablesense_gap.report.style import style
-from cablesense_paper.study import (
+from cablesense_paper.study import Study, chosen_studies
+from cablesense_paper.study_result import (
     CLOSED_FORM,
     PAPER,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
-    Study,
     StudyResult,
-    chosen_studies,
 )
 
 DOT = base64.b64decode(
@@ -37,8 +36,17 @@ RESULT = StudyResult(
 
 
 def study(run=None, name="cable", quick="half the cables"):
-    """A study that finds `RESULT` unless told to do something else."""
-    return Study(name, "A cable", "Fig. 3", 1, quick, run or (lambda quick, tell: RESULT))
+    """A study that gives `RESULT` unless it is given something else to do."""
+    return Study(name, "A cable", "Fig. 3", 1, quick, run or (lambda quick, progress: RESULT))
+
+
+def failing(error):
+    """A study that raises."""
+
+    def run(quick, progress):
+        raise error
+
+    return study(run, name="rope")
 
 
 def ignore(done):
@@ -46,18 +54,19 @@ def ignore(done):
 
 
 def quick_result(name):
-    """What a study finds in quick mode; whatever goes wrong is raised."""
+    """The result of a study in quick mode; whatever goes wrong is raised."""
     (chosen,) = chosen_studies([name])
-    told = []
+    shares = []
     with style():
-        result = chosen.run(True, told.append)
-    assert told == sorted(told)
-    assert all(0.0 <= share <= 1.0 for share in told)
+        result = chosen.run(True, shares.append)
+    assert shares == sorted(shares)
+    assert all(0.0 <= share <= 1.0 for share in shares)
+    assert all(picture.png.startswith(b"\x89PNG") for picture in result.pictures)
     return result
 
 
-def figures(result):
-    """Figures by quantity and source: ours, theirs and whether they agree."""
+def compared(result):
+    """By quantity and source: ours, theirs and whether they agree."""
     return {(c.what, c.source): (c.ours, c.theirs, c.agreement) for c in result.comparisons}
 
 

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.report.style import WIDTH_IN
-from cablesense_paper.joint_course import PERIOD_S, course_rad
-from cablesense_paper.study import (
-    BLACK,
-    CLOSED_FORM,
-    DASHES,
-    SERIES,
-    Agreement,
-    Comparison,
-    SmallTable,
-    Study,
-    StudyResult,
-    Tell,
-    picture,
-)
+from cablesense_paper.drawing import BLACK, panels, plot_by_cable
+from cablesense_paper.studies.joint_course import PERIOD_S, trajectory_rad
+from cablesense_paper.study import Progress
+from cablesense_paper.study_result import StudyResult, study_result
+from cablesense_sim.arm import open_arm
+from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.model import build_spec
 
-ARM = "cdsm"
 _TABLE_1 = (
     ("position", "simulation", "[6], [7], [10], [13]"),
     ("position", "physical", "[1]"),
@@ -34,129 +28,63 @@ _TABLE_1 = (
 )
 """The paper's eleven rows, by how the tendons are driven and where."""
 
-_TOLERANCE_M = 1e-12
-_TOLERANCE_RAD = 1e-9
 
-
-def run(quick: bool, tell: Tell) -> StudyResult:
-    """Lengths for the ±10° course, by closed form and by MuJoCo, and the way back to angles."""
-    import mujoco
-
-    from cablesense_sim import kinematics
-    from cablesense_sim.arm import open_arm
-    from cablesense_sim.build import mechanism_of
-    from cablesense_sim.equilibrium import held_lengths_m
-    from cablesense_sim.model import build_spec
-
-    mechanism = mechanism_of(open_arm(ARM))
+def run(quick: bool, progress: Progress) -> StudyResult:
+    """Lengths for the ±10° trajectory, by closed form and by MuJoCo, and back to angles."""
+    mechanism = Mechanism.from_arm(open_arm("cdsm"))
     time_s = np.linspace(0.0, 2.0 * PERIOD_S, 81 if quick else 401)
-    angles = course_rad(time_s, list(range(0, mechanism.joint_count, 2)), mechanism.joint_count)
-    held_m = held_lengths_m(mechanism, angles)
+    angles = trajectory_rad(
+        time_s, list(range(0, mechanism.joint_count, 2)), mechanism.joint_count
+    )
+    commanded_m = held_lengths_m(mechanism, angles)
+    measured_m = _lengths_by_mujoco_m(mechanism, angles, progress)
+    row = len(angles) - 1 - len(angles) // 8  # at a peak
+    recovered = _angles_of(mechanism, commanded_m[row])
+    numbers = {
+        "drawn_mm": 1e3 * np.abs(commanded_m).max(),
+        "driven_by": _TABLE_1,
+        "apart_m": float(np.abs(measured_m - measured_m[0] - commanded_m).max()),
+        "missed_rad": float(np.abs(recovered - angles[row]).max()),
+    }
+    figures = {"displacement_lengths": _figure(time_s, angles, commanded_m)}
+    return study_result("displacement", numbers, figures)
+
+
+def _lengths_by_mujoco_m(mechanism: Mechanism, angles: Array, progress: Progress) -> Array:
+    """Tendon lengths (T, M) at joint angles (T, 2N)."""
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     joints = [
         model.joint(f"joint_{n // 2 + 1}_{('pitch', 'yaw')[n % 2]}").qposadr[0]
         for n in range(mechanism.joint_count)
     ]
-    lengths = np.empty_like(held_m)
+    lengths = np.empty((len(angles), model.ntendon))
     for row, pose in enumerate(angles):
         data.qpos[joints] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_tendon(model, data)
         lengths[row] = data.ten_length
-        tell(row / len(angles))
-    by_mujoco_m = lengths - lengths[0]
-    apart_m = float(np.abs(by_mujoco_m - held_m).max())
-    recovered = _angles_of(mechanism, held_m[-1 - len(held_m) // 8], kinematics)
-    missed = float(np.abs(recovered - angles[-1 - len(held_m) // 8]).max())
-    return StudyResult(
-        lead=(
-            "Commanded joint angles become cable lengths by geometry alone, and MuJoCo measures "
-            "the same lengths on its model. A cable is drawn by up to "
-            f"{1e3 * np.abs(held_m).max():.1f} mm; what the cable's own give adds to that at 50 N "
-            "is a few micrometres."
-        ),
-        pictures=(
-            picture(
-                "displacement_lengths",
-                _figure(time_s, angles, held_m),
-                "Section II-A: joint angles as commanded (top), and the cable lengths that this "
-                "asks of the actuators (bottom; a negative change is a drawn cable). All four "
-                "pitch joints move; cables that end on the same segment share a colour.",
-                "Joint angles and commanded changes of the twelve cable lengths over time",
-            ),
-        ),
-        tables=(
-            SmallTable(
-                "Table I of the paper, counted by how tendons are driven. The arm here is driven "
-                "as the paper's: by position.",
-                ("driven by", "on", "rows of Table I"),
-                _TABLE_1,
-            ),
-        ),
-        comparisons=(
-            Comparison(
-                "largest difference between commanded length and MuJoCo's tendon length",
-                apart_m, 0.0, "m",
-                Agreement.within(apart_m, 0.0, _TOLERANCE_M),
-                "Both are the same geometry; the rest is rounding.",
-                CLOSED_FORM,
-            ),
-            Comparison(
-                "joint angles found again from twelve commanded lengths, largest error",
-                missed, 0.0, "rad",
-                Agreement.within(missed, 0.0, _TOLERANCE_RAD),
-                "Twelve lengths fix eight angles, so displacement input fixes the pose.",
-                CLOSED_FORM,
-            ),
-        ),
-        notes=(
-            "The paper states position input and shows its drive signal in Fig. 4 (a); it gives "
-            "neither the period of the course nor which joints move.",
-        ),
-    )  # fmt: skip
+        progress(row / len(angles))
+    return lengths
 
 
-def _angles_of(mechanism: Any, held_m: Array, kinematics: Any) -> Array:
-    """Joint angles (2N,) with these cable lengths (M,), by Gauss and Newton from straight."""
+def _angles_of(mechanism: Mechanism, change_m: Array) -> Array:
+    """Joint angles (2N,) with these changes of cable length (M,), by Gauss-Newton from zero."""
     angles = np.zeros(mechanism.joint_count)
-    straight = kinematics.cable_lengths_m(mechanism, angles)
+    target_m = cable_lengths_m(mechanism, angles) + change_m
     for _ in range(12):
-        missing = straight + held_m - kinematics.cable_lengths_m(mechanism, angles)
-        jacobian = kinematics.cable_jacobian_m(mechanism, angles)
+        missing = target_m - cable_lengths_m(mechanism, angles)
+        jacobian = cable_jacobian_m(mechanism, angles)
         angles = angles + np.linalg.lstsq(jacobian, missing, rcond=None)[0]
     return np.asarray(angles)
 
 
-def _figure(time_s: Array, angles_rad: Array, held_m: Array) -> Any:
-    import matplotlib.pyplot as plt
-
-    figure, (top, bottom) = plt.subplots(
-        2, 1, figsize=(WIDTH_IN, 4.6), sharex=True, layout="constrained"
-    )
-    top.plot(time_s, np.rad2deg(angles_rad[:, 0]), color=BLACK)
+def _figure(time_s: Array, angles: Array, commanded_m: Array) -> Any:
+    figure, every = panels(2, 1, 4.6, sharex=True)
+    top, bottom = every[:, 0]
+    top.plot(time_s, np.rad2deg(angles[:, 0]), color=BLACK)
     top.set(ylabel="pitch of every joint, °")
-    cables = held_m.shape[1]
-    for i in range(cables):
-        bottom.plot(
-            time_s,
-            1e3 * held_m[:, i],
-            color=SERIES[i // 3],
-            ls=DASHES[i % 3],
-            label=f"cable {i + 1}",
-        )
-    bottom.set(xlabel="time, s", ylabel="change of cable length, mm", xlim=(time_s[0], time_s[-1]))
-    for axes in (top, bottom):
-        axes.grid()
+    plot_by_cable(bottom, time_s, 1e3 * commanded_m)
+    bottom.set(ylabel="change of cable length, mm")
     figure.legend(loc="outside right center")
     return figure
-
-
-STUDY = Study(
-    name="displacement",
-    title="Displacement actuation",
-    place="Table I, II-A",
-    order=10,
-    quick="a fifth of the poses",
-    run=run,
-)

@@ -1,276 +1,300 @@
-"""Fig. 6, section II-E and equation (2): what friction does to a cable over a cylinder."""
+"""Fig. 6, section II-E and equation (2): what friction does to a cable over a cylinder.
+
+`FrictionCable` is Fig. 3 (c) stepped in time by MuJoCo under several laws of friction;
+`quasi_static_tensions_n` is the same by this project's own effect `capstan_friction`.
+"""
 
 from __future__ import annotations
 
+from enum import StrEnum
+from typing import Any
+
+import mujoco
 import numpy as np
+from scipy.optimize import brentq
 
 from cablesense_base.arrays import Array
-from cablesense_gap.report.style import FLOOR, WIDTH_IN
-from cablesense_paper.study import (
+from cablesense_gap.report.style import FLOOR
+from cablesense_paper.cables import (
+    AXIAL_RIGIDITY_N,
+    CYLINDER_RADIUS_M,
+    LENGTH_M,
+    PRETENSION_N,
+    STIFFNESS_N_M,
+    around_a_cylinder,
+    drive_direction,
+)
+from cablesense_paper.drawing import (
     BLACK,
     BLUE,
-    CLOSED_FORM,
     DASHES,
     GREY,
     ORANGE,
     SERIES,
-    Agreement,
-    Comparison,
-    Picture,
-    SmallTable,
-    Study,
-    StudyResult,
-    Tell,
-    picture,
+    one_panel,
+    panels,
 )
+from cablesense_paper.study import Progress
+from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
+from cablesense_sim.effects.transmission import DryContact
 
-COEFFICIENT, WRAP_RAD = 0.2, float(np.pi)
-HIGH_M, LOW_M = 8e-6, -2e-6
-"""The drive's way; both halves of the cable stay taut."""
+STICK_STIFFNESS_N_M = 5e8
+"""With which friction gives before it slips: fifty times the cable's own."""
 
-CYCLE_S, QUICK_CYCLE_S = 16.0, 4.0
+_HARD_SOLREF = (2e-3, 1.0)
+"""Twice a step of 1 ms, as short as MuJoCo lets it be without `refsafe` taking over."""
+_HARD_SOLIMP = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
+"""At MuJoCo's own bound, `mjMAXIMP`."""
+
+
+class Friction(StrEnum):
+    """What holds the piece of cable on the cylinder.
+
+    NONE: nothing. FRICTIONLOSS: MuJoCo's dry friction, a constraint, as it comes; the paper uses
+    it. HARDENED: the same, the constraint as hard as MuJoCo takes it. YIELDING: MuJoCo's spring
+    that yields at a fixed force (`springyield`). CAPSTAN: that spring, its yield force following
+    the tensions by equation (2), set at every step.
+    """
+
+    NONE = "none"
+    FRICTIONLOSS = "frictionloss"
+    HARDENED = "frictionloss, hardened"
+    YIELDING = "yielding spring"
+    CAPSTAN = "capstan"
+
+
+def capstan_limit_n(near_n: Any, far_n: Any, friction_rad: float) -> Any:
+    """The most by which two tensions with this sum can differ before the cable slips.
+
+    Where T_far = T_near exp(-μ θ), as equation (2) has it, T_near - T_far = (T_near + T_far)
+    tanh(μ θ / 2). `friction_rad` is μ θ.
+    """
+    return (near_n + far_n) * np.tanh(0.5 * friction_rad)
+
+
+class FrictionCable:
+    """The model of Fig. 3 (c) in time; tensions are those of its two halves."""
+
+    def __init__(
+        self, friction: Friction, coefficient: float, wrap_rad: float, timestep_s: float = 1e-3
+    ) -> None:
+        """Laws with a fixed force take that which the capstan holds at the pretension."""
+        self._friction = friction
+        self._friction_rad = coefficient * wrap_rad
+        self._direction = drive_direction(wrap_rad)
+        fixed_n = float(capstan_limit_n(PRETENSION_N, PRETENSION_N, self._friction_rad))
+        spec = around_a_cylinder(wrap_rad)
+        spec.option.timestep = timestep_s
+        ring = spec.joint("ring")
+        self._torsion_n_m_rad = STICK_STIFFNESS_N_M * CYLINDER_RADIUS_M**2
+        if friction in (Friction.FRICTIONLOSS, Friction.HARDENED):
+            ring.frictionloss = fixed_n * CYLINDER_RADIUS_M
+            if friction is Friction.HARDENED:
+                ring.solref_friction, ring.solimp_friction = _HARD_SOLREF, _HARD_SOLIMP
+        elif friction is not Friction.NONE:
+            ring.stiffness = [self._torsion_n_m_rad, 0.0, 0.0]
+            ring.springyield = self._yield_rad(fixed_n)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+        self._home_m = self._data.mocap_pos[0].copy()
+
+    def drawn(self, path_m: Array) -> Array:
+        """Tensions (T, 2) before and beyond the cylinder along a path (T,) of the drive.
+
+        Each position is a step of time.
+        """
+        tensions = np.empty((len(path_m), 2))
+        for row, drawn_m in enumerate(path_m):
+            self._data.mocap_pos[0] = self._home_m + drawn_m * self._direction
+            if self._friction is Friction.CAPSTAN:
+                near_n, far_n = self._tensions_n()
+                limit_n = capstan_limit_n(near_n, far_n, self._friction_rad)
+                self._model.jnt_springyield[:] = self._yield_rad(limit_n)
+            mujoco.mj_step(self._model, self._data)
+            tensions[row] = self._tensions_n()
+        return tensions
+
+    def _tensions_n(self) -> Array:
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_tendon(self._model, self._data)
+        stretch = self._data.ten_length - self._model.tendon_lengthspring[:, 1]
+        stiffness = self._model.tendon_stiffness.reshape(2, -1)[:, 0]
+        return np.asarray(np.maximum(stiffness * stretch, 0.0))
+
+    def _yield_rad(self, force_n: float) -> float:
+        return force_n * CYLINDER_RADIUS_M / self._torsion_n_m_rad
+
+
+def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) -> Array:
+    """Tensions (T, 2) before and beyond the cylinder along a path (T,) of the drive.
+
+    Where the cable has passed over the cylinder by s, T1 = T0 + k (c - s) and T2 = T0 + k s with
+    c the path and k of half the cable; friction holds T1 = T2 exp(μ θ share(s)), the share of its
+    limit after `cablesense_sim.effects.transmission`, as the effect `capstan_friction` does. The
+    contact gives as much before it slips as the friction of `FrictionCable` does.
+    """
+    friction_rad = coefficient * wrap_rad
+    half_n_m = AXIAL_RIGIDITY_N / (0.5 * LENGTH_M)
+    slack_m = PRETENSION_N / half_n_m
+    give_m = max(friction_rad, 1e-6) * PRETENSION_N / STICK_STIFFNESS_N_M
+    none = np.zeros(1)
+    contact = DryContact(np.array([give_m]), none, none, none)
+
+    def halves_n(passed_m: float, drawn_m: float) -> tuple[float, float]:
+        return PRETENSION_N + half_n_m * (drawn_m - passed_m), PRETENSION_N + half_n_m * passed_m
+
+    def missing_n(passed_m: float, drawn_m: float) -> float:
+        share = contact.share(np.array([passed_m]))[0][0]
+        near, far = halves_n(passed_m, drawn_m)
+        return float(near - far * np.exp(friction_rad * share))
+
+    tensions = np.empty((len(path_m), 2))
+    for row, drawn_m in enumerate(path_m):
+        passed_m = brentq(missing_n, -slack_m, drawn_m + slack_m, (drawn_m,), xtol=1e-15)
+        contact.settle(np.array([passed_m]))
+        tensions[row] = halves_n(passed_m, drawn_m)
+    return tensions
+
+
+_COEFFICIENT, _WRAP_RAD = 0.2, float(np.pi)
+_HIGH_M, _LOW_M = 8e-6, -2e-6
+"""The drive's stroke; both halves of the cable stay taut."""
+
 _STEP_S, _FINE_STEP_S = 1e-3, 5e-4
 _PULL_S, _SETTLE_S = 1.0, 0.3
-_LAWS = ("frictionloss", "frictionloss, hardened", "yielding spring", "capstan")
+_LAWS = tuple(Friction)[1:]
 
 
-def run(quick: bool, tell: Tell) -> StudyResult:
-    """Loops, the sweep of equation (2), and what is left after a rest, on Fig. 3 (c)."""
-    from cablesense_paper.rubbing_cable import rubbing_tensions_n
-
-    course = _course_m(QUICK_CYCLE_S if quick else CYCLE_S)
+def run(quick: bool, progress: Progress) -> StudyResult:
+    """Loops, the sweep of equation (2), and what is left after a time at rest, on Fig. 3 (c)."""
+    size = study_size("friction", quick)
+    rest_s: float = size["rest_s"]
+    path = _path_m(size["cycle_s"])
     loops = {}
-    for done, law in enumerate(("none", *_LAWS)):
-        loops[law] = _pulled_n(law, COEFFICIENT, WRAP_RAD, course, _FINE_STEP_S)
-        tell(0.05 * (done + 1))
-    own_n = rubbing_tensions_n(course, COEFFICIENT, WRAP_RAD)
-    apart_n = float(np.abs(own_n - loops["capstan"]).max())
-    tell(0.35)
-    sweep = _sweep(quick)
+    for done, law in enumerate(Friction, start=1):
+        cable = FrictionCable(law, _COEFFICIENT, _WRAP_RAD, _FINE_STEP_S)
+        loops[law] = cable.drawn(path)
+        progress(0.05 * done)
+    own_n = quasi_static_tensions_n(path, _COEFFICIENT, _WRAP_RAD)
+    apart_n = float(np.abs(own_n - loops[Friction.CAPSTAN]).max())
+    progress(0.35)
+    sweep = np.array(
+        [
+            (mu, np.pi * half_turns, _slip_ratio(mu, np.pi * half_turns))
+            for mu in size["coefficients"]
+            for half_turns in size["half_turns"]
+        ]
+    )
     expected = np.exp(-sweep[:, 0] * sweep[:, 1])
-    worst = float(np.abs(sweep[:, 2] / expected - 1.0).max())
-    tell(0.65)
-    rest_s = 5.0 if quick else 60.0
-    held = {law: _held_n(law, rest_s) for law in _LAWS}
-    left = {law: float(held_n[-1] / held_n[0]) for law, held_n in held.items()}
-    width_n = {law: _loop_width_n(course, loops[law][:, 0]) for law in _LAWS}
-    ratio = float(np.exp(-COEFFICIENT * WRAP_RAD))
-    return StudyResult(
-        lead=(
-            "MuJoCo's frictionloss is a damper with a limit: at these speeds it makes a loop of "
-            f"{width_n['frictionloss']:.2f} N as it comes, and one of "
-            f"{width_n['frictionloss, hardened']:.0f} N at the hardest setting, which creeps away "
-            "at rest. A yielding spring holds, but by a fixed force. With its yield following the "
-            "tensions it gives equation (2) in slip, at every μ and θ tried, and holds at rest."
-        ),
-        pictures=(
-            _loops_picture(course, loops, own_n),
-            _sweep_picture(sweep),
-            _held_picture(held, rest_s),
-        ),
-        tables=(
-            SmallTable(
-                f"μ = {COEFFICIENT:g}, θ = {WRAP_RAD:.3f} rad. The loop: tension at the drive, "
-                "drawing less letting out, where that is most.",
-                ("law", "width of the loop, N", f"left of it after {rest_s:.0f} s at rest, %"),
-                tuple((law, width_n[law], 100.0 * left[law]) for law in _LAWS),
-            ),
-        ),
-        comparisons=(
-            Comparison(
-                "hysteresis from frictionloss",
-                f"{width_n[_LAWS[0]]:.2f} N; {width_n[_LAWS[1]]:.0f} N hardened",
-                "a loop", "", Agreement.PARTLY,
-                "There is one, but its width is set by speed, moving mass and solver settings; "
-                "the paper gives none of them.",
-            ),
-            Comparison(
-                "frictionloss and equation (2)", "the same force at every tension",
-                "approximates friction", "", Agreement.NO,
-                "Its limit is one number in newtons; equation (2) grows with the tension.",
-            ),
-            Comparison(
-                "T_out / T_in in slip, largest share off", worst, 0.0, "",
-                Agreement.within(worst, 0.0, 1e-3),
-                f"Equation (2) over {len(sweep)} pairs of μ and θ, with capstan friction from a "
-                "spring that yields at (T1 + T2) tanh(μ θ / 2).",
-            ),
-            Comparison(
-                "T_out / T_in in slip, μ = 0.2, θ = π",
-                float(_ratio(COEFFICIENT, WRAP_RAD)), ratio, "",
-                Agreement.within(_ratio(COEFFICIENT, WRAP_RAD), ratio, 1e-4),
-                "exp(-μ θ).",
-            ),
-            Comparison(
-                "MuJoCo's loop and that of the effect capstan_friction, largest difference",
-                apart_n, 0.0, "N", _near(apart_n, width_n["capstan"]),
-                "They slip alike. Before that, the effect's contact gives in proportion to the "
-                "tension, and MuJoCo's spring by a fixed stiffness; and a step lags.",
-                "this project's effect",
-            ),
-            Comparison(
-                f"share of the loop left after {rest_s:.0f} s, capstan", left["capstan"], 1.0, "",
-                Agreement.within(left["capstan"], 1.0, 1e-3),
-                "Dry friction holds for ever, and so must its model: the estimator takes its "
-                "readings at rest.", CLOSED_FORM,
-            ),
-        ),
-        notes=(
-            "A MuJoCo tendon has one tension along its whole length, so no friction of one tendon "
-            "can make T_out differ from T_in. Here the cable is two tendons that meet on a ring "
-            "on the cylinder, and what rubs holds the ring.",
-            "The fixed laws take the force that the capstan holds at the pretension, "
-            f"{100.0 * np.tanh(0.5 * COEFFICIENT * WRAP_RAD):.1f} N. The paper gives neither its "
-            "μ, nor its wrap angle, nor its frictionloss.",
-        ),
-    )  # fmt: skip
+    progress(0.65)
+    held_n = {law: _held_n(law, rest_s) for law in _LAWS}
+    left = {law: float(held[-1] / held[0]) for law, held in held_n.items()}
+    width_n = {law: _loop_width_n(path, loops[law][:, 0]) for law in _LAWS}
+    near = apart_n < 0.1 * width_n[Friction.CAPSTAN]
+    numbers = {
+        "mu": _COEFFICIENT,
+        "wrap_rad": _WRAP_RAD,
+        "rest_s": rest_s,
+        "soft_width_n": width_n[Friction.FRICTIONLOSS],
+        "hard_width_n": width_n[Friction.HARDENED],
+        "laws": [(str(law), width_n[law], 100.0 * left[law]) for law in _LAWS],
+        "worst": float(np.abs(sweep[:, 2] / expected - 1.0).max()),
+        "pairs": len(sweep),
+        "slip_ratio": _slip_ratio(_COEFFICIENT, _WRAP_RAD),
+        "closed_ratio": float(np.exp(-_COEFFICIENT * _WRAP_RAD)),
+        "apart_n": apart_n,
+        "loops_agree": Agreement.PARTLY if near else Agreement.NO,
+        "capstan_left": left[Friction.CAPSTAN],
+        "fixed_n": 100.0 * np.tanh(0.5 * _COEFFICIENT * _WRAP_RAD),
+    }
+    figures = {
+        "fig_6_hysteresis": _loop_figure(path, loops, own_n),
+        "equation_2_capstan": _sweep_figure(sweep),
+        "fig_6_at_rest": _rest_figure(held_n, rest_s),
+    }
+    return study_result("friction", numbers, figures)
 
 
-def _near(apart_n: float, width_n: float) -> Agreement:
-    """In part where two loops differ by less than a tenth of their width."""
-    return Agreement.PARTLY if apart_n < 0.1 * width_n else Agreement.NO
-
-
-def _course_m(cycle_s: float) -> Array:
-    """To the high end, and then one closed cycle of the drive; begins and ends at rest."""
+def _path_m(cycle_s: float) -> Array:
+    """To the high end, and then one closed cycle of the drive; begins and ends at standstill."""
     time_s = np.arange(0.0, 1.5 * cycle_s, _FINE_STEP_S)
     phase = 2.0 * np.pi * time_s / cycle_s
-    up = 0.5 * HIGH_M * (1.0 - np.cos(phase))
-    mean, half = 0.5 * (HIGH_M + LOW_M), 0.5 * (HIGH_M - LOW_M)
+    up = 0.5 * _HIGH_M * (1.0 - np.cos(phase))
+    mean, half = 0.5 * (_HIGH_M + _LOW_M), 0.5 * (_HIGH_M - _LOW_M)
     return np.where(time_s < 0.5 * cycle_s, up, mean - half * np.cos(phase))
 
 
-def _pulled_n(
-    law: str, coefficient: float, wrap_rad: float, course_m: Array, step_s: float = _STEP_S
-) -> Array:
-    from cablesense_paper.rubbing_cable import Friction, RubbingCable
-
-    return RubbingCable(Friction(law), coefficient, wrap_rad, step_s).drawn(course_m)
-
-
-def _ratio(coefficient: float, wrap_rad: float) -> float:
+def _slip_ratio(coefficient: float, wrap_rad: float) -> float:
     """T_out / T_in after a pull that has made the cable slip, at rest."""
-    from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
-
     slips_at_m = PRETENSION_N * np.expm1(coefficient * wrap_rad) / (2.0 * STIFFNESS_N_M)
     time_s = np.arange(0.0, _PULL_S + _SETTLE_S, _STEP_S)
-    course = 5.0 * slips_at_m * np.clip(time_s / _PULL_S, 0.0, 1.0)
-    near_n, far_n = _pulled_n("capstan", coefficient, wrap_rad, course)[-1]
+    path = 5.0 * slips_at_m * np.clip(time_s / _PULL_S, 0.0, 1.0)
+    near_n, far_n = FrictionCable(Friction.CAPSTAN, coefficient, wrap_rad, _STEP_S).drawn(path)[-1]
     return float(far_n / near_n)
 
 
-def _sweep(quick: bool) -> Array:
-    """Rows of μ, θ and T_out / T_in."""
-    coefficients = (0.05, 0.2, 0.5) if quick else (0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
-    wraps = np.pi * np.array([0.25, 1.0, 1.5] if quick else [0.25, 0.5, 0.75, 1.0, 1.25, 1.5])
-    return np.array([(mu, wrap, _ratio(mu, wrap)) for mu in coefficients for wrap in wraps])
-
-
-def _held_n(law: str, rest_s: float) -> Array:
+def _held_n(law: Friction, rest_s: float) -> Array:
     """T1 - T2, each step from the end of a pull into slip, with the drive at rest."""
-    pull = HIGH_M * np.clip(np.arange(0.0, _PULL_S, _STEP_S) / _PULL_S, 0.0, 1.0)
-    still = np.full(round((_SETTLE_S + rest_s) / _STEP_S), HIGH_M)
-    tensions = _pulled_n(law, COEFFICIENT, WRAP_RAD, np.concatenate([pull, still]))
-    # a spring that yields lags by a step's way, which is over at once when the drive stops
+    pull = _HIGH_M * np.clip(np.arange(0.0, _PULL_S, _STEP_S) / _PULL_S, 0.0, 1.0)
+    still = np.full(round((_SETTLE_S + rest_s) / _STEP_S), _HIGH_M)
+    cable = FrictionCable(law, _COEFFICIENT, _WRAP_RAD, _STEP_S)
+    tensions = cable.drawn(np.concatenate([pull, still]))
+    # a spring that yields lags by a step, which is over at once when the drive stops
     settled = len(pull) + (round(_SETTLE_S / _STEP_S) if "frictionloss" not in law else 0)
     return np.asarray(tensions[settled:, 0] - tensions[settled:, 1])
 
 
-def _loop_width_n(course_m: Array, tension_n: Array) -> float:
+def _loop_width_n(path_m: Array, tension_n: Array) -> float:
     """Drawing less letting out, where that is most, in the closed cycle."""
-    third = len(course_m) // 3
+    third = len(path_m) // 3
     out, back = slice(third, 2 * third), slice(2 * third, None)
-    way = np.linspace(LOW_M, HIGH_M, 400)
-    letting = np.interp(-way, -course_m[out], tension_n[out])
-    drawing = np.interp(way, course_m[back], tension_n[back])
+    at_m = np.linspace(_LOW_M, _HIGH_M, 400)
+    letting = np.interp(-at_m, -path_m[out], tension_n[out])
+    drawing = np.interp(at_m, path_m[back], tension_n[back])
     return float((drawing - letting).max())
 
 
-def _loops_picture(course_m: Array, loops: dict[str, Array], own_n: Array) -> Picture:
-    import matplotlib.pyplot as plt
-
-    figure, every = plt.subplots(
-        1, 4, figsize=(WIDTH_IN, 3.5), sharex=True, sharey=True, layout="constrained"
-    )
-    cycle = slice(len(course_m) // 3, None)
-    for axes, law in zip(every, _LAWS, strict=True):
-        axes.plot(
-            1e6 * course_m[cycle], loops["none"][cycle, 0], color=GREY, ls="--", lw=1.2,
-            label="no friction",
-        )  # fmt: skip
-        axes.plot(1e6 * course_m, loops[law][:, 0], color=BLUE, lw=1.8, label="at the drive, T1")
-        axes.plot(
-            1e6 * course_m, loops[law][:, 1], color=ORANGE, ls="-.", lw=1.8,
-            label="beyond the cylinder, T2",
-        )  # fmt: skip
+def _loop_figure(path_m: Array, loops: dict[Friction, Array], own_n: Array) -> Any:
+    figure, every = panels(1, 4, 3.5, sharex=True, sharey=True)
+    cycle, path_um = slice(len(path_m) // 3, None), 1e6 * path_m
+    free_n = loops[Friction.NONE][cycle, 0]
+    for axes, law in zip(every[0], _LAWS, strict=True):
+        near_n, far_n = loops[law].T
+        axes.plot(path_um[cycle], free_n, color=GREY, ls="--", lw=1.2, label="no friction")
+        axes.plot(path_um, near_n, color=BLUE, lw=1.8, label="at the drive, T1")
+        axes.plot(path_um, far_n, color=ORANGE, ls="-.", lw=1.8, label="beyond the cylinder, T2")
         axes.set(title=law, xlabel="drive position, µm")
-        axes.grid()
-    every[-1].plot(
-        1e6 * course_m, own_n[:, 0], color=BLACK, ls=":", lw=1.4,
+    axes.plot(
+        path_um, own_n[:, 0], color=BLACK, ls=":", lw=1.4,
         label="T1 by the effect capstan_friction",
     )  # fmt: skip
-    every[0].set(ylabel="tension, N", ylim=(0.0, None))
-    handles, labels = every[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=4)
-    return picture(
-        "fig_6_hysteresis",
-        figure,
-        "Fig. 6 of the paper: hysteresis of the cable over the cylinder, drawn to and fro once, "
-        "under four laws of friction. μ = 0.2, θ = π.",
-        "Tension against drive position under four laws of friction",
-    )
+    every[0, 0].set(ylabel="tension, N", ylim=(0.0, None))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=4)
+    return figure
 
 
-def _sweep_picture(sweep: Array) -> Picture:
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(0.62 * WIDTH_IN, 3.6), layout="constrained")
+def _sweep_figure(sweep: Array) -> Any:
+    figure, axes = one_panel(3.6, width=0.62)
     product = np.linspace(0.0, 1.05 * float((sweep[:, 0] * sweep[:, 1]).max()), 200)
     axes.plot(product, np.exp(-product), color=BLACK, lw=1.2, label="equation (2), exp(−μθ)")
     for n, mu in enumerate(np.unique(sweep[:, 0])):
-        rows = sweep[sweep[:, 0] == mu]
+        _, wrap_rad, ratio = sweep[sweep[:, 0] == mu].T
         axes.plot(
-            mu * rows[:, 1], rows[:, 2], "os^vDP"[n], color=SERIES[n], ms=6, ls="none",
+            mu * wrap_rad, ratio, "os^vDP"[n], color=SERIES[n], ms=6, ls="none",
             label=f"MuJoCo, μ = {mu:g}",
         )  # fmt: skip
     axes.set(xlabel="μ θ", ylabel="T_out / T_in in slip", ylim=(0.0, 1.03), xlim=(0.0, None))
-    axes.grid()
     axes.legend()
-    return picture(
-        "equation_2_capstan",
-        figure,
-        "Equation (2) of the paper, recovered by capstan friction in MuJoCo at wrap angles from "
-        "45° to 270°.",
-        "Ratio of the tensions in slip against the product of coefficient and wrap angle",
-    )
+    return figure
 
 
-def _held_picture(held: dict[str, Array], rest_s: float) -> Picture:
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(0.62 * WIDTH_IN, 3.4), layout="constrained")
-    for n, (law, held_n) in enumerate(held.items()):
-        time_s = _STEP_S * np.arange(1, len(held_n) + 1)
-        axes.semilogx(time_s, held_n, color=SERIES[n], ls=DASHES[n], lw=2.0, label=law)
+def _rest_figure(held_n: dict[Friction, Array], rest_s: float) -> Any:
+    figure, axes = one_panel(3.4, width=0.62)
+    for n, (law, held) in enumerate(held_n.items()):
+        time_s = _STEP_S * np.arange(1, len(held) + 1)
+        axes.semilogx(time_s, held, color=SERIES[n], ls=DASHES[n], lw=2.0, label=law)
     axes.axhline(0.0, color=FLOOR, lw=0.8)
     axes.set(xlabel="time at rest, s (logarithmic)", ylabel="T1 − T2, N", xlim=(_STEP_S, rest_s))
-    axes.grid()
     axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.66))
-    return picture(
-        "fig_6_at_rest",
-        figure,
-        "What friction still holds after the drive has stopped. Dry friction holds for ever; "
-        "frictionloss creeps.",
-        "Difference of the tensions over time at rest under four laws of friction",
-    )
-
-
-STUDY = Study(
-    name="friction",
-    title="Frictional contact",
-    place="Fig. 6, II-E, equation (2)",
-    order=50,
-    quick="a cycle of 4 s rather than 16 s, 9 pairs of μ and θ rather than 36, 5 s of rest "
-    "rather than 60 s",
-    run=run,
-)
+    return figure

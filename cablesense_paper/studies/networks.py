@@ -2,187 +2,221 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-from cablesense_paper.network_findings import (
+from cablesense_gap.report.style import plain_log_ticks
+from cablesense_paper.drawing import (
+    BLACK,
+    BLUE,
+    DASHES,
+    GREEN,
+    ORANGE,
+    SERIES,
+    one_panel,
+    panels,
+    plain_ticks,
+)
+from cablesense_paper.network_trials import (
     DECOUPLED,
     DIRECTION,
     FORCE,
-    FULL,
     METRICS,
-    PAPER_FIGURES,
+    PAPER_ERRORS,
     PAPER_SAMPLES,
-    QUICK,
     SHARED_TRUNK,
     TWO_STAGE,
-    Findings,
     Plan,
+    Shape,
+    TrialResults,
+    explore,
 )
-from cablesense_paper.study import Agreement, Comparison, SmallTable, Study, StudyResult, Tell
+from cablesense_paper.study import Progress
+from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
 
 _POSES = {"straight": "straight arm", "random": "poses within ±10°, unknown"}
+_STYLES = {
+    DECOUPLED: (BLUE, "o", DASHES[0]),
+    SHARED_TRUNK: (ORANGE, "s", DASHES[1]),
+    TWO_STAGE: (GREEN, "D", DASHES[2]),
+}
 
 
-def run(quick: bool, tell: Tell) -> StudyResult:
+def run(quick: bool, progress: Progress) -> StudyResult:
     """Train every shape on the same samples of the straight arm, test, and time its answers."""
-    from cablesense_paper.network_trials import explore
-
-    return said_of(explore(QUICK if quick else FULL, tell))
+    return result_of(explore(Plan(**study_size("networks", quick)), progress))
 
 
-def said_of(findings: Findings) -> StudyResult:
-    """The study, from what was found at any plan's size; to be called in the report's style."""
-    from cablesense_paper.network_trials import compared_picture, cost_picture, depth_picture
-
-    return StudyResult(
-        lead=_lead(findings),
-        pictures=(depth_picture(findings), compared_picture(findings), cost_picture(findings)),
-        tables=(_table(findings), _little_data_table(findings)),
-        comparisons=(
-            _apart_or_together(findings),
-            _what_a_shared_trunk_saves(findings),
-            _what_two_stages_bring(findings),
-            *_with_little_data(findings),
+def result_of(results: TrialResults) -> StudyResult:
+    """The study, from trials of any plan's size; to be called in the report's style."""
+    plan = results.plan
+    together = results.error_ratios(SHARED_TRUNK, DECOUPLED)
+    fewer = results.parameter_ratio(SHARED_TRUNK, DECOUPLED)
+    pays = max(together.values()) < 1.0 / fewer
+    stages = results.error_ratios(TWO_STAGE, SHARED_TRUNK)
+    numbers = {
+        "plan": plan,
+        "seeds": ", ".join(str(seed) for seed in plan.seeds),
+        "narrowest": min(plan.widths),
+        "widest": max(plan.widths),
+        "paper_samples": PAPER_SAMPLES,
+        "reached": _reached(results),
+        "at_the_widest": "; ".join(
+            f"{shape.architecture} {results.mean(shape, DIRECTION):.2f}°, "
+            f"{results.mean(shape, FORCE):.2f} N, {cost_us:.0f} µs"
+            for shape, cost_us in results.cost_us.items()
+            if shape.width == max(plan.widths)
         ),
-        notes=_notes(findings.plan),
+        "apart": _ratios({name: 1.0 / ratio for name, ratio in together.items()}),
+        "apart_agrees": Agreement.of_parts([ratio >= 1.0 for ratio in together.values()]),
+        "together": _ratios(together),
+        "fewer": fewer,
+        "cheaper": results.cost_ratio(SHARED_TRUNK, DECOUPLED),
+        "pays_agrees": Agreement.YES if pays else Agreement.PARTLY,
+        "pays_why": "The errors grow by less than the parameters shrink."
+        if pays
+        else "Some error grows by more than the parameters shrink.",
+        "stages": _ratios(stages),
+        "stages_agree": Agreement.of_parts([stages[m] < 1.0 for m in (DIRECTION, FORCE)]),
+        "little_data": list(_little_data(results)),
+        "shapes": [
+            (
+                *shape, f"{results.parameters(shape):,}",
+                *(results.mean(shape, metric) for metric in METRICS),
+                results.cost_us.get(shape, "–"),
+            )
+            for shape in plan.shapes
+        ],
+        "little_data_rows": [
+            *(
+                (
+                    _POSES[pose], 100.0 * (1.0 - one.wrong_contact), one.direction_mae_deg,
+                    one.magnitude_mae_n, one.magnitude_rmse_n,
+                )
+                for pose, one in results.with_little_data.items()
+            ),
+            ("the paper", "over 98", 5.96, 9.97, 14.26),
+        ],
+    }  # fmt: skip
+    figures = {
+        "networks_depth_and_width": depth_figure(results),
+        "networks_architectures": architecture_figure(results),
+        "networks_cost": cost_figure(results),
+    }
+    return study_result("networks", numbers, figures)
+
+
+def _reached(results: TrialResults) -> str:
+    least = results.smallest_like_the_paper()
+    if least is None:
+        return "No decoupled network tried here is as good as the paper’s in all."
+    return (
+        "The smallest decoupled networks tried that are as good as the paper’s have "
+        f"{_layers(least.depth)} of {least.width} each, {results.parameters(least):,} parameters "
+        "in all."
     )
 
 
-def _lead(findings: Findings) -> str:
-    least = findings.least_that_reaches()
-    if least is None:
-        reached = "No decoupled network tried here reaches all of the paper’s figures. "
-    else:
-        layers = f"{least.depth} layer{'s' if least.depth > 1 else ''} of {least.width}"
-        reached = (
-            f"The smallest decoupled networks tried that reach the paper’s figures have {layers} "
-            f"each, {findings.parameters(least):,} parameters in all. "
-        )
-    widest = max(findings.plan.widths)
-    figures = [
-        f"{shape.architecture} {findings.mean(shape, DIRECTION):.2f}°, "
-        f"{findings.mean(shape, FORCE):.2f} N, {cost_us:.0f} µs"
-        for shape, cost_us in findings.cost_us.items()
-        if shape.width == widest
-    ]
-    return f"{reached}At a width of {widest}: {'; '.join(figures)}."
+def _layers(depth: int) -> str:
+    return f"{depth} layer{'s' if depth > 1 else ''}"
 
 
-def _apart_or_together(findings: Findings) -> Comparison:
-    ratios = findings.error_ratios(SHARED_TRUNK, DECOUPLED)
-    better = [ratio < 1.0 for ratio in ratios.values()]
-    return Comparison(
-        "decoupled against shared trunk, same widths",
-        _said({name: 1.0 / ratio for name, ratio in ratios.items()}),
-        "task-specific networks achieve high precision", "",
-        Agreement.NO if all(better) else Agreement.PARTLY if any(better) else Agreement.YES,
-        "Below 1 the decoupled networks are the more precise; tasks that are apart do not "
-        "weigh on each other.",
-    )  # fmt: skip
-
-
-def _what_a_shared_trunk_saves(findings: Findings) -> Comparison:
-    ratios = findings.error_ratios(SHARED_TRUNK, DECOUPLED)
-    fewer = findings.parameter_ratio(SHARED_TRUNK, DECOUPLED)
-    cheaper = findings.cost_ratio(SHARED_TRUNK, DECOUPLED)
-    pays = max(ratios.values()) < 1.0 / fewer
-    return Comparison(
-        "shared trunk against decoupled, same widths",
-        f"{fewer:.0%} of the parameters, {cheaper:.0%} of the time; {_said(ratios)}",
-        "favorable performance-efficiency trade-off", "",
-        Agreement.YES if pays else Agreement.PARTLY,
-        "The errors grow by less than the parameters shrink."
-        if pays
-        else "Some error grows by more than the parameters shrink.",
-    )  # fmt: skip
-
-
-def _what_two_stages_bring(findings: Findings) -> Comparison:
-    ratios = findings.error_ratios(TWO_STAGE, SHARED_TRUNK)
-    helped = [ratios[metric] < 1.0 for metric in (DIRECTION, FORCE)]
-    return Comparison(
-        "two-stage against shared trunk, same widths", _said(ratios),
-        "contact information guides force and direction", "",
-        Agreement.YES if all(helped) else Agreement.PARTLY if any(helped) else Agreement.NO,
-        "Below 1 knowing the contact helps; the trunk can find it in the tensions by itself, "
-        "so there is little to gain.",
-    )  # fmt: skip
-
-
-def _said(ratios: dict[str, float]) -> str:
+def _ratios(ratios: dict[str, float]) -> str:
     wrong, direction, force = ratios.values()
     return f"×{wrong:.2f} wrong contacts, ×{direction:.2f} direction, ×{force:.2f} force"
 
 
-def _with_little_data(findings: Findings) -> Iterator[Comparison]:
-    for pose, one in findings.with_little_data.items():
+def _little_data(results: TrialResults) -> Iterator[dict[str, Any]]:
+    for pose, one in results.with_little_data.items():
         for what, metric, unit in (("direction", DIRECTION, "°"), ("force", FORCE, "N")):
-            ours, theirs = METRICS[metric](one), PAPER_FIGURES[metric]
-            yield Comparison(
-                f"two-stage on {PAPER_SAMPLES:,} samples without noise, {_POSES[pose]}: "
-                f"{what} error",
-                ours, theirs, unit, Agreement.YES if ours <= theirs else Agreement.NO,
+            ours, theirs = METRICS[metric](one), PAPER_ERRORS[metric]
+            why = (
                 "Less than the paper’s, so the amount of data alone does not make that error."
                 if ours <= theirs
-                else "More than the paper’s: with so little training data this is what is left.",
+                else "More than the paper’s: with so little training data this is what is left."
+            )
+            yield {
+                "pose": _POSES[pose], "what": what, "ours": ours, "theirs": theirs, "unit": unit,
+                "little_why": why,
+            }  # fmt: skip
+
+
+def depth_figure(results: TrialResults) -> Any:
+    """Errors of the decoupled networks against width, a line for each depth."""
+    plan = results.plan
+    figure, every = _metric_panels()
+    for axes, metric in zip(every, METRICS, strict=True):
+        for n, depth in enumerate(plan.depths):
+            shapes = [Shape(DECOUPLED, depth, width) for width in plan.widths]
+            _curve(
+                axes, plan.widths, shapes, results, metric,
+                color=SERIES[n % len(SERIES)], marker="osD^v"[n % 5], ls=DASHES[n % len(DASHES)],
+                label=_layers(depth) if axes is every[0] else "",
             )  # fmt: skip
+        axes.set(xscale="log", xlabel="width of every layer", xticks=plan.widths)
+        axes.set_xticks((), minor=True)
+        plain_ticks(axes.xaxis)
+    every[0].plot([], [], color=BLACK, ls="--", lw=1.0, label="the paper’s network")
+    figure.legend(loc="outside upper center", ncols=1 + len(plan.depths))
+    return figure
 
 
-def _table(findings: Findings) -> SmallTable:
-    rows: list[tuple[str | float, ...]] = [
-        (
-            shape.architecture, shape.depth, shape.width, f"{findings.parameters(shape):,}",
-            *(findings.mean(shape, metric) for metric in METRICS),
-            findings.cost_us.get(shape, "–"),
-        )
-        for shape in findings.plan.shapes
-    ]  # fmt: skip
-    return SmallTable(
-        "All shapes that were tried.",
-        ("architecture", "layers", "width", "parameters", *METRICS, "one answer, µs"),
-        tuple(rows),
+def architecture_figure(results: TrialResults) -> Any:
+    """Errors of the three architectures against their number of parameters."""
+    figure, every = _metric_panels()
+    for axes, metric in zip(every, METRICS, strict=True):
+        for architecture, (colour, mark, dashes) in _STYLES.items():
+            shapes = [s for s in results.plan.compared if s.architecture == architecture]
+            _curve(
+                axes, [results.parameters(shape) for shape in shapes], shapes, results, metric,
+                color=colour, marker=mark, ls=dashes,
+                label=architecture if axes is every[0] else "",
+            )  # fmt: skip
+        axes.set(xscale="log", xlabel="thousand parameters (logarithmic)")
+        plain_log_ticks(axes.xaxis)
+        plain_ticks(axes.xaxis, 1e-3)
+    figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def cost_figure(results: TrialResults) -> Any:
+    """Force error of the three architectures against the time of one answer."""
+    figure, axes = one_panel(3.6, width=0.72)
+    for architecture, (colour, mark, dashes) in _STYLES.items():
+        shapes = [shape for shape in results.cost_us if shape.architecture == architecture]
+        x = [results.cost_us[shape] for shape in shapes]
+        y = [results.mean(shape, FORCE) for shape in shapes]
+        axes.plot(x, y, mark, ls=dashes, color=colour, lw=1.4, ms=7, label=architecture)
+        for shape, at_us, error_n in zip(shapes, x, y, strict=True):
+            axes.annotate(
+                str(shape.width), (at_us, error_n), xytext=(5, 5), textcoords="offset points",
+                fontsize=8, color=colour,
+            )  # fmt: skip
+    axes.set(
+        xlabel="one answer in ONNX Runtime, µs", ylabel="force MAE, N (logarithmic)", yscale="log"
     )
+    plain_log_ticks(axes.yaxis)
+    axes.set_xlim(0.0, None)
+    figure.legend(loc="outside right center")
+    return figure
 
 
-def _little_data_table(findings: Findings) -> SmallTable:
-    rows: list[tuple[str | float, ...]] = [
-        (
-            _POSES[pose], 100.0 * (1.0 - one.wrong_contact), one.direction_mae_deg,
-            one.magnitude_mae_n, one.magnitude_rmse_n,
-        )
-        for pose, one in findings.with_little_data.items()
-    ]  # fmt: skip
-    rows.append(("the paper", "over 98", 5.96, 9.97, 14.26))
-    return SmallTable(
-        f"A two-stage network on the paper’s amount of data: {PAPER_SAMPLES:,} samples "
-        "without noise, each a contact; tested on fresh ones like them.",
-        ("samples", "contact, %", "direction MAE, °", "force MAE, N", "force RMSE, N"),
-        tuple(rows),
-    )
+def _metric_panels() -> tuple[Any, Any]:
+    """A figure of one panel for each metric, with the paper's error in it."""
+    figure, every = panels(1, len(METRICS), 3.5)
+    for axes, metric in zip(every[0], METRICS, strict=True):
+        axes.axhline(PAPER_ERRORS[metric], color=BLACK, ls="--", lw=1.0)
+        axes.set(yscale="log", ylabel=f"{metric} (logarithmic)".replace("wrong,", "wrong class,"))
+        plain_log_ticks(axes.yaxis)
+    return figure, every[0]
 
 
-def _notes(plan: Plan) -> tuple[str, ...]:
-    return (
-        f"Straight arm, noise on, a fifth of the samples without contact: {plan.samples:,} "
-        f"samples to train on, {plan.epochs} passes at most, {plan.test_samples:,} fresh ones "
-        f"to test on, seeds {', '.join(str(seed) for seed in plan.seeds)}; figures are means "
-        "over the seeds, and come out the same again. Microseconds do not: they are of one "
-        "answer in ONNX Runtime on one core of this machine, the stated uncertainty "
-        "included.",
-        "The paper names depth, parameter count and trade-off as what it explored, and prints "
-        "none of the numbers. Parameters here are those behind the answers. Each trunk has "
-        "the depth and width named; the first stage of two has a layer less.",
-    )
-
-
-STUDY = Study(
-    name="networks",
-    title="Which network",
-    place="III-C",
-    order=100,
-    quick=f"decoupled networks of {len(QUICK.depths)} depths and one width rather than "
-    f"{len(FULL.depths)} and {len(FULL.widths)}, one seed rather than {len(FULL.seeds)}, "
-    f"{QUICK.samples:,} samples and {QUICK.epochs} passes rather than {FULL.samples:,} and "
-    f"{FULL.epochs}: networks far from learnt out, whose figures only show the way",
-    run=run,
-)
+def _curve(
+    axes: Any, x: Sequence[float], shapes: Sequence[Shape], results: TrialResults, metric: str,
+    **style: Any,
+) -> None:  # fmt: skip
+    """Means over the seeds as a line, each seed as a faint dot."""
+    axes.plot(x, [results.mean(shape, metric) for shape in shapes], lw=1.6, ms=6, **style)
+    for at, shape in zip(x, shapes, strict=True):
+        for error in results.errors(shape, metric):
+            axes.plot(at, error, ".", color=style["color"], ms=4, alpha=0.45)

@@ -3,164 +3,245 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_gap.report.style import newtons, percent
-from cablesense_paper.study import (
-    Agreement,
-    Comparison,
-    Picture,
-    SmallTable,
-    Study,
-    StudyResult,
-    Tell,
-    picture,
+from cablesense_base.arrays import Array
+from cablesense_gap.report.pictures import drawn_candidates
+from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, listed, newtons, percent
+from cablesense_gap.verdict import NONE, UNKNOWN
+from cablesense_paper.drawing import GREEN, one_panel, panels
+from cablesense_paper.study import Progress
+from cablesense_paper.study_result import StudyResult, study_result, study_size
+from cablesense_paper.table_2_gap import (
+    KINDS,
+    PRIOR_UNLISTED,
+    STEP_N,
+    TableDiagnosis,
+    diagnose_table,
 )
+from cablesense_paper.tension_changes import NEED_TIME, Explained, OneNumber
+from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 
-if TYPE_CHECKING:
-    from cablesense_paper.table_2_gap import Findings
+_ALIKE = 1.05
+"""Numbers that leave this much more than the best are called no worse."""
 
-TABLES = 40
-"""Simulated tables of each kind that are diagnosed for the probability."""
+_SLACK_ROW, _SLACK_SET, _SLACK_CABLE = 5, slice(3, 6), 5
+"""2 kg on segment 3, the cables that end on segment 2, cable 6."""
 
-COMMAND = "cablesense paper --only sim_to_real"
+_SETS = {"cables 1 to 3": BEFORE, "cables 4 to 6": AFTER, "cables 7 to 9": GREEN}
+_UNITS = (
+    ("_n_m", 1.0, "N·m"), ("_m", 1e3, "mm"), ("_rad", 57.2958, "°"), ("_n", 1.0, "N"),
+    ("_kg", 1.0, "kg"),
+)  # fmt: skip
+"""End of a parameter's name, scale and unit in a report; the first that fits counts."""
 
 
-def run(quick: bool, tell: Tell) -> StudyResult:
+def run(quick: bool, progress: Progress) -> StudyResult:
     """Diagnose the 54 measured changes as `cablesense gap` diagnoses a recording."""
-    from cablesense_paper.table_2_gap import diagnose_table
-    from cablesense_paper.table_2_text import (
-        best_listed_n,
-        next_experiment,
-        paper_rows,
-        reasons,
-        resolution,
-        slack_cable,
+    tables: int = study_size("sim_to_real", quick)["tables"]
+    workers = min(2, os.cpu_count() or 1)
+    return result_of(diagnose_table(tables, lambda done: progress(0.95 * done), workers))
+
+
+def result_of(found: TableDiagnosis) -> StudyResult:
+    """The study, from a diagnosis; to be called in the report's style."""
+    figures = {
+        "sim_to_real_gap": gap_figure(found),
+        "sim_to_real_proportion": proportion_figure(found),
+        "sim_to_real_candidates": drawn_candidates(found.verdict),
+    }
+    return study_result("sim_to_real", numbers_of(found), figures)
+
+
+def numbers_of(found: TableDiagnosis) -> dict[str, Any]:
+    """All that the text of the study names."""
+    measured, gap_n, verdict = found.changes.changes_n, found.gap_n, found.verdict
+    paper_gap_n, apart_n = measured - found.paper_n, found.paper_n - found.nominal_n
+    largest_n = float(np.abs(gap_n).max())
+    disproportion_n = measured[3:] - 2.0 * measured[:3]
+    steps = measured / STEP_N
+    ranked = ranked_singles(found)
+    near = [s for s in ranked if s.held_out_rmse <= _ALIKE * ranked[0].held_out_rmse]
+    best, *no_worse = dict.fromkeys(f"{number_name(s.number)} ({value_of(s)})" for s in near)
+    slack = min(
+        (s for s in found.judged.singles if s.number.effect == "pretension_error"),
+        key=lambda s: (s.number.terms[0].place != "arm", s.rmse),
     )
-
-    found = diagnose_table(
-        None if quick else TABLES,
-        COMMAND,
-        lambda done: tell(0.95 * done),
-        workers=min(2, os.cpu_count() or 1),
-    )
-    gap, left_n = found.verdict.gap, best_listed_n(found)
-    inner = float((found.internal_n**2).sum() / (found.gap_n**2).sum())
-    paper_gap_n = found.changes.changes_n - found.paper_n
-    largest_n = float(np.abs(found.gap_n).max())
-    return StudyResult(
-        lead=(
-            f"Verdict: unknown ({percent(found.verdict.probability)}). The physical rows lie "
-            f"{newtons(gap.before_n)} RMS from our simulation. The best one or two of the listed "
-            f"effects leave {newtons(left_n)} of that on rows that they were not fitted to; a law "
-            f"that is only proportional to the load leaves {newtons(gap.after_n)}. So the larger "
-            f"part repeats, {percent(inner)} of its squares bend no joint, and nothing that is "
-            "listed makes it."
-        ),
-        pictures=_pictures(found),
-        tables=(_left_table(found), _shares_table(found)),
-        comparisons=(
-            Comparison(
-                "sim-to-real gap, RMS", gap.before_n, _rms(paper_gap_n),
-                "N", Agreement.PARTLY,
-                "Ours is smaller by what the paper’s rows hold at every load alike.",
-            ),
-            Comparison(
-                "sim-to-real gap, largest", largest_n, 5.98, "N",
-                Agreement.YES if largest_n <= 5.98 else Agreement.NO,
-                "The paper calls 5.98 N acceptable.",
-            ),
-            Comparison(
-                "is the simulation high-fidelity",
-                f"{gap.before_n / found.floor_n:.0f} times what noise and step leave",
-                "reliably replicates the real system", "", Agreement.PARTLY,
-                f"The gap is {percent(gap.before_n / _rms(found.changes.changes_n))} of the "
-                "changes, RMS; it is far above the sensors, repeats with the load, and has no "
-                "name among the listed effects.",
-            ),
-        ),
-        notes=(
-            *reasons(found),
-            slack_cable(found),
-            resolution(found),
-            paper_rows(found),
-            f"What to measure next. {next_experiment()}",
-        ),
-    )  # fmt: skip
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt((values**2).mean()))
-
-
-def _pictures(found: Findings) -> tuple[Picture, ...]:
-    from cablesense_gap.report.pictures import drawn_candidates
-    from cablesense_paper.table_2_text import gap_figure, proportion_figure
-
-    return (
-        picture(
-            "sim_to_real_gap",
-            gap_figure(found),
-            "Table II of the paper, physical rows less our simulation. Bars: each cable. Black "
-            "lines: the part that bends no joint, the same for the three cables of a segment.",
-            "Measured less simulated change of every cable under every load",
-        ),
-        picture(
-            "sim_to_real_proportion",
-            proportion_figure(found),
-            "Gap of each number under 2 kg against that under 1 kg. On the line it is in "
-            "proportion to the load. Grey band: 95 % of what noise and step leave.",
-            "Gap under 2 kg against gap under 1 kg, with the line of proportion",
-        ),
-        picture(
-            "sim_to_real_candidates",
-            drawn_candidates(found.verdict),
-            "Left: what each explanation leaves on rows that it was not fitted to, with 95 % "
-            "intervals over six rows. Right: how probable each is.",
-            "Explanations of the gap with what each leaves and its probability",
-        ),
-    )
-
-
-def _left_table(found: Findings) -> SmallTable:
-    from cablesense_paper.table_2_text import number_name, value_of
-
     by_row, _, by_level = found.singles.values()
     level = {(s.number.effect, len(s.number.terms)): s.held_out_rmse for s in by_level}
-    return SmallTable(
-        f"What removes how much of the {newtons(found.verdict.gap.before_n)}: the best number of "
-        "each listed effect, fitted to some rows and judged on the others.",
-        ("effect and place", "value", "left, fitted to all, N", "left, a row held out, N",
-         "left, a load level held out, N"),
-        tuple(
+    return {
+        "probability": percent(verdict.probability),
+        "gap": newtons(rms(gap_n)),
+        "gap_n": verdict.gap.before_n,
+        "largest": newtons(largest_n),
+        "largest_n": largest_n,
+        "best_listed": newtons(best_listed_n(found)),
+        "proportional": newtons(verdict.gap.after_n),
+        "inner": percent((found.internal_n**2).sum() / (gap_n**2).sum()),
+        "floor": newtons(found.floor_n),
+        "times_floor": rms(gap_n) / found.floor_n,
+        "of_changes": percent(verdict.gap.before_n / rms(measured)),
+        "last_cables": listed([f"{value:+.2f}" for value in measured[0, 6:]]),
+        "best_number": best,
+        "best_number_left": newtons(ranked[0].held_out_rmse),
+        "no_worse": listed(no_worse),
+        "hypotheses": tuple(_best_hypotheses(found)),
+        "least_left": percent(found.judged.least_left),
+        "count": found.rehearsal.count,
+        "unexplained": [found.rehearsal.unexplained[kind] for kind in KINDS],
+        "prior": percent(PRIOR_UNLISTED),
+        "blind": listed([_spaced(name) for name in found.blind]),
+        "timed": listed([_spaced(name) for name in sorted(NEED_TIME)]),
+        "disproportion": newtons(rms(np.delete(disproportion_n.ravel(), [21, 22, 23]))),
+        "slack_off": listed(
+            [f"{v:+.2f}" for v in disproportion_n[_SLACK_ROW - 3, _SLACK_SET]]
+        ),
+        "slack_n": -measured[_SLACK_ROW, _SLACK_CABLE],
+        "slack_needs": value_of(slack),
+        "slack_left": newtons(slack.rmse),
+        "slack_held_out": newtons(slack.held_out_rmse),
+        "step_n": STEP_N,
+        "off_step_n": float(np.abs(steps - np.round(steps)).max()) * STEP_N,
+        "step_noise": newtons(STEP_N * np.sqrt(2 / 12)),
+        "paper_gap": newtons(rms(paper_gap_n)),
+        "paper_gap_n": rms(paper_gap_n),
+        "paper_largest": newtons(float(np.abs(paper_gap_n).max())),
+        "apart": newtons(rms(apart_n)),
+        "apart_less_constant": newtons(rms(apart_n - apart_n.mean(0))),
+        "constant": ", ".join(f"{v:+.2f}" for v in apart_n.mean(0)),
+        "left_rows": [
             (
                 number_name(s.number), value_of(s), s.rmse, s.held_out_rmse,
                 level.get((s.number.effect, len(s.number.terms)), "–"),
             )
             for s in by_row
-        ),
-    )  # fmt: skip
+        ],
+        "share_rows": [(what, 100.0 * share) for what, share in shares(found).items()],
+    }  # fmt: skip
 
 
-def _shares_table(found: Findings) -> SmallTable:
-    from cablesense_paper.table_2_text import shares
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt((np.asarray(values) ** 2).mean()))
 
-    return SmallTable(
-        "Where the gap lies, in shares of its squares.",
-        ("part", "share, %"),
-        tuple((part.what, 100.0 * part.share) for part in shares(found)),
+
+def load_names(found: TableDiagnosis) -> list[str]:
+    """The rows by name."""
+    kg = -found.changes.load_n[:, 2] / STANDARD_GRAVITY_M_S2
+    segments = found.changes.load_segment
+    return [f"{m:.0f} kg on segment {n}" for m, n in zip(kg, segments, strict=True)]
+
+
+def shares(found: TableDiagnosis) -> dict[str, float]:
+    """Parts of the gap by their share of its squares; they add up to 1."""
+    whole = (found.gap_n**2).sum()
+    inner = found.internal_n**2
+    last, row = inner[:, 6:].sum(), inner[_SLACK_ROW, _SLACK_SET].sum()
+    parts = {
+        "cables 7 to 9 all tighter, the more where segment 1 or 2 is loaded": last,
+        "cables 4 to 6 all tighter, under 2 kg on segment 3 alone": row,
+        "the other internal forces": inner.sum() - last - row,
+        "moments, most of it too large a pull at joint 1": whole - inner.sum(),
+    }
+    return {what: float(part / whole) for what, part in parts.items()}
+
+
+def number_name(number: OneNumber) -> str:
+    """As in `sensor gain, cable 1`."""
+    effect = _spaced(number.effect)
+    if len(number.terms) > 1:
+        return "one gain of all sensors, or a load heavier than believed"
+    (term,) = number.terms
+    several = number.effect == "routing_geometry"
+    what = f"{effect}, {_spaced(term.parameter.rsplit('_', 1)[0])}" if several else effect
+    return what if term.place == "arm" else f"{what}, {_spaced(term.place)}"
+
+
+def value_of(explained: Explained) -> str:
+    """The fitted value with its unit, as far as the name has it."""
+    value, name = explained.value, explained.number.terms[0].parameter
+    if name in ("gain", "share", "change"):
+        return f"{100 * value:+.1f} %"
+    for end, scale, unit in _UNITS:
+        if name.endswith(end):
+            return f"{scale * value:+.3g} {unit}"
+    return f"{value:.3g}"
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def ranked_singles(found: TableDiagnosis) -> list[Explained]:
+    """All numbers, the best first; among equals that of the effect with fewer places to choose."""
+    tried = Counter(s.number.effect for s in found.judged.singles)
+    return sorted(
+        found.judged.singles,
+        key=lambda s: (round(s.held_out_rmse, 2), tried[s.number.effect]),
     )
 
 
-STUDY = Study(
-    name="sim_to_real",
-    title="From simulation to the real arm",
-    place="Table II, IV-A",
-    order=110,
-    quick=f"the rehearsal on {3 * TABLES} simulated tables, which gives the probability, is not "
-    "repeated; its counts are those that the package ships",
-    run=run,
-)
+def best_listed_n(found: TableDiagnosis) -> float:
+    """What the best one or two listed effects leave of rows that they were not fitted to, N."""
+    candidates = found.verdict.candidates
+    return min(c.held_out_rmse_n for c in candidates if c.effects[0] not in (NONE, UNKNOWN))
+
+
+def _best_hypotheses(found: TableDiagnosis) -> Iterator[str]:
+    """The best single effect and the best pair, as sentences."""
+    ranked = sorted(found.judged.hypotheses, key=lambda h: h.held_out_rmse)
+    for count, what in ((1, "one effect"), (2, "two effects at once")):
+        best = next((h for h in ranked if len(h.effects) == count), None)
+        if best is not None:
+            yield (
+                f"Of {what} with all numbers, the best is "
+                f"{listed([_spaced(effect) for effect in best.effects])} "
+                f"({len(best.values)} numbers): it leaves {newtons(best.held_out_rmse)}."
+            )
+        elif count == 2:
+            yield "No two effects at once leave clearly less than one of them alone."
+
+
+def gap_figure(found: TableDiagnosis) -> Any:
+    """Measured less simulated change of every cable, one panel a load, with its internal part."""
+    figure, every = panels(2, 3, 4.4, grid="y", sharex=True, sharey=True)
+    cables = np.arange(1, 10)
+    colours = np.repeat(list(_SETS.values()), 3)
+    for axes, name, gap, inner in zip(
+        every.ravel(), load_names(found), found.gap_n, found.internal_n, strict=True
+    ):
+        axes.bar(cables, gap, 0.72, color=colours)
+        for k in range(3):
+            axes.hlines(inner[3 * k], 3 * k + 0.5, 3 * k + 3.5, color=INK, lw=2.2)
+        axes.axhline(0.0, color=INK, lw=0.7)
+        axes.set_title(name)
+        axes.set_xticks(cables)
+    figure.supxlabel("cable", fontsize=9.5)
+    figure.supylabel("measured less simulated, N", fontsize=9.5)
+    return figure
+
+
+def proportion_figure(found: TableDiagnosis) -> Any:
+    """Gap under 2 kg against gap under 1 kg, beside the line of proportion."""
+    figure, axes = one_panel(4.2)
+    one, two = found.gap_n[:3], found.gap_n[3:]
+    along = np.array([one.min() - 0.2, one.max() + 0.2])
+    band = 1.96 * np.sqrt(5.0) * found.floor_n  # of a difference between one number and two others
+    axes.fill_between(along, 2.0 * along - band, 2.0 * along + band, color=GRID, lw=0)
+    axes.plot(along, 2.0 * along, color=OTHER, lw=1.2)
+    for k, (name, colour) in enumerate(_SETS.items()):
+        of_set = slice(3 * k, 3 * k + 3)
+        for point, mark in enumerate("osD"):
+            axes.scatter(
+                one[point, of_set], two[point, of_set], s=36, color=colour, marker=mark, zorder=3,
+                label=name if point == 0 else None,
+            )  # fmt: skip
+    for point, mark in enumerate("osD"):
+        axes.scatter([], [], s=36, color=OTHER, marker=mark, label=f"load on segment {point + 1}")
+    axes.set(xlabel="gap under 1 kg, N", ylabel="gap under 2 kg, N")
+    figure.legend(loc="outside right center")
+    return figure

@@ -1,4 +1,4 @@
-"""The closed forms of a cable between servos, against linear algebra and an ODE solver."""
+"""A cable between servos: closed forms against linear algebra, an ODE solver and MuJoCo."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M
 from cablesense_paper.servo_cable import (
+    longest_bounded_step_s,
     longest_step_s,
+    positions_at_rest_m,
     series_stiffness_n_m,
     starting_force_n,
+    stays_bounded,
     steady_error_m,
     tension_at_rest_n,
 )
 
+GAINS = (1e6, 1e7, 1e8, 1e9)
 stiffnesses = st.floats(1e3, 1e9)
 
 
@@ -74,3 +79,31 @@ def test_discrete_has_no_longest_step(step, zeta):
 def test_without_damping_it_is_the_rule_that_everyone_knows():
     for integrator in ("Euler", "implicit", "implicitfast"):
         assert longest_step_s(100.0, 0.0, integrator) == pytest.approx(2.0 / 100.0)
+
+
+@pytest.mark.parametrize("kp_n_m", GAINS)
+def test_both_servos_rest_by_the_closed_form_short_of_their_commands(kp_n_m):
+    commands = np.array([[0.0, 0.0], [0.0, 2e-5], [1e-5, -5e-6]])
+    short = commands - positions_at_rest_m(kp_n_m, commands)
+    unyielding = PRETENSION_N + STIFFNESS_N_M * commands.sum(axis=1)
+    expected = steady_error_m(unyielding, STIFFNESS_N_M, kp_n_m, 2)
+    np.testing.assert_allclose(short, np.stack([expected, expected], axis=1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kp_n_m", GAINS)
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+def test_steps_up_to_the_limit_are_stable_and_longer_ones_are_not(integrator, kp_n_m):
+    limit_s = float(longest_bounded_step_s(kp_n_m, integrator))
+    assert stays_bounded(kp_n_m, 0.97 * limit_s, integrator)
+    assert not stays_bounded(kp_n_m, 1.03 * limit_s, integrator)
+
+
+@pytest.mark.parametrize("kp_n_m", GAINS)
+def test_discrete_bears_any_step(kp_n_m):
+    assert longest_bounded_step_s(kp_n_m, "discrete") == np.inf
+    assert all(stays_bounded(kp_n_m, step, "discrete") for step in (1e-6, 1e-3, 1.0))
+
+
+def test_an_unstable_run_prints_nothing(capfd):
+    assert not stays_bounded(1e9, 1e-2, "Euler")
+    assert capfd.readouterr() == ("", "")

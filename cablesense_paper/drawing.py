@@ -1,0 +1,97 @@
+"""Figures of the studies: colours, line styles, panels. Imports matplotlib.
+
+Colours are Okabe and Ito's; series differ in dashes or marks too, for grey print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablesense_base.arrays import Array
+from cablesense_gap.report.style import WIDTH_IN
+
+BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#1C2126", "#9AA3AD"
+SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
+DASHES = ("-", "--", "-.", ":")
+DOTTED: Any = (0, (1, 1))
+"""Of lines that stand for a bound."""
+
+
+def panels(
+    rows: int, columns: int, height_in: float, *, width: float = 1.0, grid: str = "both",
+    **options: Any,
+) -> tuple[Any, Any]:  # fmt: skip
+    """A figure and its axes (rows, columns); `width` is the share of the page's."""
+    figure, every = plt.subplots(
+        rows, columns, figsize=(width * WIDTH_IN, height_in), layout="constrained",
+        squeeze=False, **options,
+    )  # fmt: skip
+    if grid:
+        for axes in every.ravel():
+            axes.grid(axis=grid)
+    return figure, every
+
+
+def one_panel(height_in: float, *, width: float = 1.0, grid: str = "both") -> tuple[Any, Any]:
+    """A figure and its only axes."""
+    figure, every = panels(1, 1, height_in, width=width, grid=grid)
+    return figure, every[0, 0]
+
+
+def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None:
+    """One line a cable for values (T, M): colour by segment, dashes within, for sets of three."""
+    for i, line in enumerate(values.T):
+        axes.plot(
+            time_s, line, color=SERIES[i // 3], ls=DASHES[i % 3], label=f"cable {i + 1}", **style
+        )
+    axes.set(xlabel="time, s", xlim=(time_s[0], time_s[-1]))
+
+
+def plain_ticks(axis: Any, scale: float = 1.0) -> None:
+    """Tick labels as plain numbers, without powers of ten."""
+    axis.set_major_formatter(lambda value, _: f"{value * scale:g}")
+
+
+def draw_confusion(axes: Any, counts: ArrayLike, names: Sequence[str]) -> None:
+    """A matrix of counts, true classes down, answered ones across, in percent of each row.
+
+    A cell that never occurred stays empty; one that did has its share to two digits.
+    """
+    table = np.asarray(counts, dtype=float)
+    share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=120.0)
+    for row, column in np.argwhere(table > 0):
+        value = share[row, column]
+        axes.text(
+            column, row, shown_share(value), ha="center", va="center", fontsize=7.6,
+            color="white" if value > 60.0 else BLACK,
+        )  # fmt: skip
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def shown_share(percent: float) -> str:
+    """`99.9`, `0.05`: never 100 unless it is just that."""
+    if percent == 100.0:
+        return "100"
+    if percent >= 10.0:
+        return f"{min(percent, 99.9):.1f}"
+    return f"{percent:.1f}" if percent >= 1.0 else f"{percent:.2f}"
+
+
+def draw_predicted(
+    axes: Any, true_n: Array, predicted_n: Array, largest_n: float, note: str, colour: str
+) -> None:
+    """Predicted against actual force in N, beside the line of equality."""
+    axes.plot([0.0, largest_n], [0.0, largest_n], color=GREY, lw=1.0)
+    axes.plot(true_n, predicted_n, ".", color=colour, ms=2.5)
+    axes.text(0.04, 0.96, note, transform=axes.transAxes, va="top", fontsize=8.5)

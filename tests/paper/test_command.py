@@ -1,0 +1,55 @@
+"""`cablesense paper`: one line and an exit code for what is wrong, a report for what runs."""
+
+import json
+
+import pytest
+from paper_studies import failing, study
+from typer.testing import CliRunner
+
+from cablesense_cli.app import app
+from cablesense_paper.study import FailedStudyError, PaperError
+from cablesense_paper.study_result import StudyResult
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, ["paper", *arguments])
+
+
+def test_a_study_alone_makes_a_report(tmp_path):
+    result = invoke("--out", str(tmp_path / "report"), "--quick", "--only", "displacement")
+    assert result.exit_code == 0, result.output
+    results = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
+    assert [found["name"] for found in results["studies"]] == ["displacement"]
+    assert (tmp_path / "report" / "report.html").is_file()
+
+
+def test_an_unknown_study_makes_no_folder(tmp_path):
+    result = invoke("--out", str(tmp_path / "report"), "--only", "fig99")
+    assert isinstance(result.exception, PaperError)
+    assert not (tmp_path / "report").exists()
+
+
+def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypatch):
+    ran = []
+
+    def work(quick, progress):
+        ran.append(quick)
+        return StudyResult("It ran.")
+
+    chosen = (failing(ZeroDivisionError()), study(work, name="second"))
+    monkeypatch.setattr("cablesense_paper.study.chosen_studies", lambda only: chosen)
+    result = invoke("--out", str(tmp_path / "report"))
+    assert isinstance(result.exception, FailedStudyError)
+    assert result.exception.exit_code == 1
+    assert "1 of 2 studies failed: rope" in str(result.exception)
+    assert ran == [False]
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "It ran." in page
+    assert "ZeroDivisionError" in page
+
+
+@pytest.mark.parametrize("name", ["displacement"])
+def test_help_names_the_studies(name):
+    result = invoke("--help")
+    assert result.exit_code == 0
+    assert name in result.output

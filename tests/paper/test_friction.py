@@ -1,0 +1,132 @@
+"""Fig. 6 and equation (2): which law of friction slips by it, which holds, and which creeps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper_studies import compared, disagreeing, quick_result
+
+from cablesense_paper.studies.friction import (
+    Friction,
+    FrictionCable,
+    capstan_limit_n,
+    quasi_static_tensions_n,
+)
+from cablesense_paper.study_result import PAPER, Agreement
+
+MU, WRAP_RAD = 0.2, np.pi
+
+
+def pulled(friction, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300):
+    """The cable and its tensions after a pull of a second and some steps of rest."""
+    cable = FrictionCable(friction, coefficient, wrap_rad)
+    path = high_m * np.clip(np.arange(1000 + rest) / 1000, 0.0, 1.0)
+    return cable, cable.drawn(path)
+
+
+@given(st.floats(1.0, 1e3), st.floats(0.0, 6.0))
+def test_the_limit_is_equation_2(near_n, friction_rad):
+    far_n = near_n * np.exp(-friction_rad)
+    assert capstan_limit_n(near_n, far_n, friction_rad) == pytest.approx(near_n - far_n)
+
+
+@pytest.mark.parametrize("coefficient", [0.05, 0.3, 0.6])
+@pytest.mark.parametrize("wrap_rad", [0.5, np.pi, 4.5])
+def test_in_slip_the_capstan_leaves_exp_of_minus_mu_theta(coefficient, wrap_rad):
+    enough_m = 5.0 * 50.0 * np.expm1(coefficient * wrap_rad) / 2e7
+    _, tensions = pulled(Friction.CAPSTAN, enough_m, coefficient, wrap_rad)
+    near, far = tensions[-1]
+    assert far / near == pytest.approx(np.exp(-coefficient * wrap_rad), rel=1e-6)
+
+
+def test_let_out_again_the_ratio_is_turned_over():
+    cable, _ = pulled(Friction.CAPSTAN)
+    back = np.concatenate([np.linspace(8e-6, -1e-6, 1000), np.full(300, -1e-6)])
+    near, far = cable.drawn(back)[-1]
+    assert near / far == pytest.approx(np.exp(-0.2 * np.pi), rel=1e-6)
+
+
+def test_without_friction_both_halves_carry_the_same():
+    _, tensions = pulled(Friction.NONE)
+    np.testing.assert_allclose(tensions[-1], 50.0 + 1e7 * 8e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("friction", [Friction.YIELDING, Friction.CAPSTAN])
+def test_what_yields_holds_for_ever(friction):
+    cable, tensions = pulled(friction)
+    held = cable.drawn(np.full(5000, 8e-6))[-1]
+    np.testing.assert_allclose(held, tensions[-1], rtol=1e-6)
+
+
+def test_frictionloss_lets_go_at_once_as_it_comes_and_in_seconds_when_hardened():
+    _, soft = pulled(Friction.FRICTIONLOSS)
+    assert abs(soft[-1, 0] - soft[-1, 1]) < 0.01
+    cable, hard = pulled(Friction.HARDENED, rest=0)
+    limit_n = float(capstan_limit_n(50.0, 50.0, 0.2 * np.pi))
+    assert hard[-1, 0] - hard[-1, 1] == pytest.approx(limit_n, rel=1e-3)
+    near, far = cable.drawn(np.full(10_000, 8e-6))[-1]
+    assert near - far < 0.2 * limit_n
+
+
+def test_a_fixed_force_is_the_same_at_every_tension():
+    differences = []
+    for high_m in (8e-6, 16e-6):
+        _, tensions = pulled(Friction.YIELDING, high_m)
+        differences.append(tensions[-1, 0] - tensions[-1, 1])
+    assert differences[0] == pytest.approx(differences[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.1, 0.5])
+def test_in_slip_the_effect_leaves_exp_of_minus_mu_theta(coefficient):
+    near, far = quasi_static_tensions_n(np.linspace(0.0, 4e-5, 50), coefficient, WRAP_RAD)[-1]
+    assert far / near == pytest.approx(np.exp(-coefficient * WRAP_RAD), rel=1e-9)
+
+
+def test_both_halves_together_are_as_long_as_the_drive_says():
+    path = 1e-6 * np.array([0.0, 3.0, 8.0, 5.0, -2.0, 1.0])
+    tensions = quasi_static_tensions_n(path, MU, WRAP_RAD)
+    np.testing.assert_allclose(tensions.sum(axis=1), 100.0 + 2e7 * path, rtol=1e-9)
+
+
+def test_the_same_place_has_two_tensions_by_the_history():
+    up_and_down = 1e-6 * np.array([0.0, 4.0, 8.0, 4.0, -1.0, 4.0])
+    near = quasi_static_tensions_n(up_and_down, MU, WRAP_RAD)[:, 0]
+    assert near[1] - near[3] > 10.0
+    assert near[5] > near[3]
+
+
+def test_in_slip_mujoco_comes_to_the_same():
+    way = 8e-6 * np.clip(np.arange(1300) / 1000, 0.0, 1.0)
+    stepped = FrictionCable(Friction.CAPSTAN, MU, WRAP_RAD).drawn(way)[-1]
+    np.testing.assert_allclose(
+        quasi_static_tensions_n(way[::50], MU, WRAP_RAD)[-1], stepped, rtol=1e-4
+    )
+
+
+@pytest.fixture(scope="module")
+def result():
+    return quick_result("friction")
+
+
+@pytest.mark.slow
+def test_equation_2_is_recovered_over_the_sweep(result):
+    worst, _, agreement = compared(result)["T_out / T_in in slip, largest share off", PAPER]
+    assert worst < 1e-6
+    assert agreement is Agreement.YES
+
+
+@pytest.mark.slow
+def test_what_holds_and_what_creeps(result):
+    left = {row[0]: row[2] for row in result.tables[0].rows}
+    assert left["capstan"] == pytest.approx(100.0, abs=0.01)
+    assert left["yielding spring"] == pytest.approx(100.0, abs=0.01)
+    assert left["frictionloss"] < 1.0
+    assert 10.0 < left["frictionloss, hardened"] < 60.0
+    assert disagreeing(result) == []
+
+
+@pytest.mark.slow
+def test_what_frictionloss_cannot_do_is_stated(result):
+    found = compared(result)
+    assert found["frictionloss and equation (2)", PAPER][2] is Agreement.NO
+    assert found["hysteresis from frictionloss", PAPER][2] is Agreement.PARTLY

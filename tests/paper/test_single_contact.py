@@ -1,0 +1,104 @@
+"""Fig. 10 to 12: every bundled single-contact model on the same samples as the noise bound."""
+
+import numpy as np
+import pytest
+from paper_studies import compared, quick_result
+
+from cablesense_paper.studies import single_contact
+from cablesense_paper.studies.single_contact import (
+    FORCE_EDGES_N,
+    LABELS,
+    SHIPPED,
+    TITLES,
+    TREES,
+    all_settings,
+    answered_as_the_paper_tests,
+    answered_setting,
+)
+from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_training.baselines import BoostingSettings
+from cablesense_training.inference.metadata import bundled_models, find_model
+from cablesense_training.inference.session import read_model
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return answered_setting(all_settings()[0], 512, 512, BoostingSettings(rounds=10, leaves=15))
+
+
+def test_no_bundled_single_contact_model_is_left_out():
+    asked = {
+        model for setting in all_settings() for model in (setting.model, *setting.peers.values())
+    }
+    single = {name for name in bundled_models() if _from_single_samples(name)}
+    assert asked == single
+    assert {setting.name for setting in all_settings()} == set(TITLES)
+
+
+def _from_single_samples(name):
+    """Neither for several contacts nor for an arm with history or in motion."""
+    _, metadata = read_model(find_model(name))
+    alone = metadata.kind == "single-contact" and not metadata.memory
+    return alone and not metadata.arm.effects
+
+
+def test_all_estimators_answer_the_same_samples(straight):
+    assert set(straight.tested) == set(LABELS)
+    for tested in straight.tested.values():
+        assert tested.metrics.samples == len(straight.truth.segment) == 512
+        assert np.sum(tested.metrics.confusion) == 512
+
+
+def test_errors_by_force_average_to_the_error_over_all(straight):
+    count, _ = np.histogram(straight.truth.magnitude_n[straight.truth.segment > 0], FORCE_EDGES_N)
+    for name, tested in straight.tested.items():
+        mean_n = np.average(straight.error_by_force_n(name), weights=count)
+        assert mean_n == pytest.approx(tested.metrics.errors.magnitude_mae_n, rel=1e-9)
+
+
+def test_the_shipped_model_comes_near_the_bound_and_trees_do_not(straight):
+    bound_n = straight.bound.magnitude_mae_n
+    assert straight.tested[SHIPPED].metrics.errors.magnitude_mae_n < 1.3 * bound_n
+    assert straight.tested[TREES].metrics.errors.magnitude_mae_n > 10.0 * bound_n
+    assert sum(part.contacts for part in straight.bound_by_force) == straight.bound.contacts
+
+
+def test_the_paper_tests_without_noise_and_with_contacts_alone():
+    tested = answered_as_the_paper_tests(all_settings()[0], 256)
+    assert sum(tested[SHIPPED].metrics.confusion[0]) == 0
+    assert tested[SHIPPED].metrics.errors.magnitude_mae_n < 0.01
+
+
+@pytest.fixture(scope="module")
+def result():
+    chosen = [s for s in all_settings() if s.name in ("straight", "random_pose", "tensions_only")]
+    with pytest.MonkeyPatch.context() as patch:
+        small = {"samples": 512, "training_samples": 512, "rounds": 10, "trees_everywhere": False}
+        patch.setattr(single_contact, "study_size", lambda name, quick: small)
+        patch.setattr(single_contact, "all_settings", lambda: chosen)
+        return quick_result("single_contact")
+
+
+@pytest.mark.slow
+def test_the_two_stage_network_meets_all_the_papers_errors(result):
+    found = compared(result)
+    for what in (
+        "contacts on the right segment",
+        "direction error, mean absolute",
+        "magnitude error, mean absolute",
+        "magnitude error, RMS",
+    ):
+        assert found[f"two-stage network: {what}", PAPER][2] is Agreement.YES, what
+
+
+@pytest.mark.slow
+def test_every_table_ends_with_what_it_is_measured_against(result):
+    like_paper, *settings = result.tables
+    assert like_paper.rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
+    assert [table.rows[-1][0] for table in settings] == ["noise bound"] * 3
+
+
+@pytest.mark.slow
+def test_all_four_estimators_are_in_the_first_setting(result):
+    assert len(result.tables[1].rows) == 5
+    assert len(result.pictures) == 5
