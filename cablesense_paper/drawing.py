@@ -50,7 +50,7 @@ def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None
         axes.plot(
             time_s, line, color=SERIES[i // 3], ls=DASHES[i % 3], label=f"cable {i + 1}", **style
         )
-    axes.set(xlabel="time, s", xlim=(time_s[0], time_s[-1]))
+    axes.set(xlabel="time, s", xlim=(0.0, time_s[-1]))
 
 
 def plain_ticks(axis: Any, scale: float = 1.0) -> None:

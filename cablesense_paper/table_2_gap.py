@@ -299,7 +299,7 @@ def _verdict(
     )
 
 
-def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[Candidate, ...]:
+def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[CandidateResult, ...]:
     """Listed explanations share what the unlisted leaves, the more the less they leave."""
     squares = {h.effects or ("none",): h.squares for h in judged.hypotheses}
     for single in judged.singles:
@@ -314,7 +314,7 @@ def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[Cand
     ]
     count = np.full(left_n.shape[0], float(left_n.shape[1]))
     candidates = (
-        Candidate(
+        CandidateResult(
             effects=effects,
             held_out_rmse_n=float(np.sqrt(left.sum() / count.sum())),
             probability=own,

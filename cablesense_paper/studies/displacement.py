@@ -13,6 +13,7 @@ from cablesense_paper.studies.joint_course import PERIOD_S, trajectory_rad
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import StudyResult, study_result
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
 from cablesense_sim.mechanism import Mechanism
@@ -31,7 +32,7 @@ _TABLE_1 = (
 
 def run(quick: bool, progress: Progress) -> StudyResult:
     """Lengths for the ±10° trajectory, by closed form and by MuJoCo, and back to angles."""
-    mechanism = Mechanism.from_arm(open_arm("cdsm"))
+    mechanism = mechanism_of(open_arm("cdsm"))
     time_s = np.linspace(0.0, 2.0 * PERIOD_S, 81 if quick else 401)
     angles = trajectory_rad(
         time_s, list(range(0, mechanism.joint_count, 2)), mechanism.joint_count

@@ -170,6 +170,6 @@ def _tension_figure(motion: _Motion) -> Any:
 def _cable_figure(motion: _Motion, values: Array, label: str) -> tuple[Any, Any]:
     figure, axes = one_panel(3.1)
     plot_by_cable(axes, motion.time_s[::10], values[::10], lw=1.3)
-    axes.set(ylabel=label)
+    axes.set(ylabel=label, xlim=(0.0, motion.time_s[-1]))
     figure.legend(loc="outside right center")
     return figure, axes

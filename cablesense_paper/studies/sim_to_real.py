@@ -23,7 +23,8 @@ from cablesense_paper.table_2_gap import (
     TableDiagnosis,
     diagnose_table,
 )
-from cablesense_paper.tension_changes import NEED_TIME, Explained, OneNumber
+from cablesense_paper.tension_changes import Explained, OneNumber
+from cablesense_sim.effects.registry import known_effects
 from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 
 _ALIKE = 1.05
@@ -95,7 +96,7 @@ def numbers_of(found: TableDiagnosis) -> dict[str, Any]:
         "unexplained": [found.rehearsal.unexplained[kind] for kind in KINDS],
         "prior": percent(PRIOR_UNLISTED),
         "blind": listed([_spaced(name) for name in found.blind]),
-        "timed": listed([_spaced(name) for name in sorted(NEED_TIME)]),
+        "timed": listed([_spaced(n) for n, e in known_effects().items() if e.needs_time]),
         "disproportion": newtons(rms(np.delete(disproportion_n.ravel(), [21, 22, 23]))),
         "slack_off": listed(
             [f"{v:+.2f}" for v in disproportion_n[_SLACK_ROW - 3, _SLACK_SET]]

@@ -13,9 +13,9 @@ from cablesense_paper.drawing import BLACK, BLUE, ORANGE, one_panel, panels
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import Agreement, StudyResult, study_result
 from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2, read_table2
 
 _ARM = "cdsm_table2"
@@ -94,7 +94,7 @@ def run(quick: bool, progress: Progress) -> StudyResult:
 
 def _by_statics_n(loads: Loads) -> Array:
     """(K, 9) changes of tension under weights hung on segments of the straight arm."""
-    mechanism = Mechanism.from_arm(open_arm(_ARM))
+    mechanism = mechanism_of(open_arm(_ARM))
     forces = np.zeros((1 + len(loads), mechanism.segment_count, 3))
     for row, (segment, weight_n) in enumerate(loads, start=1):
         forces[row, segment - 1, 2] = -weight_n

@@ -95,6 +95,7 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     for data in ("diagnosis/calibration.json", "report/report.html", "report/page.css"):
         assert f"cablesense_gap/{data}" in names
     assert "cablesense_paper/paper.html" in names
+    assert "cablesense_paper/studies/friction.yaml" in names
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
     assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
