@@ -20,7 +20,7 @@ from pathlib import Path
 
 from rich.progress import track
 
-from cablesense_gap.diagnose import diagnose
+from cablesense_gap.pipeline import diagnose
 from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.checks import read_recording

@@ -23,10 +23,10 @@ from rich.progress import track
 from scipy.optimize import minimize
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.diagnose import problem_of
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
 from cablesense_sim.arm import open_arm

@@ -26,7 +26,7 @@ from rich.console import Console
 
 from cablesense_base.installation import config_path
 from cablesense_gap import retraining
-from cablesense_gap.diagnose import diagnose
+from cablesense_gap.pipeline import diagnose
 from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.checks import read_recording

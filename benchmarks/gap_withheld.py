@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rich.progress import track
 
-from cablesense_gap.diagnose import diagnose
+from cablesense_gap.pipeline import diagnose
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.report.page import write_diagnosis
 from cablesense_gap.verdict import Verdict, read_verdict

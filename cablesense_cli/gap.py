@@ -56,7 +56,7 @@ def diagnose(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from cablesense_gap.diagnose import diagnose as make
+    from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import write_diagnosis
     from cablesense_gap.report.text import headline
@@ -279,8 +279,8 @@ def _figures(found: Score) -> Table:
     for name, value in (
         ("removable gap removed, median of correct verdicts", removed),
         ("mean probability on the truth", found.mean_probability_on_truth),
-        ("Brier score of the verdicts", found.calibration.brier),
-        ("expected calibration error", found.calibration.expected_error),
+        ("Brier score of the verdicts", found.reliability.brier),
+        ("expected calibration error", found.reliability.expected_error),
     ):
         table.add_row(name, "–" if value is None else f"{value:.3f}", "", str(found.cases))
     return table

@@ -41,9 +41,9 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
-from cablesense_gap.diagnose import problem_of
 from cablesense_gap.diagnosis.gauss_newton import refine
 from cablesense_gap.diagnosis.problem import Problem, to_scaled
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Estimator as Errors

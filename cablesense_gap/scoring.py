@@ -1,17 +1,4 @@
-"""Verdicts against answers: the score sheet.
-
-The error of what cannot be scored.
-
-The answers that were withheld: what each recording's arm really had.
-
-Whether a stated probability is the share of cases in which it comes true.
-
-A proportion of few cases, with the interval that few cases leave.
-
-A score sheet as JSON.
-
-A folder of verdicts: `RECORDING/verdict.json`, or `RECORDING.json`.
-"""
+"""Verdicts against answers that were withheld: the score sheet."""
 
 from __future__ import annotations
 
@@ -20,7 +7,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from math import sqrt
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
@@ -39,9 +25,12 @@ class ScoreError(CableSenseError):
 COLUMNS = ("recording", "effects", "where")
 GAP_OVER_FLOOR = "gap_over_floor"
 FORM = "form"
-
 MAX_FILE_BYTES = 10_000_000
 """Some hundred thousand recordings."""
+CLEAR_GAP_FLOORS = 5.0
+"""From this many noise floors up a gap is called clear."""
+BINS = 10
+KINDS = ("cable", "segment", "joint")
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
@@ -70,7 +59,7 @@ def read_answers(path: str | Path) -> tuple[Answer, ...]:
     """Read answers: CSV with `recording,effects,where`; effects are joined by `+`.
 
     In `where`, places are found whatever stands between them, so that
-    `cable_2_into_cable_5` and `cable_2 cable_5` say the same.
+    `cable_2_into_cable_5` and `cable_2 cable_5` mean the same.
 
     Raises:
         ScoreError: the file cannot be read, a column is missing, a row cannot be.
@@ -129,9 +118,6 @@ def _number(at: str, cell: str) -> float | None:
     return value
 
 
-BINS = 10
-
-
 @dataclass(frozen=True)
 class Bin:
     """Cases whose stated probability lies in one tenth of 0 to 1."""
@@ -183,10 +169,6 @@ def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliabil
     )
 
 
-Z95 = 1.959963984540054
-"""Standard normal deviate that 2.5 % exceed."""
-
-
 @dataclass(frozen=True)
 class Proportion:
     """`hits` of `count` cases."""
@@ -211,15 +193,12 @@ class Proportion:
 
         E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212.
         """
+        from scipy.stats import binomtest
+
         if not self.count:
             return 0.0, 1.0
-        share, weight = self.hits / self.count, Z95**2 / self.count
-        middle = (share + weight / 2.0) / (1.0 + weight)
-        half = sqrt(share * (1.0 - share) * weight + weight**2 / 4.0) / (1.0 + weight)
-        # the ends are exact where nothing or everything hits; rounding must not cross them
-        low = 0.0 if self.hits == 0 else middle - half
-        high = 1.0 if self.hits == self.count else middle + half
-        return low, high
+        low, high = binomtest(self.hits, self.count).proportion_ci(method="wilson")
+        return float(low), float(high)
 
     def as_json(self) -> dict[str, Any]:
         """Share, interval and counts."""
@@ -231,12 +210,6 @@ class Proportion:
         }
 
 
-CLEAR_GAP_FLOORS = 5.0
-"""From this many noise floors up a gap is called clear."""
-
-KINDS = ("cable", "segment", "joint")
-
-
 @dataclass(frozen=True)
 class Score:
     """What the verdicts are worth. `singles` and `doubles` are cases inside the library.
@@ -245,7 +218,7 @@ class Score:
         cases: number of recordings scored.
         confusion: counts by truth, then by verdict.
         exact: verdicts that name exactly the truth.
-        top2: truth among the two explanations held most probable.
+        top2: truth among the two most probable explanations.
         truth_in_group: truth is the verdict or in its ambiguity group.
         singles_exact: of singles, exact ones.
         clear_singles_exact: the same where the gap is at least 5 noise floors.
@@ -258,7 +231,7 @@ class Score:
         by_form: exact verdicts by the plant's form, where answers give one.
         mean_probability_on_truth: of the candidate that is the truth, 0 where none is.
         brier_over_candidates: sum over candidates of (probability - outcome)², mean over cases.
-        calibration: of the verdicts' own probability.
+        reliability: of the verdicts' own probability.
         median_removed_fraction: of correct verdicts on singles and doubles; None without one.
         wrong: recordings whose verdict is not exact.
     """
@@ -279,7 +252,7 @@ class Score:
     by_form: dict[str, Proportion]
     mean_probability_on_truth: float
     brier_over_candidates: float
-    calibration: Reliability
+    reliability: Reliability
     median_removed_fraction: float | None
     wrong: tuple[str, ...]
 
@@ -384,7 +357,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
             case.probabilities.get(case.answer.effects, 0.0) for case in cases
         ),
         brier_over_candidates=fmean(case.brier for case in cases),
-        calibration=reliability(
+        reliability=reliability(
             [case.verdict.probability for case in cases], [case.right for case in cases]
         ),
         median_removed_fraction=median(removed) if removed else None,
@@ -396,8 +369,8 @@ def _confusion(cases: Sequence[_Case]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = {}
     for case in sorted(cases, key=lambda c: (joined(c.answer.effects), joined(c.verdict.effects))):
         row = counts.setdefault(joined(case.answer.effects), {})
-        said = joined(case.verdict.effects)
-        row[said] = row.get(said, 0) + 1
+        named = joined(case.verdict.effects)
+        row[named] = row.get(named, 0) + 1
     return counts
 
 
@@ -411,10 +384,10 @@ def _of_kind(places: frozenset[str], kind: str) -> set[str]:
 
 
 def as_json(score: Score) -> dict[str, Any]:
-    """The score as plain values; a proportion becomes its value, interval and counts."""
-    figures = {field.name: _plain(getattr(score, field.name)) for field in fields(score)}
-    figures["calibration"] = asdict(score.calibration)
-    return figures
+    """The score as plain values for a JSON file."""
+    plain = {field.name: _plain(getattr(score, field.name)) for field in fields(score)}
+    plain["calibration"] = asdict(plain.pop("reliability"))
+    return plain
 
 
 def _plain(value: Any) -> Any:

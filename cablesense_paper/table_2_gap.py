@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_base.files import write_atomically
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.diagnose import gap_size, rmse_interval_n
 from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.pipeline import gap_size, rmse_interval_n
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import UNKNOWN, CandidateResult, Verdict, Where
 from cablesense_paper.study import PaperError

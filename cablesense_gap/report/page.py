@@ -7,7 +7,7 @@ from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import write_arm
-from cablesense_gap.diagnose import Diagnosis
+from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.pictures import (
     MOST,
     cable_picture,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cablesense_gap.diagnose import Diagnosis
+from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.style import listed, newtons, percent
 from cablesense_gap.residuals import EVERYWHERE
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined

@@ -19,7 +19,7 @@ from gap_recordings import LAB, small_recording
 
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.diagnose import (
+from cablesense_gap.pipeline import (
     FOLDS,
     NEGLIGIBLE,
     Diagnosis,

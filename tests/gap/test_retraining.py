@@ -22,8 +22,8 @@ from cablesense_base.arrays import Array
 from cablesense_base.installation import config_path
 from cablesense_gap import retraining
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
-from cablesense_gap.diagnose import problem_of
 from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.retraining import (
     AT_PEAK,

@@ -236,7 +236,7 @@ def test_probabilities_and_removed_gap_are_means_over_the_right_cases():
     stated = [0.8, 0.6, 1.0, 0.7, 0.9, 1.0, 0.5, 0.5]
     right = [1, 0, 1, 0, 1, 1, 0, 1]
     by_hand = sum((p - y) ** 2 for p, y in zip(stated, right, strict=True)) / 8
-    assert found.calibration.brier == pytest.approx(by_hand)
+    assert found.reliability.brier == pytest.approx(by_hand)
     several = [0.2**2, 0.6**2 + 0.6**2, 0, 0.9**2 + 0.7**2 + 0.2**2, 0.1**2, 0, 1 + 0.5**2, 0.5**2]
     assert found.brier_over_candidates == pytest.approx(sum(several) / 8)
     assert found.median_removed_fraction == pytest.approx(0.9)  # of 1.0, 0.9 and 0.8

@@ -14,8 +14,8 @@ import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.diagnose import problem_of
 from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.unlisted import (
     ONE_AT_A_TIME,
     Unlisted,
