@@ -1,7 +1,4 @@
-"""A recording of a whole system: its journal, and its samples with what changed before them.
-
-Recorded samples beside the answers that they got.
-"""
+"""A recording of a live arm: samples with their answers, and the estimator's states between."""
 
 from __future__ import annotations
 
@@ -14,10 +11,10 @@ from typing import NamedTuple
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.journal import EventKind, JournalEntry, journal_entry
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, of_contract
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.state import EstimatorState, EventKind, state_of
 
 _WRENCH = Struct("<6d")
 
@@ -32,8 +29,8 @@ class AnsweredSample(NamedTuple):
         stamp_ns: of both.
         log_ns: when the sample was recorded.
         sample: serialized `JointState`.
-        answer: serialized `WrenchStamped`; none where the estimator took no notice of the sample:
-            it was not running, did not get it, or refused its stamp.
+        answer: serialized `WrenchStamped`; none where the estimator was not running, did not
+            receive the sample, or refused its stamp.
     """
 
     stamp_ns: int
@@ -46,10 +43,10 @@ class AnsweredSamples:
     """Pairs samples and answers by their stamps, in the order of the samples.
 
     Attributes:
-        unstamped: samples without a stamp, or that are no messages: no answer can be told theirs.
-        lone_contacts: answers with a contact whose sample the recording lacks.
-        lone_zeros: zero wrenches with no sample's stamp: the estimator's word in a silence, or at
-            a sample whose stamp it refused.
+        unstamped: samples without a stamp, or that are no messages: no answer can be assigned.
+        lone_contacts: answers with a contact whose sample is not in the recording.
+        lone_zeros: zero wrenches with no sample's stamp: published in a silence, or at a sample
+            whose stamp was refused.
     """
 
     def __init__(self) -> None:
@@ -110,34 +107,35 @@ def _stamp(raw: bytes) -> int:
 MOST_CHANGES = 1_000_000
 """A hundred commands a second for hours; more would fill the memory."""
 
-_ENTRY_AFTER_NS = 1_000_000_000
-"""An entry is published with the answer to its sample, so it is not recorded much later."""
+_STATE_AFTER_NS = 1_000_000_000
+"""A state is published with the answer to its sample, so it is not recorded much later."""
 
 
 class Step(NamedTuple):
-    """One sample, and the journal entries that take effect with it.
+    """One sample, and the states that take effect with it.
 
     Attributes:
         taken: whether the estimator took the sample: its answer was recorded, or the sample came
-            after the estimator's start and before the first answer that the recorder heard. The
-            recorder hears answers only once it has found the estimator; the entry of the start
+            after the estimator's start and before the first recorded answer. The recorder
+            receives answers only once it has discovered the estimator; the state of the start
             waits for it.
     """
 
-    entries: tuple[JournalEntry, ...]
+    states: tuple[EstimatorState, ...]
     pair: AnsweredSample
     taken: bool
 
 
 class RecordedRun:
-    """Opens a recording of `cablesense record` and reads its journal.
+    """A recording of `cablesense record`, with its journal read.
 
     Attributes:
         path: of the file.
-        entries: the journal.
-        other_inputs: loads and trials, and commands where no journal tells their place; the topic
+        states: the journal, in the order it was recorded.
+        other_inputs: loads and trials, and commands where no journal has their place; the topic
             is the contract's.
-        cut: where the file breaks off, in words; empty if it is whole.
+        has_answers: whether an estimator's answers are in it.
+        cut: where the file breaks off, as text; empty if it is whole.
         pairs: what the last `steps` found beside the samples.
     """
 
@@ -152,7 +150,7 @@ class RecordedRun:
         if self.path.is_dir():
             raise RecordingError(f"{path}: is a folder; give the .mcap file in it")
         messages, types = McapMessages(self.path), BagTypes()
-        entries: list[tuple[int, JournalEntry]] = []
+        self._logged: list[tuple[int, EstimatorState]] = []
         names: dict[str, str] = {}
         others: list[RawMessage] = []
         for raw in messages:
@@ -161,10 +159,10 @@ class RecordedRun:
                 continue
             self._check(topic, raw, names)
             if topic == topics.JOURNAL:
-                entries.append((raw.log_ns, self._entry(types, raw, len(entries) + 1)))
+                self._logged.append((raw.log_ns, self._state(types, raw)))
             elif topic in INPUTS and topic != topics.CABLE_TENSIONS:
                 others.append(raw._replace(topic=topic))
-            if len(entries) + len(others) > MOST_CHANGES:
+            if len(self._logged) + len(others) > MOST_CHANGES:
                 raise RecordingError(f"{path}: more than {MOST_CHANGES} commands and loads")
         if topics.CABLE_TENSIONS not in names:
             there = ", ".join(sorted(names.values())[:8]) or "nothing"
@@ -172,27 +170,17 @@ class RecordedRun:
                 f"{path}: has no {topics.CABLE_TENSIONS}, but {there}; record with: cablesense "
                 "record"
             )
-        self._entries = entries
+        self.states = tuple(state for _, state in self._logged)
         self.other_inputs = [
-            raw for raw in others if not (entries and raw.topic == topics.JOINT_COMMANDS)
+            raw for raw in others if not (self.states and raw.topic == topics.JOINT_COMMANDS)
         ]
-        self._names = names
+        self.has_answers = topics.WRENCH in names
         self.cut = messages.cut
 
     @property
-    def entries(self) -> tuple[JournalEntry, ...]:
-        """The journal, in the order it was recorded."""
-        return tuple(entry for _, entry in self._entries)
-
-    @property
     def joint_names(self) -> list[str]:
-        """As the journal says."""
-        return self._entries[0][1].settings.get("joints", "").split() if self._entries else []
-
-    @property
-    def has_answers(self) -> bool:
-        """Whether an estimator's answers are in it."""
-        return topics.WRENCH in self._names
+        """As the journal has them."""
+        return self.states[0].origin.get("joints", "").split() if self.states else []
 
     def steps(self) -> Iterator[Step]:
         """Every sample that has a stamp, in order.
@@ -201,19 +189,21 @@ class RecordedRun:
             RecordingError: the file has become unreadable.
         """
         self.pairs = AnsweredSamples()
-        following, unheard = 0, False
+        following, before_first_answer = 0, False
         for pair in self.pairs.of(McapMessages(self.path)):
             first = following
-            while following < len(self._entries):
-                log_ns, entry = self._entries[following]
-                # after a step back of the clock, stamps alone do not say which came first
-                if entry.before_ns > pair.stamp_ns or log_ns > pair.log_ns + _ENTRY_AFTER_NS:
+            while following < len(self._logged):
+                log_ns, state = self._logged[following]
+                # after a step back of the clock, stamps alone do not order states and samples
+                if state.before_ns > pair.stamp_ns or log_ns > pair.log_ns + _STATE_AFTER_NS:
                     break
                 following += 1
-            entries = tuple(entry for _, entry in self._entries[first:following])
-            unheard |= any(event.kind is EventKind.START for e in entries for event in e.events)
-            unheard &= pair.answer is None
-            yield Step(entries, pair, unheard or pair.answer is not None)
+            states = self.states[first:following]
+            before_first_answer |= any(
+                event.kind is EventKind.START for state in states for event in state.events
+            )
+            before_first_answer &= pair.answer is None
+            yield Step(states, pair, before_first_answer or pair.answer is not None)
 
     def _check(self, topic: str, raw: RawMessage, names: dict[str, str]) -> None:
         first = names.setdefault(topic, raw.topic)
@@ -227,12 +217,11 @@ class RecordedRun:
                 f"{CONTRACT[topic].kind}"
             )
 
-    def _entry(self, types: BagTypes, raw: RawMessage, number: int) -> JournalEntry:
+    def _state(self, types: BagTypes, raw: RawMessage) -> EstimatorState:
+        where = f"{self.path}: {raw.topic}, message {len(self._logged) + 1}"
         try:
-            return journal_entry(types.message(raw.kind, raw.data))
+            return state_of(types.message(raw.kind, raw.data))
         except ContractError as error:
-            raise RecordingError(f"{self.path}: {raw.topic}, message {number}: {error}") from error
+            raise RecordingError(f"{where}: {error}") from error
         except Exception as error:  # bytes that are no message raise anything in a parser
-            raise RecordingError(
-                f"{self.path}: {raw.topic}, message {number}: cannot be read ({error})"
-            ) from error
+            raise RecordingError(f"{where}: cannot be read ({error})") from error

@@ -1,153 +1,42 @@
-"""A recorded run through the same `Estimation`, as fast as it goes.
+"""A recorded run answered again by the same `Estimation`, and compared with the recorded answers.
 
-The `Estimation` that a journal entry speaks of, built again from its model and settings.
-
-Answers of a replay beside the recorded ones, byte by byte.
-
-A comparison in words, for people.
-
-Estimates as CSV: one row a sample.
+`replay_in_process` rebuilds the estimator of each recorded state from its model and settings, and
+goes as fast as it can. `cablesense_ros.replay_through_node` has a node answer instead; both go
+through `replayed_steps` and count in one `Comparison`.
 """
 
 from __future__ import annotations
 
 import csv
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TextIO, get_type_hints
+from typing import Any, TextIO
 
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_msgs_py.journal import JournalEntry
 from cablesense_msgs_py.serialized import WrenchWriter, stamp_ns, wrench_writers
 from cablesense_msgs_py.topics import ContractError, Frames
-from cablesense_online.answers import LoadedModel, Outcome, load_model
-from cablesense_online.estimation import Estimation
-from cablesense_online.journal import EstimationSettings
-from cablesense_online.recorded_run import RecordedRun, shows_contact
+from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.models import LoadedModel, load_model
+from cablesense_online.recorded_run import RecordedRun, Step, shows_contact
+from cablesense_online.state import LIVE_SETTINGS, EstimatorState
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.temporal_estimator import open_estimator
-
-LIVE_SETTINGS = ("contact_threshold", "stale_after_s", "slack_below_n")
-"""Those that may change while an estimator runs."""
-
-
-class RebuiltEstimation:
-    """Follows the journal, and answers samples as serialized wrenches.
-
-    Attributes:
-        outcome: of the last sample.
-    """
-
-    def __init__(self, arm: str, model: str) -> None:
-        """With the recorded model, or with another `arm` or `model` where one is given."""
-        self._arm, self._model = arm, model
-        self._loaded: LoadedModel | None = None
-        self._built_for: tuple[str, Mapping[str, str]] | None = None
-        self._estimation: Estimation | None = None
-        self._described: dict[str, str] = {}
-        self._writers: list[WrenchWriter] = []
-        self.outcome = Outcome()
-
-    @property
-    def loaded(self) -> LoadedModel | None:
-        """Arm and model; none before the first entry."""
-        return self._loaded
-
-    @property
-    def vouches(self) -> bool:
-        """Whether the answers must be those of the recording."""
-        return self._estimation is not None and self._estimation.vouches
-
-    def follow(self, entry: JournalEntry) -> None:
-        """Be in the state that the entry tells.
-
-        Raises:
-            CableSenseError: the model is not to be found, or has changed since; settings that
-                cannot be; an entry of another arm.
-        """
-        fixed = {name: of for name, of in entry.settings.items() if name not in LIVE_SETTINGS}
-        wanted = (entry.arm, fixed)
-        settings = _settings(entry.settings)
-        if self._estimation is None or wanted != self._built_for:
-            self._build(entry, settings)
-            self._built_for = wanted
-        assert self._estimation is not None
-        self._estimation.adjust(**{name: getattr(settings, name) for name in LIVE_SETTINGS})
-        self._estimation.restore(entry)
-
-    def answer(self, sample: bytes, stamp_ns: int) -> bytes:
-        """The wrench that a sample with this stamp gets."""
-        assert self._estimation is not None
-        self.outcome = self._estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
-        contact = self.outcome.contact
-        return self._writers[contact.segment].write(stamp_ns, contact.wrench)
-
-    def _build(self, entry: JournalEntry, settings: EstimationSettings) -> None:
-        self._loaded = self._load(entry)
-        prefix = entry.settings.get("frame_prefix", "")
-        self._writers = wrench_writers(Frames(self._loaded.arm.segment_count, prefix))
-        self._estimation = Estimation(self._loaded.arm, self._loaded.estimator, settings, 0.0)
-
-    def _load(self, entry: JournalEntry) -> LoadedModel:
-        described = {key: entry.settings.get(key, "") for key in ("model", "model SHA-256")}
-        if self._loaded is not None and described == self._described:
-            return self._loaded
-        self._described = described
-        if self._arm or self._model:
-            if self._arm:
-                return load_model(self._arm, self._model)
-            return _load_alone(find_model(self._model))
-        path = Path(entry.settings.get("model", ""))
-        loaded = _load_alone(path if path.is_file() else find_model(path.stem))
-        recorded = entry.settings.get("model SHA-256", "")
-        if loaded.described["model SHA-256"] != recorded:
-            raise RecordingError(
-                f"the recording is of a model {path.name} with SHA-256 {recorded[:12]}…, and "
-                f"{loaded.model} is another; name the model with --model"
-            )
-        return loaded
-
-
-def _load_alone(path: Path) -> LoadedModel:
-    estimator = open_estimator(path)
-    return LoadedModel(estimator.metadata.arm, estimator, str(path))
-
-
-def _settings(texts: Mapping[str, str]) -> EstimationSettings:
-    """The settings from text."""
-    values: dict[str, Any] = {}
-    for name, kind in get_type_hints(EstimationSettings).items():
-        text = texts.get(name, "")
-        if kind is bool:
-            values[name] = text == "True"
-            continue
-        try:
-            values[name] = kind(text)
-        except ValueError as error:
-            raise RecordingError(f"journal: {name} is {text[:40]!r}, no number") from error
-        if not isfinite(values[name]) or values[name] < 0:
-            raise RecordingError(f"journal: {name} is {text}; it must be finite and not negative")
-    if not 1 <= values["tare_samples"] <= 10_000 or values["joint_speed_rad_s"] == 0.0:
-        raise RecordingError("journal: tare_samples must be 1 to 10000, and joints must move")
-    return EstimationSettings(**values)
 
 
 @dataclass
 class Comparison:
-    """Counts, and the first difference in words.
+    """Counts, and the first difference as text.
 
     Attributes:
         samples: recorded, with a stamp.
-        compared: those whose answer is recorded and whose state the journal tells.
+        compared: those whose answer is recorded and whose state is in the journal.
         identical: those of which every byte of the wrench is the same.
         contacts: those compared whose recorded answer is a contact.
-        unanswered: of which the estimator took no notice.
-        before_journal: answered, but the recording does not say what the answers rest on.
+        unanswered: without a recorded answer.
+        before_journal: answered, but the state that the answer rests on is not in the recording.
         unstamped, lone_contacts, lone_zeros: as in `AnsweredSamples`.
         first_difference: empty where there is none.
     """
@@ -164,21 +53,18 @@ class Comparison:
     first_difference: str = ""
 
     def compare(self, number: int, recorded: bytes, replayed: bytes | None) -> None:
-        """The answer to a sample; `replayed` is none where the replay gave none.
+        """Compare the answers, serialized `WrenchStamped`, to the sample `number`, from 1.
 
-        Args:
-            number: of the sample, from 1.
-            recorded: serialized `WrenchStamped`.
-            replayed: the same.
+        `replayed` is none where the replay gave none.
         """
         self.compared += 1
         self.contacts += shows_contact(recorded)
         if recorded == replayed:
             self.identical += 1
         elif not self.first_difference:
-            there = "nothing" if replayed is None else _words(replayed)
+            there = "nothing" if replayed is None else _wrench_text(replayed)
             self.first_difference = (
-                f"sample {number}, stamp {stamp_ns(recorded)}: {_words(recorded)} recorded, "
+                f"sample {number}, stamp {stamp_ns(recorded)}: {_wrench_text(recorded)} recorded, "
                 f"{there} replayed"
             )
 
@@ -189,10 +75,10 @@ class Comparison:
 
     def as_json(self) -> dict[str, Any]:
         """The counts, for a machine."""
-        return dict(vars(self))
+        return asdict(self)
 
 
-def _words(raw: bytes) -> str:
+def _wrench_text(raw: bytes) -> str:
     """Frame and numbers of a serialized `WrenchStamped`, or its bytes."""
     try:
         (length,) = struct.unpack_from("<I", raw, 12)
@@ -210,28 +96,27 @@ class EstimateTable:
         self._rows = csv.writer(file, lineterminator="\n")
         self._begun = False
 
-    def add(self, stamp_ns: int, outcome: Outcome, segment_count: int) -> None:
+    def add(self, stamp_ns: int, answer: Answer, segment_count: int) -> None:
         """The answer to one sample of an arm with N segments.
 
         `segment` is 0 without a contact; probabilities are empty where nothing was estimated: in a
-        move, before the first tare, at a sample of no use, whose `problem` is said then.
+        move, before the first tare, and at a sample that was refused, whose `problem` is given.
         """
         if not self._begun:
             self._begun = True
-            beliefs = ["p_none", *(f"p_segment_{n + 1}" for n in range(segment_count))]
-            self._rows.writerow(
-                ["stamp_ns", "segment", "angle_deg", "magnitude_n", *beliefs, "problem"]
-            )
-        contact = outcome.contact
-        beliefs = [*outcome.probabilities] or [""] * (segment_count + 1)  # type: ignore[list-item]
-        problem = "" if outcome.problem is None else outcome.problem.kind.value
+            columns = ["stamp_ns", "segment", "angle_deg", "magnitude_n", "p_none"]
+            columns += [f"p_segment_{n + 1}" for n in range(segment_count)]
+            self._rows.writerow([*columns, "problem"])
+        contact = answer.contact
+        probabilities: list[Any] = [*answer.probabilities] or [""] * (segment_count + 1)
+        problem = "" if answer.problem is None else answer.problem.kind.value
         touched = [contact.angle_deg, contact.magnitude_n] if contact.segment else ["", ""]
-        self._rows.writerow([stamp_ns, contact.segment, *touched, *beliefs, problem])
+        self._rows.writerow([stamp_ns, contact.segment, *touched, *probabilities, problem])
 
 
 @contextmanager
 def estimate_table(path: Path) -> Iterator[EstimateTable]:
-    """A table that stands under its name when it is whole.
+    """A table that gets its name when it is whole.
 
     Raises:
         RecordingError: it cannot be written there.
@@ -241,6 +126,95 @@ def estimate_table(path: Path) -> Iterator[EstimateTable]:
         beside.open("w", encoding="utf-8", newline="") as file,
     ):
         yield EstimateTable(file)
+
+
+def replayed_steps(
+    run: RecordedRun, comparison: Comparison
+) -> Iterator[tuple[list[EstimatorState], Step]]:
+    """The samples that the recorded estimator took, each with the states since the one before.
+
+    All samples are counted in `comparison`. A recording without answers gives every sample.
+    """
+    states: list[EstimatorState] = []
+    for step in run.steps():
+        comparison.samples += 1
+        comparison.unanswered += step.pair.answer is None
+        states += step.states
+        if step.taken or not run.has_answers:
+            yield states, step
+            states = []
+    comparison.unstamped = run.pairs.unstamped
+    comparison.lone_contacts = run.pairs.lone_contacts
+    comparison.lone_zeros = run.pairs.lone_zeros
+
+
+class RebuiltEstimation:
+    """Goes from state to state, and answers samples as serialized wrenches.
+
+    Attributes:
+        answer: to the last sample.
+        loaded: arm and model; none before the first state.
+    """
+
+    def __init__(self, arm: str, model: str) -> None:
+        """With the recorded model, or with another `arm` or `model` where one is given."""
+        self._arm, self._model = arm, model
+        self.loaded: LoadedModel | None = None
+        self._loaded_for: dict[str, str] = {}
+        self._built_for: object = None
+        self._estimation: Estimation | None = None
+        self._writers: list[WrenchWriter] = []
+        self.answer = Answer()
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether the answers must be those of the recording."""
+        return self._estimation is not None and self._estimation.reproducible
+
+    def restore(self, state: EstimatorState) -> None:
+        """Continue from a state.
+
+        Raises:
+            CableSenseError: the model is not to be found, or has changed since; a state of
+                another arm.
+        """
+        fixed = state.settings.model_dump(exclude=set(LIVE_SETTINGS))
+        wanted = (state.arm, state.origin, fixed)
+        if self._estimation is None or wanted != self._built_for:
+            self.loaded = self._load(state.origin)
+            prefix = state.origin.get("frame_prefix", "")
+            self._writers = wrench_writers(Frames(self.loaded.arm.segment_count, prefix))
+            self._estimation = Estimation(
+                self.loaded.arm, self.loaded.estimator, state.settings, 0.0
+            )
+            self._built_for = wanted
+        self._estimation.adjust(**{name: getattr(state.settings, name) for name in LIVE_SETTINGS})
+        self._estimation.restore(state)
+
+    def wrench(self, sample: bytes, stamp_ns: int) -> bytes:
+        """The wrench that answers a sample with this stamp."""
+        assert self._estimation is not None
+        self.answer = self._estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
+        contact = self.answer.contact
+        return self._writers[contact.segment].write(stamp_ns, contact.wrench)
+
+    def _load(self, origin: dict[str, str]) -> LoadedModel:
+        recorded = {key: origin.get(key, "") for key in ("model", "model SHA-256")}
+        if self.loaded is not None and recorded == self._loaded_for:
+            return self.loaded
+        self._loaded_for = recorded
+        if self._arm:
+            return load_model(self._arm, self._model)
+        if self._model:
+            return LoadedModel.open(find_model(self._model))
+        path, digest = Path(recorded["model"]), recorded["model SHA-256"]
+        loaded = LoadedModel.open(path if path.is_file() else find_model(path.stem))
+        if loaded.origin["model SHA-256"] != digest:
+            raise RecordingError(
+                f"the recording is of a model {path.name} with SHA-256 {digest[:12]}…, and "
+                f"{loaded.model} is another; name the model with --model"
+            )
+        return loaded
 
 
 def replay_in_process(
@@ -259,37 +233,30 @@ def replay_in_process(
         table: takes the answers, if any is wanted.
 
     Raises:
-        RecordingError: the recording lacks what a replay needs.
+        RecordingError: the recording has not all that a replay needs.
         CableSenseError: the model is not to be found, or does not fit.
     """
-    if not run.entries:
+    if not run.states:
         raise RecordingError(
-            f"{run.path}: has no ~/journal, and without it nobody knows the tare and the command "
-            "at each sample; record with: cablesense record"
+            f"{run.path}: has no ~/journal, and without it tare and command are unknown at each "
+            "sample; record with: cablesense record"
         )
-    rebuilt = RebuiltEstimation(arm, model)
-    comparison = Comparison()
-    for entries, pair, taken in run.steps():
-        comparison.samples += 1
-        for entry in entries:
-            rebuilt.follow(entry)
+    rebuilt, comparison = RebuiltEstimation(arm, model), Comparison()
+    for states, (_, pair, _) in replayed_steps(run, comparison):
+        for state in states:
+            rebuilt.restore(state)
+        if rebuilt.loaded is None:
+            comparison.before_journal += pair.answer is not None
+            continue
+        wrench = rebuilt.wrench(pair.sample, pair.stamp_ns)
         if pair.answer is None:
-            comparison.unanswered += 1
-            if taken:  # a model with memory has heard it
-                rebuilt.answer(pair.sample, pair.stamp_ns)
-        elif rebuilt.loaded is None:
+            continue  # a history-dependent model has received it
+        if not rebuilt.reproducible:
             comparison.before_journal += 1
-        elif not rebuilt.vouches:
-            rebuilt.answer(pair.sample, pair.stamp_ns)
-            comparison.before_journal += 1
-        else:
-            answer = rebuilt.answer(pair.sample, pair.stamp_ns)
-            comparison.compare(comparison.samples, pair.answer, answer)
-            if table is not None:
-                table.add(pair.stamp_ns, rebuilt.outcome, rebuilt.loaded.arm.segment_count)
-    comparison.unstamped = run.pairs.unstamped
-    comparison.lone_contacts = run.pairs.lone_contacts
-    comparison.lone_zeros = run.pairs.lone_zeros
+            continue
+        comparison.compare(comparison.samples, pair.answer, wrench)
+        if table is not None:
+            table.add(pair.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count)
     return comparison
 
 
@@ -298,16 +265,18 @@ def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
 
     Args:
         comparison: the counts.
-        cut: where the file breaks off, in words; empty if it is whole.
+        cut: where the file breaks off, as text; empty if it is whole.
     """
     counted = {
         "samples recorded": comparison.samples,
         "not answered when recorded (no estimator, or refused by their stamp)": (
             comparison.unanswered
         ),
-        "answered before the journal tells enough, so not compared": comparison.before_journal,
+        "answered before the journal has a usable state, so not compared": (
+            comparison.before_journal
+        ),
         "samples without a stamp, so not compared": comparison.unstamped,
-        "contacts reported whose sample the recording lacks": comparison.lone_contacts,
+        "contacts whose sample is not in the recording": comparison.lone_contacts,
         "zero wrenches of the estimator in a silence": comparison.lone_zeros,
         "compared": comparison.compared,
         "of these contacts": comparison.contacts,

@@ -6,10 +6,6 @@ A tare is taken at one command. Elsewhere the unloaded tensions are
 
 with the prediction of the arm file's static equilibrium: what the sensors read beyond the model
 (offsets) stays, what gravity and geometry change is added.
-
-A tare in words: for the log, so that what was in force can be told later, and diagnostics.
-
-What the sensors of an arm read with nothing touching it, by its description.
 """
 
 from __future__ import annotations
@@ -23,7 +19,6 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
@@ -33,8 +28,29 @@ MOST_TARES_KEPT = 16
 """How many times a tare can be undone."""
 
 
+class UnloadedTensions:
+    """The static equilibrium of an arm that is commanded as if its effects were unknown.
+
+    Attributes:
+        mechanism: the arm with what its effects change of it.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._nominal = mechanism_of(arm)
+        self.mechanism = amended(self._nominal, entries_of(arm))
+
+    def predict_n(self, command_rad: Array) -> Array:
+        """Tensions (M,) at rest at a command (2N,).
+
+        Raises:
+            CableSenseError: the arm has no rest at this command.
+        """
+        held = held_lengths_m(self._nominal, command_rad)
+        return solve_equilibrium(self.mechanism, command_rad, held_m=held).tensions_n
+
+
 class TareError(CableSenseError):
-    """No tare can be taken or undone now: says why, and what to do."""
+    """No tare can be taken or undone now; the message tells why, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +59,10 @@ class Tare:
 
     Attributes:
         measured_n: (M,) average of the readings.
-        predicted_n: (M,) what the arm's model says at the same command.
+        predicted_n: (M,) by the arm's model at the same command.
         command_rad: (2N,) that command.
-        sample_count: how many readings were averaged.
-        taken_ns: when it was taken, ns since the epoch.
+        sample_count: how many readings were averaged; 0 where that is not known any more.
+        taken_ns: when it was taken, ns since the epoch; 0 as well.
     """
 
     measured_n: Array
@@ -60,9 +76,18 @@ class Tare:
         """Largest deviation of a cable from the model, N."""
         return float(np.abs(self.measured_n - self.predicted_n).max())
 
+    def unloaded_n(self, predicted_n: Array) -> Array:
+        """(M,) unloaded tensions where the arm's model predicts `predicted_n`."""
+        return self.measured_n + (predicted_n - self.predicted_n)
 
-class TareModel:
-    """Takes tares from the latest readings; knows the unloaded tensions at the present command."""
+
+class Tares:
+    """Takes tares from the latest readings, and carries the present one over to commands.
+
+    Attributes:
+        present: the tare in use.
+        unloaded_n: (M,) unloaded tensions at the present command; none before the first tare.
+    """
 
     def __init__(
         self,
@@ -84,33 +109,18 @@ class TareModel:
             CableSenseError: the model has no unloaded state at this command.
         """
         self._predict_n = predict_n
-        self._command_rad = command_rad
         self._predicted_n = predict_n(command_rad)
-        self._sample_count = sample_count
         self._steady_n = steady_n
         self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
-        self._tares: deque[Tare] = deque(maxlen=MOST_TARES_KEPT)
-        self._unloaded_n: Array | None = None
-
-    @property
-    def present(self) -> Tare | None:
-        """The tare in use."""
-        return self._tares[-1] if self._tares else None
+        self._sample_count = sample_count
+        self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
+        self.present: Tare | None = None
+        self.unloaded_n: Array | None = None
 
     @property
     def undoable(self) -> int:
         """How many times `undo` can be called."""
-        return len(self._tares)
-
-    @property
-    def unloaded_n(self) -> Array | None:
-        """(M,) unloaded tensions at the present command; none before the first tare."""
-        return self._unloaded_n
-
-    def unloaded_where(self, predicted_n: Array) -> Array | None:
-        """(M,) unloaded tensions where the arm's model says `predicted_n`; none without a tare."""
-        tare = self.present
-        return None if tare is None else tare.measured_n + (predicted_n - tare.predicted_n)
+        return len(self._earlier) + (self.present is not None)
 
     def command(self, command_rad: Array) -> None:
         """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
@@ -119,9 +129,8 @@ class TareModel:
             CableSenseError: the model has no unloaded state at this command; nothing has changed.
         """
         self._predicted_n = self._predict_n(command_rad)
-        self._command_rad = command_rad
         self._readings.clear()
-        self._carry_over()
+        self._use(self.present)
 
     def forget_readings(self) -> None:
         """Readings before this moment do not belong to the next tare."""
@@ -136,11 +145,12 @@ class TareModel:
         """Whether enough readings have come for a tare, and they hold still."""
         return len(self._readings) == self._sample_count and self._unsteady() is None
 
-    def take(self, now_ns: int) -> Tare:
+    def take(self, command_rad: Array, now_ns: int) -> Tare:
         """Take the average of the last readings as the unloaded state.
 
         Args:
-            now_ns: the time that is noted beside it, ns since the epoch.
+            command_rad: (2N,) the present command.
+            now_ns: the present time, ns since the epoch.
 
         Raises:
             TareError: too few readings yet, or they do not hold still.
@@ -154,11 +164,10 @@ class TareModel:
         if unsteady is not None:
             raise TareError(unsteady)
         measured_n = np.mean(self._readings, axis=0)
-        tare = Tare(
-            measured_n, self._predicted_n.copy(), self._command_rad, self._sample_count, now_ns
-        )
-        self._tares.append(tare)
-        self._carry_over()
+        if self.present is not None:
+            self._earlier.append(self.present)
+        tare = Tare(measured_n, self._predicted_n, command_rad, self._sample_count, now_ns)
+        self._use(tare)
         return tare
 
     def undo(self) -> Tare | None:
@@ -167,10 +176,9 @@ class TareModel:
         Raises:
             TareError: there is nothing to undo.
         """
-        if not self._tares:
+        if self.present is None:
             raise TareError("no tare has been taken, so there is nothing to undo")
-        self._tares.pop()
-        self._carry_over()
+        self._use(self._earlier.pop() if self._earlier else None)
         return self.present
 
     def restore(
@@ -180,24 +188,25 @@ class TareModel:
 
         Args:
             command_rad: the present command (2N,).
-            unloaded_n: (M,) at this command; none where this arm's model has to say it.
+            unloaded_n: (M,) at this command; none where this arm's model is to predict it.
             tared_n: (M,) measured at the tare; empty without a tare.
             tare_command_rad: (2N,) the command then.
 
         Raises:
             CableSenseError: the model has no unloaded state at one of the commands.
         """
-        self._tares.clear()
+        self._earlier.clear()
+        self.present = None
         self.command(command_rad)
         if tared_n.size:
             predicted_n = self._predict_n(tare_command_rad)
-            self._tares.append(Tare(tared_n, predicted_n, tare_command_rad, 0, 0))
-            self._carry_over()
-        if unloaded_n is not None:
-            self._unloaded_n = unloaded_n if tared_n.size else None
+            self._use(Tare(tared_n, predicted_n, tare_command_rad, 0, 0))
+            if unloaded_n is not None:
+                self.unloaded_n = unloaded_n
 
-    def _carry_over(self) -> None:
-        self._unloaded_n = self.unloaded_where(self._predicted_n)
+    def _use(self, tare: Tare | None) -> None:
+        self.present = tare
+        self.unloaded_n = None if tare is None else tare.unloaded_n(self._predicted_n)
 
     def _unsteady(self) -> str | None:
         spread = np.std(self._readings, axis=0)
@@ -211,14 +220,14 @@ class TareModel:
 
 
 def tare_taken_line(tare: Tare, cable_names: Sequence[str], how: str) -> str:
-    """What was taken, when and how, cable by cable; `cable_names` (M,) in the tare's order."""
+    """Log line of a tare: values, time and how it came, by cable; `cable_names` (M,)."""
     return f"tare taken {how} {_described(tare, cable_names)}"
 
 
 def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
-    """What counts no more, and what counts again; `undoable` tares are left."""
+    """Log line of an undo: which tare is gone, which is in force; `undoable` are left."""
     line = f"tare of {time_text(undone.taken_ns)} undone; "
     if earlier is None:
         return line + "there is none now, so no estimate"
@@ -226,24 +235,6 @@ def tare_undone_line(
         f"{line}again in force is the one {_described(earlier, cable_names)}; {undoable} left to "
         "undo"
     )
-
-
-def tare_status(tares: TareModel) -> Status:
-    """Whether there is a tare, since when, and how far it lies from the arm's model."""
-    tare = tares.present
-    if tare is None:
-        return Status(
-            "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
-        )
-    since = time_text(tare.taken_ns)
-    values = {
-        "tared since": since,
-        "readings averaged": str(tare.sample_count),
-        "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
-        "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
-        "tares that can be undone": str(tares.undoable),
-    }
-    return Status("tare", Level.OK, f"tared since {since}", values)
 
 
 def time_text(time_ns: int) -> str:
@@ -266,24 +257,3 @@ def _described(tare: Tare, cable_names: Sequence[str]) -> str:
         f"{tare.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the deviation: "
         f"{cables}"
     )
-
-
-class UnloadedTensions:
-    """The static equilibrium of an arm that is commanded as if its effects were unknown.
-
-    Attributes:
-        mechanism: the arm with what its effects change of it.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        self._nominal = mechanism_of(arm)
-        self.mechanism = amended(self._nominal, entries_of(arm))
-
-    def predict_n(self, command_rad: Array) -> Array:
-        """Tensions (M,) at rest at a command (2N,).
-
-        Raises:
-            CableSenseError: the arm has no rest at this command.
-        """
-        held = held_lengths_m(self._nominal, command_rad)
-        return solve_equilibrium(self.mechanism, command_rad, held_m=held).tensions_n

@@ -1,36 +1,34 @@
-"""The `estimator` node: cable tensions in, contact and force out (a lifecycle node).
-
-The estimator node's parameters.
-
-`LIVE_PARAMETERS` may change at any time; the others are read when the node is configured.
-"""
+"""The `estimator` node: cable tensions in, contact and force out (a lifecycle node)."""
 
 from __future__ import annotations
 
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.diagnostics import Level, Status
 from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.answers import LoadedModel, Outcome, load_model
-from cablesense_online.estimation import Estimation, cable_status, model_status, pose_status
-from cablesense_online.journal import EstimationSettings, StateFile
-from cablesense_online.tare import tare_status
+from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.health import cable_status, model_status, pose_status, tare_status
+from cablesense_online.models import LoadedModel, load_model
+from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
+from cablesense_online.tare import Tare, TareError, tare_taken_line, tare_undone_line
 from cablesense_ros.endpoints import overridable
-from cablesense_ros.estimator_outputs import EstimatorOutputs, TareServices
+from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
@@ -81,13 +79,13 @@ ESTIMATOR_PARAMETERS: Final = (
     NodeParameter(
         "state_file",
         "",
-        "File that keeps tare and command, so that an estimator that was killed goes on with them "
-        "instead of taking a loaded arm for the unloaded one; empty: none is kept.",
+        "File that keeps tare and command, so that an estimator that was killed continues with "
+        "them instead of mistaking a loaded arm for the unloaded one; empty: none is kept.",
     ),
     NodeParameter(
         "state_within_s",
         60.0,
-        "The file is gone on from when its estimator was alive at most this long ago, s.",
+        "The file is used when its estimator was alive at most this long ago, s.",
         1.0,
         86_400.0,
     ),
@@ -110,25 +108,14 @@ ESTIMATOR_PARAMETERS: Final = (
 )
 
 
-LIVE_PARAMETERS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
-
-
 def estimation_settings(values: Mapping[str, Any]) -> EstimationSettings:
-    """The settings that the parameters' values say."""
-    return EstimationSettings(
-        contact_threshold=values["contact_threshold"],
-        stale_after_s=values["stale_after_s"],
-        slack_below_n=values["slack_below_n"],
-        tare_samples=values["tare_samples"],
-        tare_steady_n=values["tare_steady_n"],
-        auto_tare=values["auto_tare"],
-        joint_speed_rad_s=math.radians(values["joint_speed_deg_s"]),
-        settle_s=values["settle_s"],
-    )
+    """The settings in the parameters' values; `LIVE_SETTINGS` may change at any time."""
+    speed_rad_s = math.radians(values["joint_speed_deg_s"])
+    return EstimationSettings.model_validate({**values, "joint_speed_rad_s": speed_rad_s})
 
 
 STALE_CHECK_S = 0.02
-"""How often silence of the input is looked for; while it lasts, so often comes a zero wrench."""
+"""How often silence of the input is checked for; while it lasts, a zero wrench is published."""
 
 
 class EstimatorNode(ConfiguredNode):
@@ -141,7 +128,7 @@ class EstimatorNode(ConfiguredNode):
         self._estimation: Estimation | None = None
         self._state = StateFile("", 0.0)
         self._outputs: EstimatorOutputs | None = None
-        self._tares: TareServices | None = None
+        self._services: list[Service] = []
         self._inputs: list[Subscription] = []
         self._stale_timer: Timer | None = None
         self._simulated_time = self.get_clock().ros_time_is_active
@@ -153,7 +140,7 @@ class EstimatorNode(ConfiguredNode):
         )
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Listen to tensions and commands."""
+        """Subscribe to tensions and commands."""
         result = super().on_activate(state)
         if self._estimation is not None:
             self._estimation.start(time.monotonic())
@@ -177,9 +164,9 @@ class EstimatorNode(ConfiguredNode):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave a zero wrench behind and listen no more."""
+        """Leave a zero wrench behind and unsubscribe."""
         self._publish_zero()
-        self._stop_listening()
+        self._unsubscribe()
         return super().on_deactivate(state)
 
     def _configure(self) -> None:
@@ -187,15 +174,13 @@ class EstimatorNode(ConfiguredNode):
         self._loaded = load_model(given["arm"], given["model"])
         self._estimation = self._make_estimation(given, self._loaded)
         self._state = StateFile(given["state_file"], given["state_within_s"])
-        self._go_on(given, self._loaded)
+        self._restore_state(given, self._loaded)
         frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(self, frames, given["markers"])
-        self._tares = TareServices(
-            self,
-            self._loaded.arm.cable_names,
-            lambda: self._estimation if self._inputs else None,
-            self._now_ns,
-        )
+        self._services = [
+            self.create_service(Trigger, topics.TARE, self._on_tare),
+            self.create_service(Trigger, topics.TARE_UNDO, self._on_tare_undo),
+        ]
         self.get_logger().info(
             f"arm {self._loaded.arm.identity}, model {self._loaded.model}: configured"
         )
@@ -206,16 +191,16 @@ class EstimatorNode(ConfiguredNode):
             loaded.estimator,
             estimation_settings(given),
             time.monotonic(),
-            loaded.described | {"frame_prefix": given["frame_prefix"]},
+            loaded.origin | {"frame_prefix": given["frame_prefix"]},
         )
 
-    def _go_on(self, given: Mapping[str, Any], loaded: LoadedModel) -> None:
-        """From where an estimator that was killed a moment ago left off."""
+    def _restore_state(self, given: Mapping[str, Any], loaded: LoadedModel) -> None:
+        """Continue from the state of an estimator that was killed a moment ago."""
         try:
-            entry = self._state.read(loaded.arm.identity)
-            if entry is None or self._estimation is None:
+            state = self._state.read(loaded.arm.identity)
+            if state is None or self._estimation is None:
                 return
-            self._estimation.restore(entry)
+            self._estimation.restore(state)
         except CableSenseError as error:
             self._estimation = self._make_estimation(given, loaded)
             self.get_logger().warning(f"starts anew, without tare: {error}")
@@ -225,7 +210,7 @@ class EstimatorNode(ConfiguredNode):
             "changed since, call ~/tare with nothing touching it"
         )
 
-    def _stop_listening(self) -> None:
+    def _unsubscribe(self) -> None:
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
         self._inputs = []
@@ -234,28 +219,29 @@ class EstimatorNode(ConfiguredNode):
             self._stale_timer = None
 
     def _release(self) -> None:
-        self._stop_listening()
-        if self._tares is not None:
-            self._tares.destroy()
+        self._unsubscribe()
+        for service in self._services:
+            self.destroy_service(service)
         if self._outputs is not None:
             self._outputs.destroy()
-        self._loaded, self._estimation, self._outputs, self._tares = None, None, None, None
+        self._services = []
+        self._loaded, self._estimation, self._outputs = None, None, None
 
     def _on_sample(self, raw: bytes) -> None:
         if self._estimation is None or self._outputs is None:
             return
         now_ns, now_s = self._now_ns(), time.monotonic()
-        outcome = self._estimation.sample(raw, now_ns, now_s)
-        self._outputs.publish(outcome, outcome.stamp_ns or now_ns, now_s)
-        if outcome.problem is not None:
+        answer = self._estimation.sample(raw, now_ns, now_s)
+        self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
+        if answer.problem is not None:
             self.get_logger().warning(
-                f"{topics.CABLE_TENSIONS}: sample refused: {outcome.problem}",
+                f"{topics.CABLE_TENSIONS}: sample refused: {answer.problem}",
                 throttle_duration_sec=WARN_EVERY_S,
             )
-        if outcome.new_tare is not None and self._tares is not None:
-            self._tares.log(outcome.new_tare, "by itself at start (auto_tare)")
-        if outcome.entry is not None:
-            self._state.keep(outcome.entry)
+        if answer.new_tare is not None:
+            self._log_tare(answer.new_tare, "by itself at start (auto_tare)")
+        if answer.state is not None:
+            self._state.keep(answer.state)
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation is None:
@@ -269,8 +255,48 @@ class EstimatorNode(ConfiguredNode):
                 throttle_duration_sec=WARN_EVERY_S,
             )
 
+    def _on_tare(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer_service(
+            response,
+            lambda estimation: self._log_tare(estimation.take_tare(self._now_ns()), "on request"),
+        )
+
+    def _on_tare_undo(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer_service(response, self._undo_tare)
+
+    def _answer_service(
+        self, response: Trigger.Response, act: Callable[[Estimation], str]
+    ) -> Trigger.Response:
+        try:
+            if self._estimation is None or not self._inputs:
+                raise TareError("the node is not active")
+            response.message = act(self._estimation)
+            response.success = True
+        except CableSenseError as error:
+            response.success, response.message = False, str(error)
+            self.get_logger().warning(f"tare: {error}")
+        return response
+
+    def _log_tare(self, tare: Tare, how: str) -> str:
+        message = tare_taken_line(tare, self._cable_names, how)
+        self.get_logger().info(message)
+        return message
+
+    def _undo_tare(self, estimation: Estimation) -> str:
+        undone = estimation.tares.present
+        earlier = estimation.undo_tare()
+        assert undone is not None  # or there would have been nothing to undo
+        undoable = estimation.tares.undoable
+        message = tare_undone_line(undone, earlier, self._cable_names, undoable)
+        self.get_logger().info(message)
+        return message
+
+    @property
+    def _cable_names(self) -> tuple[str, ...]:
+        return self._loaded.arm.cable_names if self._loaded else ()
+
     def _now_ns(self) -> int:
-        """The clock that stamps are of; the system's is asked directly, as that costs less."""
+        """Time of the clock that sets stamps; the system's is read directly, as that is faster."""
         return self.get_clock().now().nanoseconds if self._simulated_time else time.time_ns()
 
     def _check_stale(self) -> None:
@@ -291,45 +317,46 @@ class EstimatorNode(ConfiguredNode):
             self._state.flush()
         except CableSenseError as error:
             self.get_logger().warning(
-                f"what the answers rest on is not kept: {error}",
+                f"the state is not kept: {error}",
                 throttle_duration_sec=WARN_EVERY_S,
             )
 
     def _publish_zero(self) -> None:
         if self._outputs is not None:
-            self._outputs.publish(Outcome(), self._now_ns(), time.monotonic())
+            self._outputs.publish(Answer(), self._now_ns(), time.monotonic())
 
     def _on_lost(self, event: QoSMessageLostInfo) -> None:
         self._lost += event.total_count_change
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
-        if self._estimation is not None and any(p.name in LIVE_PARAMETERS for p in parameters):
+        if self._estimation is not None and any(p.name in LIVE_SETTINGS for p in parameters):
             given = parameter_values(self, ESTIMATOR_PARAMETERS)
-            self._estimation.adjust(**{name: given[name] for name in LIVE_PARAMETERS})
+            self._estimation.adjust(**{name: given[name] for name in LIVE_SETTINGS})
 
     def _statuses(self) -> list[Status]:
         if self._estimation is None or self._loaded is None:
             return [Status("model", Level.WARN, "not configured: no model loaded")]
-        active = bool(self._inputs)
-        model = model_status(self._loaded, self._estimation.largest_force_n, active)
-        self._estimation.largest_force_n = 0.0
+        estimation, active = self._estimation, bool(self._inputs)
+        model = model_status(self._loaded, estimation.largest_force_n, active)
+        estimation.largest_force_n = 0.0
         if not active:
             return [model]
-        now_s = time.monotonic()
-        missing = max(self._lost, self._estimation.clock.missing_since_last_report())
-        self._lost, refused, self._refused_commands = 0, self._refused_commands, 0
-        return [
+        publishers = self.count_publishers(topics.CABLE_TENSIONS)
+        statuses = [
             model,
-            self._estimation.health.status(
-                now_s,
-                self.get_parameter("stale_after_s").value,
-                missing,
-                self.count_publishers(topics.CABLE_TENSIONS),
+            estimation.health.status(time.monotonic(), self._lost, publishers),
+            cable_status(estimation.check),
+            pose_status(
+                estimation.gate,
+                self._loaded.estimator.metadata.pose_range_deg,
+                self._refused_commands,
+                received=estimation.command_received,
+                in_motion=estimation.answers_in_motion,
             ),
-            cable_status(self._estimation),
-            pose_status(self._estimation, self._loaded.estimator.metadata.pose_range_deg, refused),
-            tare_status(self._estimation.tare),
+            tare_status(estimation.tares),
         ]
+        self._lost = self._refused_commands = 0
+        return statuses
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,14 +1,11 @@
-"""A recorded run through an estimator node that runs: inputs out, answers in, compared.
-
-An estimator that runs, as a replay sees it: inputs go out, answers come back.
-"""
+"""A recorded run through a running estimator node: inputs out, answers in, compared."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
@@ -28,24 +25,28 @@ from std_srvs.srv import Trigger
 
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.journal import EventKind, JournalEntry
 from cablesense_msgs_py.serialized import restamped, stamp_ns
 from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, resolved
 from cablesense_online.recorded_run import RecordedRun, Step
-from cablesense_online.replay import Comparison
+from cablesense_online.replay import Comparison, replayed_steps
+from cablesense_online.state import (
+    LIVE_SETTINGS,
+    EstimationSettings,
+    EstimatorState,
+    EventKind,
+)
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.endpoints import message_class, qos_profile
-from cablesense_ros.estimator_node import LIVE_PARAMETERS
 
 PATIENCE_S = 10.0
 _LOOK_S = 0.0005
 
 
 class LiveEstimator:
-    """Publishers, a subscription and service clients; another thread spins the node.
+    """A running estimator, as a replay uses it; another thread spins the node.
 
     Attributes:
-        answers: serialized wrenches by their stamps, until someone takes them out.
+        answers: serialized wrenches by their stamps, until the player removes them.
     """
 
     def __init__(self, node: Node, namespace: str) -> None:
@@ -73,7 +74,7 @@ class LiveEstimator:
         }
 
     def wait_until_there(self) -> None:
-        """Until an estimator listens and is heard.
+        """Until an estimator subscribes and publishes.
 
         Raises:
             RecordingError: none is there within `PATIENCE_S`.
@@ -126,8 +127,8 @@ class LiveEstimator:
                 "estimator started afresh?"
             )
 
-    def adjust(self, settings: Mapping[str, str]) -> None:
-        """Set the parameters that may change while it runs, as a journal entry has them.
+    def adjust(self, settings: EstimationSettings) -> None:
+        """Set the parameters that may change while it runs.
 
         Raises:
             RecordingError: the estimator refuses one, or does not answer.
@@ -135,8 +136,8 @@ class LiveEstimator:
         future = self._set_parameters.call_async(
             SetParameters.Request(
                 parameters=[
-                    Parameter(name, value=float(settings[name])).to_parameter_msg()
-                    for name in LIVE_PARAMETERS
+                    Parameter(name, value=getattr(settings, name)).to_parameter_msg()
+                    for name in LIVE_SETTINGS
                 ]
             )
         )
@@ -169,7 +170,9 @@ class LiveEstimator:
 LONGEST_AGE_NS = 10_000_000
 """Samples keep the age that they had when recorded, up to this: a recorder's clock may be off."""
 
-PATIENT_S = "10.0"
+STALE_AFTER_S = 10.0
+"""Of the estimator during a replay: a busy machine must not make its samples stale."""
+
 MOST_OPEN = 200
 """Samples on the way to an answer; the estimator keeps 500 in its queue."""
 
@@ -193,7 +196,7 @@ def replay_through_node(
         run: the recording.
         rate: how many times as fast as recorded.
         namespace: of the estimator.
-        say: takes a line for people.
+        say: takes a line of text for the user.
 
     Raises:
         RecordingError: no estimator listens, or it refuses a tare that is in the recording.
@@ -256,20 +259,12 @@ class _Player:
     def play(self) -> Comparison:
         """Publish and compare everything."""
         counts = self._comparison
-        entries: list[JournalEntry] = []
-        for step in self._run.steps():
-            counts.samples += 1
-            entries += step.entries
-            if self._run.has_answers and step.pair.answer is None:
-                counts.unanswered += 1
-                if not step.taken:
-                    continue
+        for states, step in replayed_steps(self._run, counts):
             if not self._begun:
                 self._begin(step)
             self._pace(step.pair.log_ns)
-            for entry in entries:
-                self._repeat(entry)
-            entries = []
+            for state in states:
+                self._repeat(state)
             stamp_ns = self._shifted(step.pair.stamp_ns)
             self._sent = True
             self._live.publish(topics.CABLE_TENSIONS, restamped(step.pair.sample, stamp_ns))
@@ -282,33 +277,30 @@ class _Player:
             self._compare()
         self._await_answers()
         self._compare(to_the_end=True)
-        if self._run.entries:
-            self._live.adjust(self._run.entries[-1].settings)
-        pairs = self._run.pairs
-        counts.unstamped, counts.lone_contacts = pairs.unstamped, pairs.lone_contacts
-        counts.lone_zeros = pairs.lone_zeros
+        if self._run.states:
+            self._live.adjust(self._run.states[-1].settings)
         return counts
 
     def _begin(self, step: Step) -> None:
         self._begun = True
-        entries = self._run.entries
-        if entries:
-            self._adjust(entries[0])
-            if not any(event.kind is EventKind.START for event in entries[0].events):
+        states = self._run.states
+        if states:
+            self._adjust(states[0])
+            if not any(event.kind is EventKind.START for event in states[0].events):
                 self._say(
                     "the recording begins after its estimator, so the tare before is not in it; "
                     "the estimator that runs takes its own"
                 )
-                self._live.command(self._run.joint_names, entries[0].command_rad)
+                self._live.command(self._run.joint_names, states[0].command_rad)
         else:
             self._say("no ~/journal in the recording: commands go as they came, tares not at all")
         self._first_log_ns, self._first_stamp_ns = step.pair.log_ns, step.pair.stamp_ns
         age_ns = min(max(step.pair.log_ns - step.pair.stamp_ns, 0), LONGEST_AGE_NS)
         self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
 
-    def _adjust(self, entry: JournalEntry) -> None:
-        """As recorded, but patient: a busy machine must not make a replay's samples stale."""
-        self._live.adjust({**entry.settings, "stale_after_s": PATIENT_S})
+    def _adjust(self, state: EstimatorState) -> None:
+        update = {"stale_after_s": STALE_AFTER_S}
+        self._live.adjust(state.settings.model_copy(update=update))
 
     def _pace(self, log_ns: int) -> None:
         """Wait for a sample's turn; what else came before it goes out before it."""
@@ -328,17 +320,17 @@ class _Player:
         since_ns = stamp_ns - self._first_stamp_ns
         return self._start_ns + (since_ns if self._rate == 1.0 else round(since_ns / self._rate))
 
-    def _repeat(self, entry: JournalEntry) -> None:
+    def _repeat(self, state: EstimatorState) -> None:
         """Between the sample before and the next one, as when recorded."""
-        if any(event.kind in _REPEATED for event in entry.events):
+        if any(event.kind in _REPEATED for event in state.events):
             self._await_answers()
-        for event in entry.events:
+        for event in state.events:
             if event.kind is EventKind.COMMAND:
                 self._live.command(self._run.joint_names, event.command_rad)
             elif event.kind in _SERVICES:
                 self._live.call(_SERVICES[event.kind])
             elif event.kind is EventKind.SETTINGS:
-                self._adjust(entry)
+                self._adjust(state)
             elif event.kind is EventKind.START and self._sent:
                 self._say("the recorded estimator was started anew here; the one that runs is not")
 

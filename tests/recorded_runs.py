@@ -11,13 +11,12 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.journal import put_journal_entry
 from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topic_types import CONTRACT, resolved
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.answers import load_model
 from cablesense_online.estimation import Estimation
-from cablesense_online.journal import EstimationSettings
+from cablesense_online.models import load_model
+from cablesense_online.state import EstimationSettings, put_state
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 
@@ -52,7 +51,7 @@ class MadeRun:
             self.loaded.estimator,
             SETTINGS,
             0.0,
-            {**self.loaded.described, "frame_prefix": ""},
+            {**self.loaded.origin, "frame_prefix": ""},
         )
         writers = wrench_writers(Frames(arm.segment_count))
         mechanism, rng = mechanism_of(arm), np.random.default_rng(5)
@@ -77,14 +76,14 @@ class MadeRun:
             )
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
             raw = serialize_message(message)
-            outcome = live.sample(raw, now, 0.0)
-            wrench = writers[outcome.contact.segment].write(now, outcome.contact.wrench)
+            answer = live.sample(raw, now, 0.0)
+            wrench = writers[answer.contact.segment].write(now, answer.contact.wrench)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
             self.records.append((topics.WRENCH, now + 400_000, wrench))
-            if outcome.entry is not None:
-                entry = DiagnosticArray()
-                put_journal_entry(entry, outcome.entry, DiagnosticStatus, KeyValue)
-                self.records.append((topics.JOURNAL, now + 500_000, serialize_message(entry)))
+            if answer.state is not None:
+                state = DiagnosticArray()
+                put_state(state, answer.state, DiagnosticStatus, KeyValue)
+                self.records.append((topics.JOURNAL, now + 500_000, serialize_message(state)))
 
     def write(self, path, records=None, namespace="/", kinds=()):
         """Put records into a file; `kinds` replaces types of topics."""

@@ -20,7 +20,6 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -34,13 +33,12 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
 from cablesense_gap.recordings.recording import Recording
-from cablesense_msgs_py.journal import JournalEntry
 from cablesense_online.can.calibration import calibrated, load_calibration
 from cablesense_online.can.channel_map import ChannelMap, open_channel_map
 from cablesense_online.can.decoder import FrameDecoder
 from cablesense_online.can.faults import FaultLedger
 from cablesense_online.estimation import Estimation
-from cablesense_online.journal import EstimationSettings, StateFile
+from cablesense_online.state import EstimationSettings, EstimatorState, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, open_arm, parse_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -430,7 +428,16 @@ def _content(suffix: str, write: object) -> bytes:
         return path.read_bytes()
 
 
-_SETTINGS = EstimationSettings(0.5, 0.2, 1.0, 5, 1.0, True, 0.35, 0.5)
+_SETTINGS = EstimationSettings(
+    contact_threshold=0.5,
+    stale_after_s=0.2,
+    slack_below_n=1.0,
+    tare_samples=5,
+    tare_steady_n=1.0,
+    auto_tare=True,
+    joint_speed_rad_s=0.35,
+    settle_s=0.5,
+)
 
 
 def make_states(seed: int) -> Run:
@@ -440,11 +447,11 @@ def make_states(seed: int) -> Run:
     straight = np.zeros(arm.joint_count)
     at_rest = tuple(solve_equilibrium(mechanism_of(arm), straight).tensions_n.tolist())
     nothing = tuple(straight.tolist())
-    entry = JournalEntry(
-        before_ns=10**18,
+    state = EstimatorState(
+        before_ns=10**18 + 1,
         events=(),
         arm=arm.identity,
-        settings={},
+        settings=_SETTINGS,
         command_rad=nothing,
         lowest_rad=nothing,
         highest_rad=nothing,
@@ -455,9 +462,9 @@ def make_states(seed: int) -> Run:
     )
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "state.json"
-        state = StateFile(whole, 60.0)
-        state.keep(replace(entry, before_ns=10**18 + 1))
-        state.flush()
+        file = StateFile(whole, 60.0)
+        file.keep(state)
+        file.flush()
         text = whole.read_text(encoding="utf-8")
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
@@ -477,7 +484,7 @@ def make_states(seed: int) -> Run:
             raise FalseAnswerError("a file that is there was taken for none")
         estimation = Estimation(arm, estimator, _SETTINGS, 0.0)
         estimation.restore(found)
-        unloaded = estimation.tare.unloaded_n
+        unloaded = estimation.tares.unloaded_n
         if unloaded is None or not np.isfinite(unloaded).all():
             raise FalseAnswerError(f"unloaded tensions {unloaded}")
 

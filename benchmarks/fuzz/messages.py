@@ -21,10 +21,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_online.answers import Outcome as Estimated
-from cablesense_online.estimation import Estimation
-from cablesense_online.journal import EstimationSettings
+from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.samples import PLAUSIBLE_N
+from cablesense_online.state import EstimationSettings
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -185,11 +184,15 @@ class _Feed:
     def now_s(self) -> float:
         return (self.now_ns - TARED_NS) * 1e-9
 
-    def give(self, raw: bytes) -> Estimated:
+    @property
+    def command_deg(self) -> list[float]:
+        return np.rad2deg(self.estimation.gate.command_rad).tolist()
+
+    def give(self, raw: bytes) -> Answer:
         self.now_ns += 10**7
         return self.estimation.sample(raw, self.now_ns, self.now_s)
 
-    def judge(self, raw: bytes, outcome: Estimated) -> None:
+    def judge(self, raw: bytes, outcome: Answer) -> None:
         if outcome.problem is not None:
             require_one_line(outcome.problem)
         contact = outcome.contact
@@ -206,7 +209,7 @@ class _Feed:
         if said.stamp_ns and abs(said.stamp_ns - self.now_ns) > 0.2e9:
             raise FalseAnswerError(f"a contact from {said.stamp_ns - self.now_ns} ns ago")
         right = self.bench.reference.estimate(
-            np.array(tensions) - self.estimation.tare.unloaded_n,
+            np.array(tensions) - self.estimation.tares.unloaded_n,
             np.zeros(self.bench.arm.joint_count),
         )
         if (right.angle_deg, right.magnitude_n) != (contact.angle_deg, contact.magnitude_n):
@@ -251,25 +254,25 @@ def make_commands(seed: int) -> Run:
         feed = _Feed(bench)
         refused = 0
         for _ in range(COMMANDS):
-            before = feed.estimation.command_deg
+            before = feed.command_deg
             message = _command(rng, bench.arm.joint_names)
             try:
                 feed.estimation.command(message)
             except CableSenseError as error:
                 require_one_line(error)
                 refused += 1
-                if feed.estimation.command_deg != before:
+                if feed.command_deg != before:
                     raise FalseAnswerError("a refused command counts") from error
             else:
                 angles = dict(zip(message.name, message.position, strict=True))
                 wanted = [math.degrees(angles[name]) for name in bench.arm.joint_names]
-                if not np.allclose(feed.estimation.command_deg, wanted, atol=1e-9):
+                if not np.allclose(feed.command_deg, wanted, atol=1e-9):
                     raise FalseAnswerError(f"{wanted} was taken for another command")
             outcome = feed.give(
                 joint_state_bytes(feed.now_ns + 10**7, bench.arm.cable_names, bench.pushed[0])
             )
-            moved = feed.estimation.command_deg != before
-            if outcome.contact.segment and (moved or any(feed.estimation.command_deg)):
+            moved = feed.command_deg != before
+            if outcome.contact.segment and (moved or any(feed.command_deg)):
                 raise FalseAnswerError("a contact while the arm may move")
         return Outcome(inputs=COMMANDS, refused=refused, taken=COMMANDS - refused)
 

@@ -81,5 +81,6 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at):
             assert other.rest_from_ns == watched.rest_from_ns
         if step == restored_at:
             other = gate()
-            other.restore(watched.command_rad, *watched.range_rad, watched.rest_from_ns)
+            state = (watched.command_rad, watched.lowest_rad, watched.highest_rad)
+            other.restore(*state, watched.rest_from_ns)
             other.moving(10 * MS * step)

@@ -2,10 +2,24 @@
 
 import numpy as np
 import pytest
+from arm_variants import variant
 
-from cablesense_online.tare import TareError, TareModel
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.diagnostics import Level
+from cablesense_online.health import tare_status
+from cablesense_online.tare import (
+    TareError,
+    Tares,
+    UnloadedTensions,
+    tare_taken_line,
+    tare_undone_line,
+)
+from cablesense_sim.arm import open_arm
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.build import mechanism_of
 
 NOW_NS = 1_700_000_000_000_000_000
+ZERO = np.zeros(1)
 OFFSET = np.array([0.5, -1.0, 2.0])
 
 
@@ -14,7 +28,7 @@ def predict(command_rad):
 
 
 def model(samples=4):
-    return TareModel(predict, np.zeros(1), samples, steady_n=0.5)
+    return Tares(predict, np.zeros(1), samples, steady_n=0.5)
 
 
 def feed(tare, readings_n, count=4):
@@ -26,7 +40,7 @@ def test_a_tare_is_the_average_of_the_last_readings():
     tare = model()
     for shift in (9.0, -0.1, 0.1, -0.3, 0.3):
         tare.add(predict([0.0]) + OFFSET + shift)
-    taken = tare.take(NOW_NS)
+    taken = tare.take(ZERO, NOW_NS)
     np.testing.assert_allclose(tare.unloaded_n, predict([0.0]) + OFFSET)
     assert taken.offset_n == pytest.approx(2.0)
 
@@ -34,7 +48,7 @@ def test_a_tare_is_the_average_of_the_last_readings():
 def test_offsets_go_along_to_another_command():
     tare = model()
     feed(tare, predict([0.0]) + OFFSET)
-    tare.take(NOW_NS)
+    tare.take(ZERO, NOW_NS)
     tare.command(np.array([0.1]))
     np.testing.assert_allclose(tare.unloaded_n, predict([0.1]) + OFFSET)
     tare.command(np.array([0.0]))
@@ -44,9 +58,9 @@ def test_offsets_go_along_to_another_command():
 def test_undo_goes_back_step_by_step_also_at_another_command():
     tare = model()
     feed(tare, predict([0.0]) + OFFSET)
-    tare.take(NOW_NS)
+    tare.take(ZERO, NOW_NS)
     feed(tare, predict([0.0]) + 3 * OFFSET)
-    tare.take(NOW_NS)
+    tare.take(ZERO, NOW_NS)
     tare.command(np.array([0.1]))
     assert tare.undoable == 2
     assert tare.undo() is tare.present
@@ -62,12 +76,12 @@ def test_too_few_readings_since_the_command_are_refused():
     tare = model()
     feed(tare, predict([0.0]), 3)
     with pytest.raises(TareError, match="only 3 of 4"):
-        tare.take(NOW_NS)
+        tare.take(ZERO, NOW_NS)
     feed(tare, predict([0.0]))
     tare.command(np.array([0.1]))
     assert not tare.ready
     with pytest.raises(TareError, match="only 0 of 4"):
-        tare.take(NOW_NS)
+        tare.take(ZERO, NOW_NS)
 
 
 def test_a_moving_arm_is_refused_by_cable():
@@ -76,5 +90,91 @@ def test_a_moving_arm_is_refused_by_cable():
         tare.add(predict([0.0]) + np.array([0.0, push, 0.0]))
     assert not tare.ready
     with pytest.raises(TareError, match=r"cable_2 varies by 2\.24 N"):
-        tare.take(NOW_NS)
+        tare.take(ZERO, NOW_NS)
     assert tare.present is None
+
+
+CABLES = ("cable_1", "cable_2")
+EARLY_NS = 1_700_000_000_000_000_000
+LATE_NS = EARLY_NS + 3_600_000_000_000
+
+
+@pytest.fixture
+def tares():
+    made = Tares(lambda _: np.array([50.0, 60.0]), np.zeros(1), 1, steady_n=1.0)
+    made.add((50.25, 58.5))
+    return made
+
+
+def test_the_log_has_every_value_and_how_far_it_is_from_the_model(tares):
+    line = tare_taken_line(tares.take(ZERO, EARLY_NS), CABLES, "on request")
+    assert "on request at 2023-11-14 22:13:20 UTC" in line
+    assert "cable_1 50.25 (+0.25), cable_2 58.50 (-1.50)" in line
+
+
+def test_the_log_of_an_undo_has_the_tare_in_force(tares):
+    first = tares.take(ZERO, EARLY_NS)
+    tares.add((70.0, 80.0))
+    second = tares.take(ZERO, LATE_NS)
+    assert tares.undo() is first
+    line = tare_undone_line(second, first, CABLES, tares.undoable)
+    assert "tare of 2023-11-14 23:13:20 UTC undone" in line
+    assert "at 2023-11-14 22:13:20 UTC" in line
+    assert "cable_1 50.25" in line
+    assert "1 left to undo" in line
+    assert tares.undo() is None
+    assert "no estimate" in tare_undone_line(first, None, CABLES, 0)
+
+
+def test_diagnostics_have_the_time_of_the_tare(tares):
+    assert tare_status(tares).level is Level.WARN
+    tares.take(ZERO, EARLY_NS)
+    tares.add((70.0, 80.0))
+    tares.take(ZERO, LATE_NS)
+    status = tare_status(tares)
+    assert status.level is Level.OK
+    assert status.message == "tared since 2023-11-14 23:13:20 UTC"
+    assert status.values["tares that can be undone"] == "2"
+    assert status.values["unloaded tensions (N)"] == "70.00, 80.00"
+    tares.undo()
+    assert "22:13:20" in tare_status(tares).message
+
+
+ARM = open_arm("cdsm")
+BENT = np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
+
+
+def test_without_effects_they_are_the_equilibrium():
+    expected = solve_equilibrium(mechanism_of(ARM), BENT).tensions_n
+    np.testing.assert_array_equal(UnloadedTensions(ARM).predict_n(BENT), expected)
+
+
+def test_a_payload_pulls_like_its_weight():
+    payload = {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": 0.4}}
+    force = np.zeros((4, 3))
+    force[1, 2] = -0.4 * 9.81
+    expected = solve_equilibrium(mechanism_of(ARM), BENT, force).tensions_n
+    assert np.abs(expected - UnloadedTensions(ARM).predict_n(BENT)).max() > 1.0
+    found = UnloadedTensions(variant({"effects": [payload]})).predict_n(BENT)
+    np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+def test_actuators_hold_the_lengths_of_the_arm_as_it_was_drawn():
+    """Holes further out ask for another length at a bent pose, which no actuator knows of."""
+    parameters = {"cables_radius_m": 1e-4}
+    holes = {"effect": "routing_geometry", "at": "segment_2", "parameters": parameters}
+    unloaded = UnloadedTensions(variant({"effects": [holes]}))
+    as_known = solve_equilibrium(unloaded.mechanism, BENT).tensions_n
+    change = unloaded.predict_n(BENT) - as_known
+    # joints bent by some 0.1 rad, times 0.1 mm, on stiff cables
+    assert np.abs(change[3:6]).max() > 1.0
+    np.testing.assert_allclose(
+        unloaded.predict_n(np.zeros(8)),
+        solve_equilibrium(unloaded.mechanism, np.zeros(8)).tensions_n,
+        atol=1e-6,
+    )
+
+
+def test_a_pose_without_a_rest_is_refused():
+    with pytest.raises(CableSenseError):
+        UnloadedTensions(ARM).predict_n(np.full(8, 1.04))

@@ -15,8 +15,8 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.journal import EventKind
 from cablesense_online.recorded_run import RecordedRun
+from cablesense_online.state import EventKind
 from cablesense_sim.arm import open_arm
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
@@ -106,7 +106,7 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
     assert 400 < got["compared"] == got["identical"]
     assert got["contacts"] > 50
     assert got["lone_contacts"] == 0
-    kinds = [event.kind for entry in RecordedRun(whole).entries for event in entry.events]
+    kinds = [event.kind for state in RecordedRun(whole).states for event in state.events]
     assert kinds == [
         EventKind.START,
         EventKind.AUTO_TARE,

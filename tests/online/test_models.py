@@ -1,15 +1,18 @@
-"""Models are asked at rest, or along the course that the joints are taken to follow."""
+"""Models are asked at rest, or along the joints' trajectory; a likely push is a contact."""
 
-from dataclasses import replace
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cablesense_online.answers import AnswersAlongCourse, AnswersAtRest, answers_of
+from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
 from cablesense_online.estimation import Estimation
-from cablesense_online.journal import EstimationSettings
-from cablesense_online.tare import TareModel
+from cablesense_online.models import ContactModel, HistoryDependentModel, decide
+from cablesense_online.motion_gate import MotionGate
+from cablesense_online.samples import ProblemKind, SampleError
+from cablesense_online.state import EstimationSettings
+from cablesense_online.tare import Tares
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -27,7 +30,7 @@ def predicted_n(command_rad):
 
 
 class Listener:
-    """Stands in for a model with memory and notes what it is asked."""
+    """Stands in for a history-dependent estimator and keeps its inputs."""
 
     def __init__(self):
         self.asked, self.forgot, self.tared = [], 0, 0
@@ -45,9 +48,9 @@ class Listener:
 
 @pytest.fixture
 def tare():
-    tares = TareModel(predicted_n, STRAIGHT, 1, 1.0)
+    tares = Tares(predicted_n, STRAIGHT, 1, 1.0)
     tares.add((predicted_n(STRAIGHT) + 0.5).tolist())
-    tares.take(0)
+    tares.take(STRAIGHT, 0)
     return tares
 
 
@@ -60,7 +63,7 @@ def _through(answers, tare, ticks=120):
 
 def test_set_points_are_those_of_the_joints_on_their_way(tare):
     model = Listener()
-    _through(AnswersAlongCourse(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S), tare)
+    _through(HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S), tare)
     motion = JointMotion(STRAIGHT, SPEED_RAD_S)
     motion.go_to(BENT)
     for _, angle, speed, acceleration, _ in model.asked:
@@ -73,41 +76,33 @@ def test_set_points_are_those_of_the_joints_on_their_way(tare):
 
 def test_the_tare_is_carried_along_the_way(tare):
     model = Listener()
-    answers = AnswersAlongCourse(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
+    answers = HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
     _through(answers, tare)
     for difference, angle, *_ in model.asked:
         unloaded = predicted_n(angle) + 0.5
         np.testing.assert_allclose(predicted_n(STRAIGHT) - difference, unloaded, atol=0.1)
 
 
-def test_a_tare_and_a_restart_are_told_to_the_model(tare):
+def test_a_tare_and_a_restart_reach_the_estimator(tare):
     model = Listener()
-    answers = AnswersAlongCourse(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
+    answers = HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
     before = model.forgot
-    answers.begin()
+    answers.tared()
     assert (model.tared, model.forgot) == (1, before)
-    answers.restore(BENT)
+    answers.restart(BENT)
     assert model.forgot == before + 1
 
 
-def test_without_a_tare_there_is_no_estimate_but_the_course_is_followed():
-    nothing = TareModel(predicted_n, STRAIGHT, 1, 1.0)
+def test_without_a_tare_there_is_no_estimate_but_the_trajectory_is_followed():
+    nothing = Tares(predicted_n, STRAIGHT, 1, 1.0)
     model = Listener()
-    course = AnswersAlongCourse(model, nothing, predicted_n, STRAIGHT, SPEED_RAD_S)
-    rest = AnswersAtRest(SimpleNamespace(pose_aware=True, estimate=None), nothing, STRAIGHT)
-    for answers in (course, rest):
+    along = HistoryDependentModel(model, nothing, predicted_n, STRAIGHT, SPEED_RAD_S)
+    memoryless = SimpleNamespace(pose_aware=True, estimate=None)
+    at_rest = ContactModel(memoryless, nothing, MotionGate(STRAIGHT, SPEED_RAD_S, 0.2))
+    for answers in (along, at_rest):
         assert answers.estimate([50.0] * 12, 1) is None
     (difference, *_), *_ = model.asked
     assert (difference == 0.0).all()
-
-
-def test_a_model_with_memory_is_asked_along_the_course_and_another_at_rest(tare):
-    for model, in_motion in (
-        (Listener(), True),
-        (SimpleNamespace(pose_aware=True, estimate=None), False),
-    ):
-        answers = answers_of(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
-        assert answers.in_motion is in_motion
 
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -131,39 +126,76 @@ def _raw(tensions_n, stamp_ns):
     return serialization.serialize_message(message)
 
 
-def _run(estimation, samples, command_at, answers, entries):
+def _run(estimation, samples, command_at, answers, states):
     for tick, tensions in samples:
         if tick == command_at:
             estimation.command(SimpleNamespace(name=ARM.joint_names, position=BENT))
         stamp_ns = 10**18 + 10_000_000 * tick
-        outcome = estimation.sample(_raw(tensions, stamp_ns), stamp_ns, 0.01 * tick)
-        answers[tick] = outcome
-        if outcome.entry is not None:
-            entries[tick] = outcome.entry
+        answers[tick] = estimation.sample(_raw(tensions, stamp_ns), stamp_ns, 0.01 * tick)
+        if answers[tick].state is not None:
+            states[tick] = answers[tick].state
 
 
 @pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
-def test_a_model_with_memory_answers_in_motion_and_again_from_the_journal(temporal_model_file):
+def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states(
+    temporal_model_file,
+):
     rng = np.random.default_rng(0)
     tensions = predicted_n(STRAIGHT) + np.cumsum(rng.normal(0.0, 0.3, (150, 12)), axis=0)
     tensions[:10] = predicted_n(STRAIGHT)
     samples = list(enumerate(tensions))
     model = TemporalEstimator.load(temporal_model_file, ARM)
-    answers, entries = {}, {}
-    _run(Estimation(ARM, model, SETTINGS, 0.0), samples, 30, answers, entries)
+    answers, states = {}, {}
+    _run(Estimation(ARM, model, SETTINGS, 0.0), samples, 30, answers, states)
     assert all(answers[tick].probabilities for tick in range(30, 150))  # in motion, too
 
     again = Estimation(ARM, TemporalEstimator.load(temporal_model_file, ARM), SETTINGS, 0.0)
-    assert not again.vouches
+    assert not again.reproducible
     for tick, sample in samples:
-        if tick in entries:
-            again.restore(entries[tick])
+        if tick in states:
+            again.restore(states[tick])
         stamp_ns = 10**18 + 10_000_000 * tick
-        outcome = again.sample(_raw(sample, stamp_ns), stamp_ns, 0.01 * tick)
-        assert again.vouches
-        assert outcome.contact == answers[tick].contact
-        assert list(outcome.probabilities) == list(answers[tick].probabilities)
+        answer = again.sample(_raw(sample, stamp_ns), stamp_ns, 0.01 * tick)
+        assert again.reproducible
+        assert answer.contact == answers[tick].contact
+        assert list(answer.probabilities) == list(answers[tick].probabilities)
 
     late = Estimation(ARM, TemporalEstimator.load(temporal_model_file, ARM), SETTINGS, 0.0)
-    late.restore(replace(entries[30], events=entries[30].events[-1:]))
-    assert not late.vouches  # a past that no one recorded
+    late.restore(states[30].model_copy(update={"events": states[30].events[-1:]}))
+    assert not late.reproducible  # its past was not recorded
+
+
+CONTACT_M = (0.05, 0.06, 0.07, 0.08)
+
+
+def decided(probabilities, angle_deg=0.0, magnitude_n=5.0, threshold=0.5):
+    return decide(probabilities, angle_deg, magnitude_n, threshold, CONTACT_M)
+
+
+def test_the_likeliest_segment_is_touched_at_its_contact_point():
+    assert decided([0.1, 0.2, 0.1, 0.55, 0.05], 70.0, 40.0) == Contact(3, 70.0, 40.0, 0.07)
+
+
+def test_a_contact_anywhere_counts_even_where_none_is_the_likeliest_single_answer():
+    assert decided([0.4, 0.15, 0.15, 0.1, 0.2]).segment == 4
+
+
+def test_a_probability_at_the_threshold_is_a_contact():
+    probabilities = [0.25, 0.75, 0.0, 0.0, 0.0]
+    assert decided(probabilities, threshold=0.75).segment == 1
+    assert decided(probabilities, threshold=0.8) == NO_CONTACT
+
+
+@pytest.mark.parametrize("magnitude_n", [0.0, -3.0])
+def test_a_force_that_does_not_push_is_no_contact(magnitude_n):
+    assert decided([0.0, 1.0, 0.0, 0.0, 0.0], 10.0, magnitude_n) == NO_CONTACT
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", range(3))
+def test_a_number_that_is_not_finite_is_refused_also_where_nothing_touches(value, place):
+    estimate = [[1.0, 0.0, 0.0, 0.0, 0.0], 10.0, 0.0]
+    estimate[place] = [1.0, value, 0.0, 0.0, 0.0] if place == 0 else value
+    with pytest.raises(SampleError) as caught:
+        decided(*estimate)
+    assert caught.value.kind is ProblemKind.ESTIMATE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 
 import pytest
 from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
@@ -146,19 +145,18 @@ def test_another_arm_must_have_the_same_joints(whole):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "problem"),
     [
-        (lambda s: {**s, "model SHA-256": "0" * 64}, "is another; name the model with --model"),
-        (lambda s: {**s, "model": "/nowhere/none.onnx"}, "unknown model 'none'"),
-        (lambda s: {**s, "settle_s": "soon"}, "settle_s is 'soon', no number"),
-        (lambda s: {**s, "settle_s": "inf"}, "must be finite"),
-        (lambda s: {**s, "tare_samples": "0"}, "tare_samples must be 1"),
+        ({"model SHA-256": "0" * 64}, "is another; name the model with --model"),
+        ({"model": "/nowhere/none.onnx"}, "unknown model 'none'"),
     ],
 )
-def test_a_journal_that_cannot_be_followed_is_refused(change, said, whole):
-    entry = RecordedRun(whole).entries[0]
-    with pytest.raises(CableSenseError, match=said):
-        RebuiltEstimation("", "").follow(replace(entry, settings=change(entry.settings)))
+def test_a_recorded_model_that_is_not_there_is_refused(change, problem, whole):
+    state = RecordedRun(whole).states[0]
+    with pytest.raises(CableSenseError, match=problem):
+        RebuiltEstimation("", "").restore(
+            state.model_copy(update={"origin": {**state.origin, **change}})
+        )
 
 
 def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):

@@ -1,23 +1,25 @@
-"""What the estimator says of its input."""
+"""The estimator's diagnostics of its input and its tare."""
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_online.samples import InputHealth, ProblemKind, SampleError
+from cablesense_online.health import InputHealth
+from cablesense_online.samples import ProblemKind, SampleClock, SampleError
 
 
 def status(health, now_s, missing=0, publishers=1):
-    return health.status(now_s, stale_after_s=0.2, missing=missing, publisher_count=publishers)
+    return health.status(now_s, lost=missing, publisher_count=publishers)
 
 
-def fed(samples=100):
-    health = InputHealth(0.0)
-    for k in range(samples):
+def fed(clock=None):
+    health = InputHealth(clock or SampleClock(0.2), 0.0)
+    for k in range(100):
         health.arrived(0.01 * (k + 1))
     return health
 
 
 def test_rate_and_age():
-    health = fed()
-    health.aged(0.004)
+    clock = SampleClock(0.2)
+    health = fed(clock)
+    clock.accept(10**18, 10**18 + 4_000_000)
     report = status(health, 1.0)
     assert report.level is Level.OK
     assert report.values["rate (Hz)"] == "100.0"
@@ -25,7 +27,7 @@ def test_rate_and_age():
 
 
 def test_silence_is_stale_before_and_after_the_first_sample():
-    assert status(InputHealth(0.0), 1.0).message == "no sample received yet"
+    assert status(InputHealth(SampleClock(0.2), 0.0), 1.0).message == "no sample received yet"
     report = status(fed(), 3.0)
     assert report.level is Level.STALE
     assert report.message == "no sample for 2.0 s"

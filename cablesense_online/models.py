@@ -1,0 +1,243 @@
+"""A model as the online estimator uses it: loaded, asked for a contact, its estimate decided on.
+
+A model file holds a memoryless estimator, which takes samples of an arm at rest, or a
+history-dependent one, which takes every sample along the trajectory of the joints. `ContactModel`
+is what both have in common.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
+from cablesense_online.motion_gate import MotionGate
+from cablesense_online.samples import ProblemKind, SampleError
+from cablesense_online.tare import Tares
+from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.joint_motion import JointMotion
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
+
+PREDICTED_EVERY_RAD = 2e-3
+"""How far a joint turns before the unloaded tensions on the way are predicted anew.
+
+On the arm `cdsm` they change by less than 0.1 N over this.
+"""
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """An estimator, the arm that it was made for, and the file that both came from."""
+
+    arm: Arm
+    estimator: Estimator | TemporalEstimator
+    model: str
+
+    @classmethod
+    def open(cls, path: Path, arm: Arm | None = None) -> LoadedModel:
+        """A model file, for a certain arm where one is given.
+
+        Raises:
+            ModelFileError: it is no model, or one for another arm.
+        """
+        estimator = open_estimator(path, arm)
+        return cls(estimator.metadata.arm, estimator, str(path))
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """The file and the SHA-256 of its content, which identify the model in a recording."""
+        with Path(self.model).open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return {"model": self.model, "model SHA-256": digest}
+
+
+def load_model(arm: str, model: str) -> LoadedModel:
+    """Load by name or path; an empty `model` takes the bundled one of the arm's name.
+
+    Raises:
+        CableSenseError: a file is missing or invalid, or the model was made for another arm.
+    """
+    description = open_arm(arm)
+    return LoadedModel.open(find_model(model or description.name), description)
+
+
+class Estimate(Protocol):
+    """What is read of `cablesense_training.inference.estimator.Estimate`."""
+
+    @property
+    def probabilities(self) -> Array:
+        """(N+1,) of no contact, segment 1, …."""
+
+    @property
+    def angle_deg(self) -> float:
+        """Contact angle."""
+
+    @property
+    def magnitude_n(self) -> float:
+        """Of the force."""
+
+
+class MemorylessEstimator(Protocol):
+    """What is used of `cablesense_training.inference.estimator.Estimator`."""
+
+    @property
+    def pose_aware(self) -> bool:
+        """Whether `estimate` takes the joint command."""
+
+    def estimate(self, tension_difference_n: Array, joint_command_rad: Array | None) -> Estimate:
+        """The contact that explains a tension difference (M,)."""
+
+
+@runtime_checkable
+class HistoryDependentEstimator(Protocol):
+    """What is used of `cablesense_training.inference.temporal_estimator.TemporalEstimator`."""
+
+    def estimate(
+        self,
+        tension_difference_n: Array,
+        joint_command_rad: Array,
+        joint_speed_rad_s: Array,
+        joint_acceleration_rad_s2: Array,
+        time_s: float,
+    ) -> Estimate:
+        """The contact that explains a tension difference (M,) at a set-point, and the past."""
+
+    def forget(self) -> None:
+        """Begin without a past."""
+
+    def tare(self) -> None:
+        """Tension differences count from now on."""
+
+
+class ContactModel:
+    """A memoryless estimator, asked at the command in force; the caller sees to it that it rests.
+
+    Attributes:
+        in_motion: whether it estimates while the arm moves.
+    """
+
+    in_motion = False
+
+    def __init__(self, estimator: MemorylessEstimator, tares: Tares, gate: MotionGate) -> None:
+        self._estimator, self._tares, self._gate = estimator, tares, gate
+        self._pose_aware = estimator.pose_aware
+
+    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+        """The contact behind tensions (M,); none without a tare.
+
+        Raises:
+            CableSenseError: the model cannot take this sample.
+        """
+        unloaded = self._tares.unloaded_n
+        if unloaded is None:
+            return None
+        command = self._gate.command_rad if self._pose_aware else None
+        return self._estimator.estimate(tensions_n - unloaded, command)
+
+    def command(self, command_rad: Array) -> None:
+        """Commanded angles (2N,) count from the next sample on."""
+
+    def tared(self) -> None:
+        """Another tare counts from the next sample on."""
+
+    def restart(self, command_rad: Array) -> None:
+        """The arm rests at a command (2N,), without a past."""
+
+
+class HistoryDependentModel(ContactModel):
+    """A history-dependent estimator, asked at the set-points between the commands.
+
+    Joints are taken to go to a command as the sim node lets them: on minimum-jerk curves with the
+    peak speed that both have for a parameter. A command counts from the sample before it.
+    """
+
+    in_motion = True
+
+    def __init__(
+        self,
+        estimator: HistoryDependentEstimator,
+        tares: Tares,
+        predict_n: Callable[[Array], Array],
+        command_rad: Array,
+        joint_speed_rad_s: float,
+    ) -> None:
+        self._sequence, self._tares, self._predict_n = estimator, tares, predict_n
+        self._speed_rad_s = joint_speed_rad_s
+        self._last_ns: int | None = None
+        self._predicted_at_rad: Array | None = None
+        self.restart(command_rad)
+
+    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+        """See `ContactModel`; also without a tare the trajectory is followed."""
+        passed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = stamp_ns
+        self._motion.advance(max(0.0, passed_s))
+        angle, speed, acceleration = self._motion.state
+        unloaded = self._unloaded_n(angle)
+        difference = np.zeros(len(tensions_n)) if unloaded is None else tensions_n - unloaded
+        estimate = self._sequence.estimate(difference, angle, speed, acceleration, stamp_ns * 1e-9)
+        return None if unloaded is None else estimate
+
+    def command(self, command_rad: Array) -> None:
+        """See `ContactModel`."""
+        self._motion.go_to(command_rad)
+
+    def tared(self) -> None:
+        """The estimator gets tensions since the tare, as in training."""
+        self._sequence.tare()
+
+    def restart(self, command_rad: Array) -> None:
+        """See `ContactModel`."""
+        self._motion = JointMotion(command_rad, self._speed_rad_s)
+        self._last_ns = self._predicted_at_rad = None
+        self._predicted_n = np.zeros(0)
+        self._sequence.forget()
+
+    def _unloaded_n(self, angle_rad: Array) -> Array | None:
+        if not self._motion.moving:
+            self._predicted_at_rad = None
+            return self._tares.unloaded_n
+        at = self._predicted_at_rad
+        if at is None or np.abs(angle_rad - at).max() > PREDICTED_EVERY_RAD:
+            self._predicted_at_rad = angle_rad
+            self._predicted_n = self._predict_n(angle_rad)
+        tare = self._tares.present
+        return None if tare is None else tare.unloaded_n(self._predicted_n)
+
+
+def decide(
+    probabilities: Sequence[float],
+    angle_deg: float,
+    magnitude_n: float,
+    threshold: float,
+    contact_m: Sequence[float],
+) -> Contact:
+    """The likeliest segment, once a contact anywhere is likely enough; else `NO_CONTACT`.
+
+    Args:
+        probabilities: (N+1,) of no contact, segment 1, ….
+        angle_deg: contact angle.
+        magnitude_n: of the force; one that does not push is no contact.
+        threshold: probability of a contact anywhere from which on there is one.
+        contact_m: (N,) where on its axis each segment is touched, from its joint on.
+
+    Raises:
+        SampleError: a number is not finite.
+    """
+    if not (isfinite(sum(probabilities)) and isfinite(angle_deg) and isfinite(magnitude_n)):
+        raise SampleError(
+            ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
+        )
+    if 1.0 - probabilities[0] < threshold or magnitude_n <= 0.0:
+        return NO_CONTACT
+    segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
+    return Contact(segment, angle_deg, magnitude_n, contact_m[segment - 1])

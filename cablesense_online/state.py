@@ -1,0 +1,347 @@
+"""The estimator's state: all that its answers rest on beside the samples, in its one form.
+
+With a state and the samples from there on every answer is determined, whatever came before.
+`EstimatorState` is validated wherever it comes from, and has two serialisations:
+
+- a message of `~/journal`, published whenever the state changes: a
+  `diagnostic_msgs/DiagnosticArray` with one status for each event since the state before and one
+  for each part of the state, numbers as text with all their digits;
+- `StateFile`, a JSON file that keeps the latest state, so that an estimator that was killed
+  continues with its tare. Without it, one that starts beside a loaded arm would take the load for
+  the unloaded state (`auto_tare`), and never see it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import read_bounded_text, write_atomically
+from cablesense_base.plain_yaml import describe_problem
+from cablesense_msgs_py.topics import ContractError
+from cablesense_sim.arm import Arm
+
+MAX_NUMBERS: Final = 4096
+MAX_ABSOLUTE: Final = 1e9
+"""No angle in rad and no tension in N is so large."""
+
+
+def _not_bool(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(f"= {value}: must be a number")
+    return value
+
+
+Number = Annotated[
+    float,
+    BeforeValidator(_not_bool),
+    Field(gt=-MAX_ABSOLUTE, lt=MAX_ABSOLUTE, allow_inf_nan=False),
+]
+Numbers = Annotated[tuple[Number, ...], Field(max_length=MAX_NUMBERS)]
+WholeNumber = Annotated[int, BeforeValidator(_not_bool), Field(ge=-(2**63), lt=2**63)]
+_NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class EstimationSettings(BaseModel):
+    """The estimator's settings, as the node's parameters of these names, angles in rad."""
+
+    model_config = ConfigDict(frozen=True)
+
+    contact_threshold: _NotNegative
+    stale_after_s: _NotNegative
+    slack_below_n: _NotNegative
+    tare_samples: Annotated[int, Field(ge=1, le=10_000)]
+    tare_steady_n: _NotNegative
+    auto_tare: bool
+    joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    settle_s: _NotNegative
+
+
+LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
+"""Those that may change while an estimator runs."""
+
+
+class EventKind(Enum):
+    """What has changed."""
+
+    START = "start"
+    COMMAND = "command"
+    AUTO_TARE = "tare by itself"
+    TARE = "tare on request"
+    TARE_UNDO = "tare undone"
+    SETTINGS = "settings"
+    CLOCK = "stamps stepped back"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One change; `command_rad` (2N,) with a command, and at a start the one in force."""
+
+    kind: EventKind
+    command_rad: Numbers = ()
+
+
+class EstimatorState(BaseModel):
+    """The state from one sample on.
+
+    Attributes:
+        before_ns: stamp of the first sample that it holds for.
+        events: what has happened since the sample before, in order.
+        arm: identity of the arm.
+        settings: of the estimator.
+        origin: model file, its SHA-256, frame prefix and joint names, as text.
+        command_rad: (2N,) the command in force.
+        lowest_rad, highest_rad: (2N,) between which the joints may be until the arm rests.
+        rest_from_ns: samples stamped earlier are from an arm in motion.
+        unloaded_n: (M,) unloaded tensions at this command; empty without a tare.
+        tared_n: (M,) as they were measured at the tare.
+        tare_command_rad: (2N,) the command at which it was taken.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    before_ns: WholeNumber
+    events: tuple[Event, ...] = ()
+    arm: str
+    settings: EstimationSettings
+    origin: dict[str, str] = Field(default_factory=dict)
+    command_rad: Numbers
+    lowest_rad: Numbers
+    highest_rad: Numbers
+    rest_from_ns: WholeNumber
+    unloaded_n: Numbers = ()
+    tared_n: Numbers = ()
+    tare_command_rad: Numbers = ()
+
+    def require_fitting(self, arm: Arm) -> None:
+        """Refuse to continue from this state with an arm of other joints or cables.
+
+        Raises:
+            ContractError: a number of angles or tensions is not that of the arm.
+        """
+        joints, cables = arm.joint_count, arm.cable_count
+        lengths = [
+            ("joint angles", self.command_rad, joints),
+            ("lowest joint angles", self.lowest_rad, joints),
+            ("highest joint angles", self.highest_rad, joints),
+        ]
+        if self.tared_n:
+            lengths += [
+                ("joint angles at the tare", self.tare_command_rad, joints),
+                ("tared tensions", self.tared_n, cables),
+                ("unloaded tensions", self.unloaded_n, cables),
+            ]
+        for what, numbers, wanted in lengths:
+            if len(numbers) != wanted:
+                raise ContractError(
+                    f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
+                )
+
+    def settings_text(self) -> dict[str, str]:
+        """Origin and settings as one mapping, as both serialisations have them."""
+        return {**self.origin, **{name: repr(value) for name, value in self.settings}}
+
+
+def _validated(values: Mapping[str, Any]) -> EstimatorState:
+    """A state from the values of a serialisation, whose settings and origin are one mapping.
+
+    Raises:
+        ContractError: one line on the first value that is missing or cannot be.
+    """
+    texts = values.get("settings")
+    names = EstimationSettings.model_fields
+    origin = {k: v for k, v in texts.items() if k not in names} if isinstance(texts, dict) else {}
+    try:
+        return EstimatorState.model_validate({**values, "origin": origin})
+    except ValidationError as error:
+        raise ContractError(describe_problem(error, EstimatorState)) from error
+
+
+_EVENT, _SETTINGS, _COMMAND = "event: ", "settings", "command (rad)"
+_PARTS: Final = {
+    "motion": {
+        _COMMAND: "command_rad",
+        "lowest (rad)": "lowest_rad",
+        "highest (rad)": "highest_rad",
+        "at rest from stamp (ns)": "rest_from_ns",
+    },
+    "tare": {
+        "unloaded (N)": "unloaded_n",
+        "measured at the tare (N)": "tared_n",
+        "command at the tare (rad)": "tare_command_rad",
+    },
+}
+"""Statuses of a journal message, with the state's field for each of their keys."""
+
+
+def put_state(
+    message: Any,
+    state: EstimatorState,
+    make_status: Callable[..., Any],
+    make_value: Callable[..., Any],
+) -> None:
+    """Put a state into a `DiagnosticArray`.
+
+    Args:
+        message: to fill.
+        state: to put.
+        make_status: the class `diagnostic_msgs.msg.DiagnosticStatus`.
+        make_value: the class `diagnostic_msgs.msg.KeyValue`.
+    """
+    parts = [
+        (_EVENT + event.kind.value, {_COMMAND: _text(event.command_rad)}) for event in state.events
+    ]
+    parts.append((_SETTINGS, state.settings_text()))
+    for name, keys in _PARTS.items():
+        parts.append((name, {key: _text(getattr(state, field)) for key, field in keys.items()}))
+    stamp = message.header.stamp
+    stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)
+    message.status = [
+        make_status(
+            level=b"\0",
+            name=name,
+            hardware_id=state.arm,
+            values=[make_value(key=key, value=value) for key, value in values.items()],
+        )
+        for name, values in parts
+    ]
+
+
+def state_of(message: Any) -> EstimatorState:
+    """The state in a `DiagnosticArray`.
+
+    Raises:
+        ContractError: a part is missing, or a value is none that a state can have.
+    """
+    statuses = {status.name: status for status in message.status}
+    missing = [name for name in (_SETTINGS, *_PARTS) if name not in statuses]
+    if missing:
+        raise ContractError(
+            f"status: no {' and no '.join(missing)}; a journal message of the estimator has "
+            f"{_SETTINGS}, {' and '.join(_PARTS)}"
+        )
+    stamp = message.header.stamp
+    values: dict[str, Any] = {
+        "before_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
+        "events": [
+            {
+                "kind": status.name.removeprefix(_EVENT),
+                "command_rad": _values(status).get(_COMMAND, "").split(),
+            }
+            for status in message.status
+            if status.name.startswith(_EVENT)
+        ],
+        "arm": str(statuses[_SETTINGS].hardware_id),
+        "settings": _values(statuses[_SETTINGS]),
+    }
+    for name, keys in _PARTS.items():
+        given = _values(statuses[name])
+        for key, field in keys.items():
+            text = given.get(key, "")
+            values[field] = text if field.endswith("_ns") else text.split()
+    return _validated(values)
+
+
+def _values(status: Any) -> dict[str, str]:
+    return {str(value.key): str(value.value) for value in status.values}
+
+
+def _text(value: int | tuple[float, ...]) -> str:
+    return " ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+
+
+FORMAT: Final = "cablesense estimator state 1"
+MAX_BYTES: Final = 200_000
+ALIVE_PERIOD_S: Final = 1.0
+"""So often the file's time is renewed: it tells when its estimator was last alive."""
+
+
+class StateFileError(CableSenseError):
+    """A state file that cannot be continued from, or not be written."""
+
+
+class StateFile:
+    """The latest state of one estimator in a file.
+
+    A state is kept in memory and written by the next `flush`, so that no sample waits for a disk.
+    """
+
+    def __init__(
+        self, path: str | Path, within_s: float, now_s: Callable[[], float] = time.time
+    ) -> None:
+        """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
+        self._path = Path(path) if str(path) else None
+        self._within_s = within_s
+        self._now_s = now_s
+        self._pending: EstimatorState | None = None
+        self._kept = False
+        self._alive_s = float("-inf")
+
+    def read(self, arm_identity: str) -> EstimatorState | None:
+        """The state of an estimator of the same arm that was alive a moment ago; None without one.
+
+        Raises:
+            StateFileError: there is a file, and it cannot be continued from.
+        """
+        if self._path is None or not self._path.exists():
+            return None
+        age_s = self._now_s() - self._path.stat().st_mtime
+        if not -self._within_s <= age_s <= self._within_s:
+            raise StateFileError(
+                f"{self._path}: its estimator was last alive {age_s:.0f} s ago; at most "
+                f"{self._within_s:g} s is accepted"
+            )
+        text = read_bounded_text(self._path, MAX_BYTES, "a state file", StateFileError)
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError):
+            values = None
+        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+            raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
+        try:
+            state = _validated(values | {"events": ()})
+        except ContractError as error:
+            raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
+        if state.arm != arm_identity:
+            raise StateFileError(
+                f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
+            )
+        if not state.tared_n:
+            raise StateFileError(f"{self._path}: its estimator had no tare")
+        self._kept = True
+        return state
+
+    def keep(self, state: EstimatorState) -> None:
+        """Take over the state that answers rest on from now on."""
+        self._pending = state
+
+    def flush(self) -> None:
+        """Write the state that was kept, or renew the file's time.
+
+        Raises:
+            StateFileError: it cannot be written.
+        """
+        if self._path is None:
+            return
+        now_s = self._now_s()
+        if self._pending is not None:
+            values = self._pending.model_dump(exclude={"events", "origin"})
+            values["settings"] = self._pending.settings_text()
+            text = json.dumps({"format": FORMAT, **values}, indent=1)
+            write_atomically(self._path, text, StateFileError)
+            self._pending, self._kept, self._alive_s = None, True, now_s
+        elif self._kept and not 0.0 <= now_s - self._alive_s < ALIVE_PERIOD_S:
+            self._alive_s = now_s
+            try:
+                os.utime(self._path)
+            except OSError as error:
+                raise StateFileError(f"{self._path}: cannot be written ({error})") from error

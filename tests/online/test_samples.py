@@ -1,0 +1,136 @@
+"""Stamps and readings that cannot be true are refused; missing samples are counted."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cablesense_online.samples import ProblemKind, SampleCheck, SampleClock, SampleError
+
+MS = 1_000_000
+NOW = 1_700_000_000_000 * MS
+
+
+def test_the_age_of_a_sample():
+    clock = SampleClock(0.2)
+    clock.accept(NOW - 5 * MS, NOW)
+    assert clock.largest_age_s == pytest.approx(0.005)
+
+
+def test_a_sample_without_stamp_counts_as_new():
+    clock = SampleClock(0.2)
+    clock.accept(0, NOW)
+    clock.accept(0, NOW)
+    assert clock.largest_age_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("stamp", "complaint"),
+    [
+        (NOW - 201 * MS, "0.201 s old"),
+        (NOW + 201 * MS, "ahead of this machine's clock"),
+        (1, "old"),
+    ],
+)
+def test_too_far_from_now(stamp, complaint):
+    with pytest.raises(SampleError, match=complaint):
+        SampleClock(0.2).accept(stamp, NOW)
+
+
+@pytest.mark.parametrize("back_ms", [0, 1, 150])
+def test_stamps_must_ascend(back_ms):
+    clock = SampleClock(0.2)
+    clock.accept(NOW, NOW)
+    with pytest.raises(SampleError, match="must ascend"):
+        clock.accept(NOW - back_ms * MS, NOW)
+
+
+def reports(period_ms, late_ms, lost=(), seconds=12):
+    """Each second's count of missing samples; `late_ms` gives a sample's jitter by its number."""
+    clock, counts = SampleClock(60.0), []
+    per_report = round(1000 / period_ms)
+    for number in range(seconds * per_report):
+        if number not in lost:
+            clock.accept(round(NOW + (number * period_ms + late_ms(number)) * MS), NOW)
+        if (number + 1) % per_report == 0:
+            counts.append(clock.missing_since_last_report())
+    return counts
+
+
+def test_missing_samples_are_counted_once():
+    counts = reports(10, lambda number: number % 3, lost={350, 351, 370, 777})
+    assert sum(counts) == 4
+    assert sum(counts[3:5]) == 3
+    assert sum(counts[7:9]) == 1
+
+
+def test_none_are_missing_where_all_came():
+    assert not any(reports(1, lambda _: 0.0))
+
+
+@pytest.mark.parametrize("pause_ms", [3, 20, 150])
+def test_samples_that_come_in_bursts_are_not_missing(pause_ms):
+    # held up, and then all at once, a microsecond after the other
+    rng = np.random.default_rng(pause_ms)
+    ends = np.cumsum(rng.integers(1, pause_ms, 12_000))
+
+    def late_ms(number):
+        end = ends[np.searchsorted(ends, number)]
+        return max(0.0, (end - number) * (1.0 - 1e-3))
+
+    assert sum(reports(1, late_ms)) <= 1
+
+
+def test_losses_are_counted_among_bursts():
+    def late_ms(number):
+        return (30 - number % 30) * 0.999
+
+    lost = set(range(5010, 5110))
+    assert sum(reports(1, late_ms, lost)) == pytest.approx(100, abs=2)
+
+
+def test_a_silence_is_not_counted_as_missing_samples():
+    clock = SampleClock(60.0)
+    for second in (0, 1, 10, 11):
+        for number in range(100):
+            clock.accept(NOW + (second * 1000 + number * 10) * MS, NOW)
+        assert clock.missing_since_last_report() == 0
+        if second == 1:
+            assert clock.missing_since_last_report() == 0  # a second without any
+
+
+GOOD = [50.0] * 12
+
+
+def changed(cable, tension):
+    return [*GOOD[: cable - 1], tension, *GOOD[cable:]]
+
+
+@pytest.mark.parametrize("tension", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("cable", [1, 7, 12])
+def test_not_finite(cable, tension):
+    with pytest.raises(SampleError, match=f"cable_{cable} ") as caught:
+        SampleCheck(None, 1.0).check(changed(cable, tension))
+    assert caught.value.kind is ProblemKind.NOT_FINITE
+
+
+@pytest.mark.parametrize("tension", [-21.0, 1e5, 1e308])
+def test_implausible_without_a_range(tension):
+    with pytest.raises(SampleError) as caught:
+        SampleCheck(None, 1.0).check(changed(4, tension))
+    assert caught.value.kind is ProblemKind.IMPLAUSIBLE
+
+
+@pytest.mark.parametrize("tension", [0.0, 500.0, 501.0, -1.0])
+def test_saturated_at_the_ends_of_the_range(tension):
+    with pytest.raises(SampleError, match=r"0 … 500 N; unload the arm") as caught:
+        SampleCheck((0.0, 500.0), 1.0).check(changed(4, tension))
+    assert caught.value.kind is ProblemKind.SATURATED
+
+
+def test_slack_cables_are_noted_and_forgotten():
+    check = SampleCheck(None, 1.0)
+    check.check(changed(3, 0.2))
+    assert check.slack == (3,)
+    check.check(np.array(GOOD))
+    assert check.slack == ()
