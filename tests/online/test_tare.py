@@ -15,8 +15,8 @@ from cablesense_online.tare import (
     tare_undone_line,
 )
 from cablesense_sim.arm import open_arm
-from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
 
 NOW_NS = 1_700_000_000_000_000_000
 ZERO = np.zeros(1)
