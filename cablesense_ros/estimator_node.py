@@ -128,7 +128,7 @@ class EstimatorNode(ConfiguredNode):
         self._estimation: Estimation | None = None
         self._state = StateFile("", 0.0)
         self._outputs: EstimatorOutputs | None = None
-        self._services: list[Service] = []
+        self._tare_services: list[Service] = []
         self._inputs: list[Subscription] = []
         self._stale_timer: Timer | None = None
         self._simulated_time = self.get_clock().ros_time_is_active
@@ -177,7 +177,7 @@ class EstimatorNode(ConfiguredNode):
         self._restore_state(given, self._loaded)
         frames = Frames(self._loaded.arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(self, frames, given["markers"])
-        self._services = [
+        self._tare_services = [
             self.create_service(Trigger, topics.TARE, self._on_tare),
             self.create_service(Trigger, topics.TARE_UNDO, self._on_tare_undo),
         ]
@@ -220,11 +220,11 @@ class EstimatorNode(ConfiguredNode):
 
     def _release(self) -> None:
         self._unsubscribe()
-        for service in self._services:
+        for service in self._tare_services:
             self.destroy_service(service)
         if self._outputs is not None:
             self._outputs.destroy()
-        self._services = []
+        self._tare_services = []
         self._loaded, self._estimation, self._outputs = None, None, None
 
     def _on_sample(self, raw: bytes) -> None:

@@ -25,7 +25,9 @@ def moving():
     """The graph, with both nodes running and the first tare taken."""
     graph = Graph()
     sim = NodeProcess("cablesense_ros.sim_node")
-    estimator = NodeProcess("cablesense_ros.estimator_node", model="cdsm_moving")
+    estimator = NodeProcess(
+        "cablesense_ros.estimator_node", model="cdsm_moving", stale_after_s=2.0
+    )
     graph.until(lambda: "tare taken" in estimator.log, "the first tare")
     graph.until(lambda: graph.command.get_subscription_count() == 2, "sim and estimator")
     yield graph
@@ -36,7 +38,7 @@ def moving():
 
 
 def _swing(graph, seconds=4.0):
-    """Commands to and fro; what was heard meanwhile, as wrenches."""
+    """The wrenches received during commands to and fro."""
     graph.wrenches.clear()
     for target in (AWAY, BACK, AWAY, BACK):
         message = JointState(name=list(ARM.joint_names), position=target.tolist())
@@ -49,14 +51,14 @@ def _strength_n(wrench):
     return float(np.linalg.norm(force(wrench)))
 
 
-def test_a_free_arm_in_motion_feels_nothing(moving):
+def test_a_free_arm_in_motion_has_no_contact(moving):
     heard = [_strength_n(wrench) for wrench in _swing(moving)]
-    assert len(heard) > 200
+    assert len(heard) > 50
     assert np.mean(np.array(heard) == 0.0) > 0.9
     assert np.mean(heard) < 0.1
 
 
-def test_a_push_is_told_in_motion_where_statics_is_silent(moving):
+def test_a_push_is_estimated_in_motion(moving):
     moving.push(4, (0.0, 0.0, -25.0))
     moving.spin(0.5)
     heard = _swing(moving)
