@@ -7,7 +7,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
-from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS, LIVE_PARAMETERS
+from cablesense_online.state import LIVE_SETTINGS
+from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS
 from cablesense_ros.parameters import (
     NodeParameter,
     ParameterError,
@@ -76,4 +77,4 @@ def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(tabl
 
 
 def test_what_may_change_while_running_is_declared():
-    assert set(LIVE_PARAMETERS) <= {parameter.name for parameter in ESTIMATOR_PARAMETERS}
+    assert set(LIVE_SETTINGS) <= {parameter.name for parameter in ESTIMATOR_PARAMETERS}
