@@ -15,9 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import struct
-import subprocess
 import sys
 import tempfile
 import time
@@ -36,9 +34,10 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
-from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.discovery import own_graph
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import run_node
+from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -177,39 +176,33 @@ def _publish(
 
 def measure(arm_name: str, seconds: float) -> dict[str, object]:
     """Run everything; figures by path."""
-    environment = {
-        **os.environ,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(1 + os.getpid() % 100)),
-        "OMP_NUM_THREADS": "1",
-    }
-    os.environ.update(environment)
-    prefer_quick_discovery()
+    os.environ.update(own_graph())
     arm = open_arm(arm_name)
     blocks = round(seconds / BLOCK_S)
     schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "sink.npz")
-        commands = [
-            [sys.executable, __file__, "--role", "sink", "--file", str(file)],
-            [sys.executable, __file__, "--role", "raw_relay"],
-            [sys.executable, __file__, "--role", "typed_relay"],
-            [
-                sys.executable,
-                "-m",
-                "cablesense_ros.estimator_node",
-                *_estimator_arguments(arm_name),
-            ],
+        role = [sys.executable, __file__, "--role"]
+        commands = {
+            "sink": [*role, "sink", "--file", str(file)],
+            **{relay: [*role, relay] for relay in PATHS[1:]},
+            # without samples between its turns, which is not to count as stale
+            "estimator": node_command(
+                "estimator",
+                {"arm": arm_name, "stale_after_s": 60.0, "tare_samples": 100},
+                {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"},
+            ),
+        }
+        processes = [
+            Process(name, command, Path(folder, f"{name}.log"))
+            for name, command in commands.items()
         ]
-        processes = [subprocess.Popen(command, env=environment) for command in commands]
         try:
             sent = publish_schedule(arm, [*schedule, ("estimator", seconds)])
         finally:
-            for process in processes:
-                process.send_signal(signal.SIGINT)
-            codes = [process.wait(timeout=20) for process in processes]
-        if any(codes):
-            raise SystemExit(f"a process under test ended with {codes}")
+            codes = {process.name: process.stop(harness.END_WITHIN_S) for process in processes}
+        if any(codes.values()):
+            raise SystemExit(f"a process under test failed: {codes}")
         arrived = dict(np.load(file))
     interleaved = blocks * round(BLOCK_S * RATE_HZ)
     figures = {path: _figures(sent[path][:interleaved], arrived[path]) for path in PATHS}
@@ -225,18 +218,6 @@ def measure(arm_name: str, seconds: float) -> dict[str, object]:
             for relay in PATHS[1:]
         },
     }
-
-
-def _estimator_arguments(arm_name: str) -> list[str]:
-    """Between its turns the estimator is without samples, which is not to count as stale."""
-    parameters = {"arm": arm_name, "stale_after_s": "60.0", "tare_samples": "100"}
-    topics = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
-    arguments = ["--ros-args"]
-    for name, value in parameters.items():
-        arguments += ["-p", f"{name}:={value}"]
-    for name, value in topics.items():
-        arguments += ["-r", f"{name}:={value}"]
-    return arguments
 
 
 def _figures(sent: Sequence[int], arrived: NDArray[np.int64]) -> PathFigures:

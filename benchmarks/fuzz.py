@@ -7,7 +7,7 @@ the figures go to benchmarks/results/fuzz.json, with `--only` those of the targe
 target (`fuzz/targets.py`) runs in child processes that are watched (`fuzz/watched.py`): a crash of
 native code, an item beyond its time, memory beyond measure, an error outside CableSense's family,
 a refusal that is no line and an answer that the target's oracle calls false are findings, each
-told with its item, which `--seed` makes again. Some thousand messages also go over real Fast DDS
+with its item, which `--seed` makes again. Some thousand messages also go over real Fast DDS
 to a live node (`fuzz/live_node.py`).
 """
 
@@ -16,29 +16,26 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
+import harness
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fuzz.watched import Result, Target, run_watched
 
-RESULT = Path(__file__).parent / "results" / "fuzz.json"
+RESULT = harness.RESULTS / "fuzz.json"
 SHARES = 3
 """Into so many parts a full target is cut, which go to the workers."""
 LIVE = "live node"
 BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
-_LIBRARIES = (
+_LIBRARIES = [
     "onnx",
     "onnxruntime",
     "cantools",
@@ -47,7 +44,7 @@ _LIBRARIES = (
     "pyarrow",
     "pandas",
     "numpy",
-)
+]
 
 
 def main() -> int:
@@ -65,7 +62,7 @@ def main() -> int:
         results[LIVE] = fuzz_live_node(options.seed, options.live_messages)
     report = _report(chosen, results, options, time.monotonic() - started_s)
     if options.write:
-        RESULT.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+        harness.write_result(RESULT.name, report)
     print(json.dumps(report if options.json else report["in all"], indent=1))
     for result in results.values():
         for finding in result.findings:
@@ -74,13 +71,12 @@ def main() -> int:
 
 
 def _options(names: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = harness.parser(__doc__, f"results/{RESULT.name}")
     parser.add_argument("--quick", action="store_true", help="some seconds instead of minutes")
     parser.add_argument("--only", default="", help=f"names with commas between, also '{LIVE}'")
     parser.add_argument("--seed", type=int, default=0, help="other seeds make other items")
     parser.add_argument("--workers", type=int, default=2, help="child processes at a time")
     parser.add_argument("--live-messages", type=int, default=4_000, help="over Fast DDS")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULT.name}")
     parser.add_argument("--json", action="store_true", help="print every figure")
     options = parser.parse_args()
     options.only = [name for name in options.only.split(",") if name]
@@ -125,27 +121,25 @@ def _report(
 ) -> dict[str, Any]:
     units = {target.name: target.unit for target in chosen} | {LIVE: "messages"}
     made = datetime.now(UTC).isoformat(timespec="seconds")
-    told = {
+    by_target = {
         name: {"unit": units[name], "seed": options.seed, "made": made, **asdict(result)}
         for name, result in results.items()
     }
     if options.write and options.only and RESULT.exists():
-        told = json.loads(RESULT.read_text())["targets"] | told
+        by_target = json.loads(RESULT.read_text())["targets"] | by_target
     inputs = dict.fromkeys(BARS, 0)
-    for target in told.values():
+    for target in by_target.values():
         inputs[target["unit"]] += target["inputs"]
     found = ("crashes", "hangs", "memory", "escaped", "false_answers")
     return {
-        "command": "python benchmarks/fuzz.py --write",
-        "machine": {
-            "cpu_count": os.cpu_count(),
-            "python": platform.python_version(),
-            **{name: version(name) for name in _LIBRARIES},
-        },
+        **harness.origin("python benchmarks/fuzz.py --write", _LIBRARIES),
         "run_s": round(run_s, 1),
         "bars": BARS,
-        "in all": {**inputs, **{n: sum(target[n] for target in told.values()) for n in found}},
-        "targets": told,
+        "in all": {
+            **inputs,
+            **{n: sum(target[n] for target in by_target.values()) for n in found},
+        },
+        "targets": by_target,
     }
 
 

@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import platform
+import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,6 +19,14 @@ from pathlib import Path
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
+CABLESENSE = [
+    *(sys.executable, "-c"),
+    "import sys; from cablesense_cli.app import main; sys.exit(main())",
+]
+"""The command `cablesense` in this Python, also where it is not installed."""
+
+END_WITHIN_S = 20.0
+"""A node under load may take so long to end by itself."""
 
 
 def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:

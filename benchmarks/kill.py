@@ -18,6 +18,7 @@ the load, ten times in a row.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -29,10 +30,10 @@ import numpy as np
 import rclpy
 from kill.chain import STALE_AFTER_S, VICTIMS, Chain, kill_recorders, whole
 from kill.trials import LEASE_S, Kill, KillTrials, Watcher
-from node_processes import own_graph
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
 
+from cablesense_ros.discovery import own_graph
 from cablesense_sim.arm import open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
@@ -72,7 +73,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
             recording = whole(chain.recording, watcher.samples, arm)
         except TimeoutError as error:
             logs = "\n".join(
-                f"--- {name}\n{one.log()[-1500:]}" for name, one in chain.processes.items()
+                f"--- {name}\n{one.log[-1500:]}" for name, one in chain.processes.items()
             )
             raise SystemExit(f"{error}\n{logs}") from error
         finally:
@@ -141,7 +142,7 @@ def main() -> int:
     parser.add_argument("--rate-hz", type=float, default=RATE_HZ, help="samples a second")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     given = parser.parse_args()
-    own_graph()
+    os.environ.update(own_graph())
     options = f"--times {given.times} --rate-hz {given.rate_hz:g} --write"
     measured = measure(given.arm, given.rate_hz, given.times)
     origin = harness.origin(f"python benchmarks/kill.py {options}", ["rclpy"])

@@ -14,6 +14,7 @@ after the stamps' common shift is taken back).
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -25,12 +26,6 @@ import harness
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from node_processes import (
-    NodeProcess,
-    node_command,
-    own_graph,
-    wait_until,
-)
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -43,7 +38,9 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_online.recorded_run import RecordedRun
+from cablesense_ros.discovery import own_graph
 from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import open_arm
 
 RATE_HZ = 1000.0
@@ -52,8 +49,6 @@ LARGEST_ANGLE_RAD = 0.12
 LARGEST_FORCE_N = 60.0
 LATE_JOINS_AT, LATE_DIES_AT = 0.4, 0.7
 """Shares of the run."""
-
-CLI = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
 
 
 class Person:
@@ -80,14 +75,16 @@ class Person:
         self._loaded = 0
         self.done: dict[str, int] = {}
 
-    def wait(self, listeners: int) -> bool:
+    def wait(self, listeners: int, estimator: Process) -> None:
         """Until sim, estimator and recorder listen."""
-        return wait_until(
+        wait_until(
             lambda: (
                 self._commands.get_subscription_count() >= listeners
                 and all(client.service_is_ready() for client in self._services.values())
             ),
             30.0,
+            "sim, estimator and recorder do not all listen",
+            estimator.check,
         )
 
     def act(self) -> None:
@@ -168,14 +165,13 @@ class Person:
 def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
     """Run, record, replay; figures."""
     whole, late = folder / "whole.mcap", folder / "late.mcap"
-    sim = NodeProcess("sim", node_command("sim_node", _sim(arm)), folder / "sim.log")
-    estimator_command = node_command("estimator_node", {"arm": arm})
+    sim = Process("sim", node_command("sim", _sim(arm)), folder / "sim.log")
+    estimator_command = node_command("estimator", {"arm": arm})
     with sim, _recorder(whole) as recorder:
         person = Person(arm)
         time.sleep(3.0)  # the recorder listens before the estimator says its first word
-        with NodeProcess("estimator", estimator_command, folder / "estimator.log") as estimator:
-            if not person.wait(3):
-                raise SystemExit(f"not all listen:\n{estimator.log()}")
+        with Process("estimator", estimator_command, folder / "estimator.log") as estimator:
+            person.wait(3, estimator)
             person.rest(2.0)
             end = time.monotonic() + seconds
             joins, dies = end - (1 - LATE_JOINS_AT) * seconds, end - (1 - LATE_DIES_AT) * seconds
@@ -199,10 +195,9 @@ def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
         "in process": _replay(whole),
         "begun in mid-run and killed, in process": _replay(late),
     }
-    with NodeProcess("estimator", estimator_command, folder / "fresh.log") as fresh:
+    with Process("estimator", estimator_command, folder / "fresh.log") as fresh:
         result["through a live node"] = _replay(whole, "--publish")
-        if not fresh.alive:
-            raise SystemExit(f"the estimator died:\n{fresh.log()}")
+        fresh.check()
     return result
 
 
@@ -210,8 +205,10 @@ def _sim(arm: str) -> dict[str, Any]:
     return {"arm": arm, "rate_hz": RATE_HZ}
 
 
-def _recorder(path: Path) -> NodeProcess:
-    return NodeProcess("recorder", [*CLI, "record", "--out", str(path)], path.with_suffix(".log"))
+def _recorder(path: Path) -> Process:
+    return Process(
+        "recorder", [*harness.CABLESENSE, "record", "--out", str(path)], path.with_suffix(".log")
+    )
 
 
 def _recording(path: Path) -> dict[str, Any]:
@@ -236,7 +233,7 @@ def _recording(path: Path) -> dict[str, Any]:
 
 def _replay(path: Path, *arguments: str) -> dict[str, Any]:
     done = subprocess.run(
-        [*CLI, "replay", str(path), "--json", *arguments],
+        [*harness.CABLESENSE, "replay", str(path), "--json", *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -273,7 +270,7 @@ def main() -> int:
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     given = parser.parse_args()
-    own_graph()
+    os.environ.update(own_graph())
     with tempfile.TemporaryDirectory() as folder:
         result = report(measure(given.arm, given.seconds, Path(folder)), given.seconds)
     if given.write:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -30,12 +31,6 @@ from typing import Any
 import harness
 import numpy as np
 import rclpy
-from node_processes import (
-    NodeProcess,
-    node_command,
-    own_graph,
-    wait_until,
-)
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
@@ -44,6 +39,8 @@ from soak.figures import answers, delivery, memory
 from soak.sink import Sink
 
 from cablesense_online.can.channel_map import open_channel_map
+from cablesense_ros.discovery import own_graph
+from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import open_arm
 
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
@@ -70,7 +67,7 @@ class Soak:
             *("--cycles", str(self._cycles)),
         ]
         driver = node_command(
-            "can_driver_node",
+            "can_driver",
             {
                 "arm": arm_name,
                 "map": map_name,
@@ -79,12 +76,14 @@ class Soak:
                 "bitrate_bit_s": 1_000_000,
             },
         )
-        estimator = node_command("estimator_node", {"arm": arm_name})
-        first = NodeProcess("amplifiers", amplifiers, folder / "amplifiers.log")
+        estimator = node_command("estimator", {"arm": arm_name})
+        first = Process("amplifiers", amplifiers, folder / "amplifiers.log")
         self._processes = [first]
-        wait_until(lambda: "ready" in first.log() or not first.alive, UP_WITHIN_S)
+        wait_until(
+            lambda: first.line("ready"), UP_WITHIN_S, "the amplifiers are not ready", first.check
+        )
         self._processes += [
-            NodeProcess(name, command, folder / f"{name}.log")
+            Process(name, command, folder / f"{name}.log")
             for name, command in (("driver", driver), ("estimator", estimator))
         ]
 
@@ -99,7 +98,7 @@ class Soak:
             self._bring_up(executor, sink)
             self._tell("play")
             sink.begin()
-            self._spin(executor, lambda: "played" in self._processes[0].log())
+            self._spin(executor, lambda: "played" in self._processes[0].log)
             cpu = sink.cpu_share()
             self._spin_for(executor, LISTEN_AFTER_S)
             self._tell("end")
@@ -111,7 +110,7 @@ class Soak:
 
     def end(self) -> list[int]:
         """End every process; their exit codes."""
-        return [one.stop() for one in self._processes]
+        return [one.stop(harness.END_WITHIN_S) for one in self._processes]
 
     def _bring_up(self, executor: EventsExecutor, sink: Sink) -> None:
         deadline_s = time.monotonic() + UP_WITHIN_S
@@ -122,13 +121,13 @@ class Soak:
             and sink.values.get(("can_driver: interface", "openings"), "0") != "0"
         ):
             if time.monotonic() > deadline_s or not all(one.alive for one in self._processes):
-                logs = "\n".join(one.log() for one in self._processes)
+                logs = "\n".join(one.log for one in self._processes)
                 raise SystemExit(f"the nodes did not come up within {UP_WITHIN_S:g} s\n{logs}")
             self._spin_for(executor, 0.2)
         self._spin_for(executor, 1.0)
 
     def _tell(self, word: str) -> None:
-        pipe = self._processes[0].process.stdin
+        pipe = self._processes[0].child.stdin
         assert pipe is not None
         pipe.write(f"{word}\n".encode())
         pipe.flush()
@@ -136,7 +135,7 @@ class Soak:
     def _spin(self, executor: EventsExecutor, ended: Callable[[], bool]) -> None:
         while not ended():
             if not all(one.alive for one in self._processes):
-                raise SystemExit("\n".join(one.log() for one in self._processes))
+                raise SystemExit("\n".join(one.log for one in self._processes))
             self._spin_for(executor, 1.0)
 
     @staticmethod
@@ -237,7 +236,7 @@ def main() -> int:
     if given.role:
         rate_hz = RATES_HZ[given.map]
         return play(given.arm, given.map, given.link, rate_hz, given.cycles, given.log)
-    own_graph()
+    os.environ.update(own_graph())
     minutes = {PACKED: given.minutes, CIA404: min(CIA404_MINUTES, given.minutes)}
     runs = []
     for map_name in [given.only] if given.only else [PACKED, CIA404]:

@@ -9,10 +9,6 @@ and the node must end by itself with exit code 0 and no traceback.
 from __future__ import annotations
 
 import os
-import random
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -22,7 +18,8 @@ import numpy as np
 
 from cablesense_msgs_py import topics
 from cablesense_online.samples import PLAUSIBLE_N
-from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.discovery import own_graph
+from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -31,45 +28,36 @@ from fuzz.watched import Result, item_random
 
 PATIENCE_S = 30.0
 PERIOD_S = 0.002
-DOMAIN = 98
 _NODE = "fuzzed_estimator"
 
 
 def fuzz_live_node(seed: int, count: int) -> Result:
     """Send `count` broken messages; what was found."""
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(DOMAIN))
-    prefer_quick_discovery()
+    os.environ.update(own_graph())
     import rclpy
 
     result = Result(items=count)
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "node.log"
-        command = [sys.executable, "-m", "cablesense_ros.estimator_node", "--ros-args"]
-        command += ["-r", f"__node:={_NODE}"]
-        with log.open("wb") as sink:
-            node = subprocess.Popen(command, stdout=sink, stderr=sink)
+        command = node_command("estimator", remaps={"__node": _NODE})
+        node = Process(_NODE, command, Path(folder) / "node.log")
         rclpy.init()
         try:
-            _Conversation(result, node).run(random.Random(seed), seed, count)
+            _Fuzzer(result, node).run(seed, count)
         finally:
             rclpy.shutdown()
-            if node.poll() is None:
-                node.send_signal(signal.SIGINT)
-            code = node.wait(timeout=PATIENCE_S)
-        text = log.read_text(errors="replace")
+            code, text = node.stop(PATIENCE_S), node.log
     result.refused = count
     if code != 0 or "Traceback" in text:
         result.crashes += 1
         result.findings.append(f"{_NODE}: exit code {code}: {text[-600:]}")
     if "sample refused" not in text:
         result.false_answers += 1
-        result.findings.append(f"{_NODE}: its log does not say that samples were refused")
+        result.findings.append(f"{_NODE}: its log has no line on refused samples")
     return result
 
 
-class _Conversation:
-    def __init__(self, result: Result, node: subprocess.Popen[bytes]) -> None:
+class _Fuzzer:
+    def __init__(self, result: Result, node: Process) -> None:
         from geometry_msgs.msg import WrenchStamped
         from rclpy.node import Node
         from rclpy.qos import qos_profile_sensor_data
@@ -90,8 +78,8 @@ class _Conversation:
             WrenchStamped, f"/{_NODE}/wrench", self._wrenches.append, qos_profile_sensor_data
         )
 
-    def run(self, rng: random.Random, seed: int, count: int) -> None:
-        """The whole course."""
+    def run(self, seed: int, count: int) -> None:
+        """Good and broken messages by turns, then a push that must be answered."""
         self._until(self._tensions.get_subscription_count, "the node")
         for _ in range(150):
             self._send(self._good(self._rest_n))
@@ -111,7 +99,7 @@ class _Conversation:
         self._wrenches.clear()
         end_s = time.monotonic() + PATIENCE_S
         while not any(w.header.frame_id == "segment_3" for w in self._wrenches):
-            if self._process.poll() is not None or time.monotonic() > end_s:
+            if not self._process.alive or time.monotonic() > end_s:
                 self._result.hangs += 1
                 self._result.findings.append(f"{_NODE}: answers no push after {count} messages")
                 return
@@ -134,14 +122,14 @@ class _Conversation:
                 rng, raw, self._arm.cable_names, self._pushed_n.tolist(), stamp_ns
             )
             raw = raw[: len(raw) // 4 * 4]
-            said = read_joint_state(raw)
-            if said is None or sorted(said.names) != sorted(self._arm.cable_names):
+            read = read_joint_state(raw)
+            if read is None or sorted(read.names) != sorted(self._arm.cable_names):
                 return raw
             low, high = PLAUSIBLE_N
-            plausible = all(low < effort < high for effort in said.efforts)
-            if len(said.efforts) != len(said.names) or not plausible:
+            plausible = all(low < effort < high for effort in read.efforts)
+            if len(read.efforts) != len(read.names) or not plausible:
                 return raw
-            if said.stamp_ns and abs(said.stamp_ns - stamp_ns) > 0.5e9:
+            if read.stamp_ns and abs(read.stamp_ns - stamp_ns) > 0.5e9:
                 return raw
 
     def _send(self, raw: bytes) -> None:

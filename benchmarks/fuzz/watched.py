@@ -1,10 +1,9 @@
-"""Runs a target in child processes that may crash, hang or grow, and tells which item did it.
+"""A fuzzed target in child processes that may crash, hang or grow; each finding names its item.
 
-The child notes the number of the item it is at in shared memory. The parent looks in twenty times
-a second: a child that ends by a signal, stays at one item too long or takes too much memory is a
-finding of that item; another child goes on behind it.
-
-What is fuzzed: a function from an item's number to what became of it.
+A target is a function from an item's number to its outcome. The child notes the number of the
+item in shared memory. The parent checks twenty times a second: a child that ends by a signal,
+stays at one item too long or takes too much memory is a finding of that item; another child goes
+on behind it.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ LONGEST_LINE = 1_200
 
 
 class FalseAnswerError(AssertionError):
-    """Something was believed that must not be: the finding that fuzzing is for."""
+    """Invalid input was accepted as valid: the finding that fuzzing is for."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an item.
+    """The outcome of an item.
 
     Attributes:
         inputs: frames, messages or files in it.
@@ -58,6 +57,7 @@ class Target:
         items: how many in a full run.
         quick_items: how many in a test.
         limit_s: longest time for an item.
+        growth_mb: most memory that a child may take beyond what it began with.
     """
 
     name: str
@@ -66,6 +66,7 @@ class Target:
     items: int
     quick_items: int
     limit_s: float = 10.0
+    growth_mb: float = 1_500.0
 
 
 def item_random(name: str, seed: int, item: int) -> random.Random:
@@ -86,7 +87,6 @@ def require_one_line(error: CableSenseError) -> None:
         )
 
 
-MOST_GROWTH_MB = 1_500.0
 WAITS = 6.0
 """An item may wait for so many times its limit, work for once."""
 START_LIMIT_S = 120.0
@@ -132,7 +132,7 @@ class Result:
 def run_watched(
     target: Target, seed: int, first: int, end: int, on_progress: Callable[[int], None]
 ) -> Result:
-    """Items `first` to `end` - 1, each watched; `on_progress` hears how many more are done."""
+    """Items `first` to `end` - 1, each watched; `on_progress` gets how many more are done."""
     result = Result(items=end - first)
     at = first
     while at < end:
@@ -178,7 +178,7 @@ def _run_child(
             stopped = "hangs"
         elif item < 0 and time.monotonic() - since_s > START_LIMIT_S:
             raise RuntimeError(f"{target.name}: its child does not start")
-        elif shared[_BASE_MB] and _memory_mb(child.pid) - shared[_BASE_MB] > MOST_GROWTH_MB:
+        elif shared[_BASE_MB] and _memory_mb(child.pid) - shared[_BASE_MB] > target.growth_mb:
             stopped = "memory"
     if stopped:
         child.kill()

@@ -6,14 +6,13 @@ What became of recordings: of one through all kills, and of those whose recorder
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_processes import NodeProcess, node_command
+from harness import CABLESENSE, END_WITHIN_S
 from numpy.typing import NDArray
 
 from cablesense_base.errors import CableSenseError
@@ -21,6 +20,7 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.serialized import EffortReader
+from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import Arm
 
 STALE_AFTER_S = 0.05
@@ -41,13 +41,13 @@ class Chain:
         self.recording = folder / "kills.mcap"
         commands = {
             "sim": node_command(
-                "sim_node",
+                "sim",
                 {"arm": arm, "rate_hz": float(rate_hz)},
                 {"cable_tensions": "simulated_tensions"},
             ),
-            "amplifiers": node_command("can_emulator_node", {"arm": arm, "channel": link}),
+            "amplifiers": node_command("can_emulator", {"arm": arm, "channel": link}),
             "driver": node_command(
-                "can_driver_node",
+                "can_driver",
                 {
                     "arm": arm,
                     "interface": "slcan",
@@ -57,7 +57,7 @@ class Chain:
                 },
             ),
             "estimator": node_command(
-                "estimator_node",
+                "estimator",
                 {
                     "arm": arm,
                     "stale_after_s": STALE_AFTER_S,
@@ -67,7 +67,7 @@ class Chain:
             "recorder": recorder_command(self.recording),
         }
         self.processes = {
-            name: NodeProcess(name, command, folder / f"{name}.log")
+            name: Process(name, command, folder / f"{name}.log")
             for name, command in commands.items()
         }
 
@@ -77,23 +77,22 @@ class Chain:
 
     def up_epoch_s(self, victim: str) -> float:
         """When a victim last said that it was set up, s since the epoch; NaN before the first."""
-        said = re.findall(_UP_LINES[victim], self.processes[victim].log())
+        said = re.findall(_UP_LINES[victim], self.processes[victim].log)
         return float(said[-1]) if said else float("nan")
 
     def ups(self, victim: str) -> int:
         """How often it said so."""
-        return len(re.findall(_UP_LINES[victim], self.processes[victim].log()))
+        return len(re.findall(_UP_LINES[victim], self.processes[victim].log))
 
     def end(self) -> dict[str, int]:
         """End all; exit codes by name. The recorder goes first, so that its file is whole."""
         order = sorted(self.processes, key=lambda name: name != "recorder")
-        return {name: self.processes[name].stop() for name in order}
+        return {name: self.processes[name].stop(END_WITHIN_S) for name in order}
 
 
 def recorder_command(file: Path) -> list[str]:
     """The command that records the running nodes into a file."""
-    run = "import sys; from cablesense_cli.app import main; sys.exit(main())"
-    return [sys.executable, "-c", run, "record", "--out", str(file)]
+    return [*CABLESENSE, "record", "--out", str(file)]
 
 
 WRITING_S = (0.0, 2.0)
@@ -147,7 +146,7 @@ def kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> d
     problems: list[str] = []
     for number in range(times):
         path = folder / f"killed_{number}.mcap"
-        with NodeProcess("killed", recorder_command(path), folder / "killed.log") as recorder:
+        with Process("killed", recorder_command(path), folder / "killed.log") as recorder:
             deadline_s = time.monotonic() + UP_WITHIN_S
             while not _begun(path) and time.monotonic() < deadline_s:
                 spin(0.1)

@@ -23,8 +23,6 @@ from fuzz.watched import (  # noqa: E402
     run_watched,
 )
 
-RESULT = BENCHMARKS / "results" / "fuzz.json"
-
 
 def make_bad(seed):
     """Item 3 crashes natively, 5 hangs, 7 grows, 9 raises, 11 answers falsely, 13 exits."""
@@ -35,7 +33,7 @@ def make_bad(seed):
         while item == 5:
             pass
         if item == 7:
-            kept = b"x" * 1_800_000_000
+            kept = b"x" * 400_000_000
             time.sleep(60.0)
             assert kept
         if item == 9:
@@ -52,16 +50,20 @@ def make_bad(seed):
 @pytest.mark.slow
 def test_crashes_hangs_growth_errors_and_false_answers_are_found():
     done = []
-    target = Target("bad", "files", make_bad, items=16, quick_items=16, limit_s=4.0)
+    target = Target(
+        "bad", "files", make_bad, items=16, quick_items=16, limit_s=4.0, growth_mb=200.0
+    )
     result = run_watched(target, 0, 0, 16, done.append)
     assert (result.crashes, result.hangs, result.memory) == (2, 1, 1)
     assert (result.escaped, result.false_answers) == (1, 1)
     assert not result.clean
     assert sum(done) == result.items == 16
     assert result.inputs == result.refused == 10
-    said = "\n".join(result.findings)
+    findings = "\n".join(result.findings)
     for item, what in [(3, "crashes"), (5, "hangs"), (7, "memory"), (9, "KeyError")]:
-        assert f"item {item}: {what}" in said or (f"item {item}:" in said and what in said)
+        assert f"item {item}: {what}" in findings or (
+            f"item {item}:" in findings and what in findings
+        )
 
 
 def test_a_refusal_of_two_lines_is_a_finding():
@@ -82,11 +84,3 @@ def test_some_seconds_of_it_find_nothing():
     for result in report["targets"].values():
         assert result["inputs"] >= 8
         assert result["refused"] + result["taken"] > 0
-
-
-@pytest.mark.parametrize("name", ["CAN frames", "messages", "files"])
-def test_the_committed_run_reaches_its_bars_and_found_nothing(name):
-    report = json.loads(RESULT.read_text())
-    assert report["in all"][name] >= report["bars"][name]
-    for found in ("crashes", "hangs", "memory", "escaped", "false_answers"):
-        assert report["in all"][found] == 0
