@@ -35,16 +35,7 @@ SHARES = 3
 """Into so many parts a full target is cut, which go to the workers."""
 LIVE = "live node"
 BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
-_LIBRARIES = [
-    "onnx",
-    "onnxruntime",
-    "cantools",
-    "PyYAML",
-    "pydantic",
-    "pyarrow",
-    "pandas",
-    "numpy",
-]
+_LIBRARIES = ("onnx", "onnxruntime", "cantools", "PyYAML", "pydantic", "pyarrow", "pandas")
 
 
 def main() -> int:
@@ -137,7 +128,7 @@ def _report(
         "bars": BARS,
         "in all": {
             **inputs,
-            **{n: sum(target[n] for target in by_target.values()) for n in found},
+            **{n: sum(one[n] for one in by_target.values()) for n in found},
         },
         "targets": by_target,
     }

@@ -17,9 +17,9 @@ import typer
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from cablesense_online.commissioning.known_loads import KnownLoad
     from cablesense_online.commissioning.sensor_calibration import SensorCalibration
     from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
+    from cablesense_online.commissioning.tables import KnownLoad
 
 
 def calibrate(
@@ -75,16 +75,16 @@ def calibrate(
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_online.can.calibration import calibrated, load_calibration, write_calibration
     from cablesense_online.can.channel_map import open_channel_map
-    from cablesense_online.commissioning.known_loads import (
-        GRAVITY_RELATIVE_U,
-        STANDARD_GRAVITY_M_S2,
-        calibration_points,
-        read_known_loads,
-    )
-    from cablesense_online.commissioning.readings import CommissioningError
     from cablesense_online.commissioning.sensor_calibration import (
         calibrate_sensor,
+        calibration_points,
         calibration_record,
+    )
+    from cablesense_online.commissioning.tables import (
+        GRAVITY_RELATIVE_U,
+        STANDARD_GRAVITY_M_S2,
+        CommissioningError,
+        read_known_loads,
     )
     from cablesense_sim.arm import open_arm
 
@@ -146,9 +146,9 @@ def _table(
             f"{sensor.scale_n_per_unit:.6g} ± {sensor.scale_u95_n_per_unit:.2g}",
             f"{sensor.zero:.6g} ± {sensor.zero_u95:.2g}",
             f"{sensor.tension_u95_n:.3g}",
-            _newtons(sensor.figures.nonlinearity_n),
-            _newtons(sensor.figures.hysteresis_n),
-            _newtons(sensor.figures.repeatability_n),
+            _newtons(sensor.nonlinearity_n),
+            _newtons(sensor.hysteresis_n),
+            _newtons(sensor.repeatability_n),
             f"{sensor.largest_residual_n:+.3f}, {line}",
         )
     return table
@@ -214,13 +214,13 @@ def check(
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_online.commissioning.pull_check import read_pulls
-    from cablesense_online.commissioning.readings import CommissioningError, series_of
     from cablesense_online.commissioning.sensor_check import (
         check_sensors,
         exercised_channel_findings,
         expectation,
     )
+    from cablesense_online.commissioning.sensor_statistics import series_of
+    from cablesense_online.commissioning.tables import CommissioningError, read_pulls
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)

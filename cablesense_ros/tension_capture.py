@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.joint_states import NamedOrder
 from cablesense_msgs_py.serialized import EffortReader
-from cablesense_online.commissioning.pull_check import Pull
-from cablesense_online.commissioning.readings import CommissioningError, TensionSeries, TimeWindow
+from cablesense_online.commissioning.sensor_statistics import TensionSeries
+from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.endpoints import qos_profile
 

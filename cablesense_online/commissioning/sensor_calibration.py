@@ -1,9 +1,7 @@
-"""One sensor's scale and zero from known loads, how sure they are, or why they cannot be had.
+"""Scale and zero of a tension sensor from known loads, with uncertainty and characteristics.
 
-A straight line through a sensor's readings of known forces, by weighted least squares.
-
-The readings are fitted on the forces, not the forces on the readings, since the forces are the
-better known of the two::
+A straight line is fitted through the readings of known forces by weighted least squares: the
+readings on the forces, since the forces are the better known of the two::
 
     raw_i = zero + force_i / scale + e_i,      weight_i = 1 / (raw_u_i² + (force_u_i / scale)²)
 
@@ -12,21 +10,18 @@ JCGM 100:2008 (GUM), annex H.3 (a calibration line by least squares) and 5.1 (pr
 the t-distribution of G.3. Where uncertainties of the readings were given, s² is at least 1: that
 the points lie closer to the line than they should proves nothing.
 
-What a straight line leaves of a sensor: nonlinearity, hysteresis, repeatability.
-
-The terms are those of VDI/VDE 2638 (characteristics of force transducers) and are given in N here.
-The reference line is the fitted one, and the loads are those that there were; the standard's own
-procedure, with its fixed load steps and mounting positions, is for a testing machine.
-
-Calibrated sensors as the calibration that the driver reads.
+Nonlinearity, hysteresis and repeatability are those of VDI/VDE 2638 (characteristics of force
+transducers), given in N. The reference line is the fitted one, and the loads are those that there
+were; the standard's own procedure, with its fixed load steps and mounting positions, is for a
+testing machine.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
-from enum import Enum
+from typing import Any
 
 import numpy as np
 from cantools.database.can import Database
@@ -34,168 +29,17 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from cablesense_base.arrays import Array
+from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import CalibratedSensor, Calibration
 from cablesense_online.can.channel_map import Channel, ChannelMap, channel_signal
-from cablesense_online.commissioning.readings import CommissioningError
+from cablesense_online.commissioning.tables import CommissioningError, KnownLoad
 
 LEAST_CHANGE = 1e-6
 """Readings that change by less than this share of the largest do not change: noise is more."""
-
 LARGEST_SCALE_N_PER_UNIT = 1e9
 """As of channel maps."""
-
-_WEIGHT_ROUNDS = 4
-"""The weights depend on the slope so weakly that it stands after two."""
-
-
-@dataclass(frozen=True)
-class LineFit:
-    """A sensor's line: `force_n = scale_n_per_unit * (raw - zero)`.
-
-    Attributes:
-        scale_n_per_unit, zero: newtons of one unit of the signal; the signal without force.
-        covariance: (2, 2) of zero and slope, slope being 1 / scale.
-        degrees_of_freedom: points less the two that were fitted.
-        residual_n: (n,) readings as forces, less the known forces.
-    """
-
-    scale_n_per_unit: float
-    zero: float
-    covariance: Array
-    degrees_of_freedom: int
-    residual_n: Array
-
-    @property
-    def zero_u(self) -> float:
-        """Standard uncertainty of the zero, in the signal's unit."""
-        return float(np.sqrt(self.covariance[0, 0]))
-
-    @property
-    def scale_u_n_per_unit(self) -> float:
-        """Standard uncertainty of the scale, without what all forces have in common."""
-        return float(np.sqrt(self.covariance[1, 1])) * self.scale_n_per_unit**2
-
-    def force_u_n(self, force_n: float) -> float:
-        """Standard uncertainty that the line gives a force, likewise."""
-        by = np.array([1.0, force_n])
-        return float(np.sqrt(by @ self.covariance @ by)) * abs(self.scale_n_per_unit)
-
-
-def fit_line(force_n: Array, raw: Array, force_u_n: Array, raw_u: Array) -> LineFit | None:
-    """Fit; none where the readings do not change with the force.
-
-    Args:
-        force_n: (n,) known forces, at least two of them different.
-        raw: (n,) readings, in any unit.
-        force_u_n: (n,) standard uncertainties of the forces, 0 where unknown.
-        raw_u: (n,) those of the readings; where both are all 0, every point counts the same.
-    """
-    given = bool((force_u_n > 0.0).any() or (raw_u > 0.0).any())
-    design = np.stack([np.ones_like(force_n), force_n], axis=1)
-    weight = np.ones_like(force_n)
-    coefficients = _solve(design, raw, weight)
-    if given:
-        for _ in range(_WEIGHT_ROUNDS):
-            weight = 1.0 / (raw_u**2 + (coefficients[1] * force_u_n) ** 2)
-            coefficients = _solve(design, raw, weight)
-    zero, slope = float(coefficients[0]), float(coefficients[1])
-    if (
-        abs(slope) * LARGEST_SCALE_N_PER_UNIT < 1.0
-        or abs(slope) * np.ptp(force_n) <= LEAST_CHANGE * np.abs(raw).max()
-    ):
-        return None
-    error = raw - design @ coefficients
-    freedom = len(raw) - 2
-    variance = float((weight * error**2).sum()) / freedom
-    if given:
-        variance = max(1.0, variance)
-    weighted = design * weight[:, None]
-    covariance = np.asarray(variance * np.linalg.inv(design.T @ weighted), dtype=np.float64)
-    return LineFit(1.0 / slope, zero, covariance, freedom, error / slope)
-
-
-def _solve(design: Array, raw: Array, weight: Array) -> Array:
-    root = np.sqrt(weight)
-    solved = np.linalg.lstsq(design * root[:, None], raw * root, rcond=None)[0]
-    return np.asarray(solved, dtype=np.float64)
-
-
 SAME_FORCE = 0.005
 """Forces that differ by less than this share of the largest are one load put on again."""
-
-
-class Direction(Enum):
-    """Whether a load was reached by adding weight or by taking weight away."""
-
-    RISING = "rising"
-    FALLING = "falling"
-
-
-@dataclass(frozen=True)
-class ResidualFigures:
-    """All in N; none where the loads do not show it.
-
-    Attributes:
-        nonlinearity_n: largest distance of a rising load's mean reading from the line.
-        hysteresis_n: largest difference of mean readings between falling and rising at one load.
-        repeatability_n: largest range of readings at one load, reached from one side.
-    """
-
-    nonlinearity_n: float
-    hysteresis_n: float | None
-    repeatability_n: float | None
-
-
-def residual_figures(force_n: Array, residual_n: Array) -> ResidualFigures:
-    """The figures of (n,) loads in the order they were put on, and what the line leaves of each.
-
-    The largest load belongs to both sides, as the end of one and the start of the other.
-    """
-    means: dict[tuple[int, Direction], float] = {}
-    ranges = []
-    loads = load_numbers(force_n)
-    directions = _directions(force_n)
-    top = int(loads[int(np.argmax(force_n))])
-    for load in np.unique(loads).tolist():
-        for direction in Direction:
-            chosen = (loads == load) & np.array([d is direction for d in directions])
-            if chosen.any():
-                means[load, direction] = float(residual_n[chosen].mean())
-            if chosen.sum() > 1:
-                ranges.append(float(np.ptp(residual_n[chosen])))
-    rising = [mean for (_, direction), mean in means.items() if direction is Direction.RISING]
-    loops = [
-        abs(mean - means[load, Direction.RISING])
-        for (load, direction), mean in means.items()
-        if direction is Direction.FALLING and load != top and (load, Direction.RISING) in means
-    ]
-    return ResidualFigures(
-        nonlinearity_n=max(abs(mean) for mean in rising or means.values()),
-        hysteresis_n=max(loops, default=None),
-        repeatability_n=max(ranges, default=None),
-    )
-
-
-def load_numbers(force_n: Array) -> NDArray[np.int64]:
-    """(n,) which of the different loads each is, from 0 for the smallest."""
-    order = np.argsort(force_n, kind="stable")
-    new = np.diff(force_n[order]) > SAME_FORCE * max(float(force_n.max()), 1e-12)
-    numbers = np.empty(len(force_n), dtype=np.int64)
-    numbers[order] = np.concatenate([[0], np.cumsum(new)])
-    return numbers
-
-
-def _directions(force_n: Array) -> list[Direction]:
-    loads = load_numbers(force_n)
-    found = [Direction.RISING]
-    for step in np.diff(loads).tolist():
-        if step == 0:
-            found.append(found[-1])
-        else:
-            found.append(Direction.RISING if step > 0 else Direction.FALLING)
-    return found
-
-
 FEWEST_POINTS = 5
 """Three degrees of freedom: with fewer the factor of 95 % exceeds 4."""
 FEWEST_LOADS = 3
@@ -204,6 +48,11 @@ LEAST_SPREAD = 0.5
 """The loads must cover this share of the largest, or the zero is far outside of them."""
 LARGEST_SCALE_U95 = 0.1
 """A scale that is known no better than to this share is none: the sensor does not follow."""
+FEWEST_SAMPLES = 10
+"""In a window; the mean of fewer is hardly better than one reading."""
+
+_WEIGHT_ROUNDS = 4
+"""The weights depend on the slope so weakly that it stands after two."""
 
 
 @dataclass(frozen=True)
@@ -225,8 +74,11 @@ class SensorCalibration:
         zero, zero_u95: the signal without tension.
         tension_u95_n: of a tension within the loads, where it is largest.
         largest_residual_n, largest_residual_at: the point furthest from the line, from 0.
-        points, largest_force_n: how many loads, and up to where.
-        figures: what the line leaves.
+        points, largest_force_n: number of loads, and the largest.
+        nonlinearity_n: largest distance of a rising load's mean reading from the line.
+        hysteresis_n: largest difference of mean readings between falling and rising at one load;
+            none where the loads do not show it.
+        repeatability_n: largest range of readings at one load, reached from one side; likewise.
     """
 
     scale_n_per_unit: float
@@ -238,7 +90,32 @@ class SensorCalibration:
     largest_residual_at: int
     points: int
     largest_force_n: float
-    figures: ResidualFigures
+    nonlinearity_n: float
+    hysteresis_n: float | None
+    repeatability_n: float | None
+
+
+def calibration_points(
+    loads: Mapping[str, Sequence[KnownLoad]],
+    as_recorded: ChannelMap,
+    recording: Recording | None,
+) -> dict[str, list[CalibrationPoint]]:
+    """The points of every cable that has loads, in the order of the loads.
+
+    Args:
+        loads: by cable.
+        as_recorded: the map, with the scales and zeros that were in force when the recording was
+            made: with them its tensions are turned back into the signals' values. Its channels
+            are in the order of the recording's tensions.
+        recording: where the loads' windows lie, if any has one.
+
+    Raises:
+        CommissioningError: a window without a recording, or with too few samples in it.
+    """
+    return {
+        cable: [_point(load, as_recorded, recording) for load in of_cable]
+        for cable, of_cable in loads.items()
+    }
 
 
 def calibrate_sensor(
@@ -293,8 +170,174 @@ def calibrate_sensor(
         largest_residual_at=worst,
         points=len(points),
         largest_force_n=ends_n[1],
-        figures=residual_figures(force_n, line.residual_n),
+        **residual_characteristics(force_n, line.residual_n),
     )
+
+
+def calibration_record(
+    found: Mapping[str, SensorCalibration],
+    channel_map: ChannelMap,
+    database: Database,
+    made: datetime,
+    gravity_m_s2: float | None,
+    common_relative_u: float,
+) -> Calibration:
+    """The calibration of a map's sensors; cables that were not calibrated are listed as such.
+
+    Args:
+        found: by cable.
+        channel_map: the map of their channels.
+        database: its DBC file, whose units and factors are noted.
+        made: when.
+        gravity_m_s2: with which masses were converted to forces; none where there were no masses.
+        common_relative_u: relative standard uncertainty that all loads shared.
+    """
+    return Calibration(
+        map=channel_map.name,
+        made=made,
+        gravity_m_s2=gravity_m_s2,
+        common_relative_u=common_relative_u,
+        uncalibrated=[cable for cable in channel_map.channels if cable not in found],
+        cables={
+            cable: _sensor(found[cable], channel, database)
+            for cable, channel in channel_map.channels.items()
+            if cable in found
+        },
+    )
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """A sensor's line: `force_n = scale_n_per_unit * (raw - zero)`.
+
+    Attributes:
+        scale_n_per_unit, zero: newtons of one unit of the signal; the signal without force.
+        covariance: (2, 2) of zero and slope, slope being 1 / scale.
+        degrees_of_freedom: points less the two that were fitted.
+        residual_n: (n,) readings as forces, less the known forces.
+    """
+
+    scale_n_per_unit: float
+    zero: float
+    covariance: Array
+    degrees_of_freedom: int
+    residual_n: Array
+
+    @property
+    def zero_u(self) -> float:
+        """Standard uncertainty of the zero, in the signal's unit."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def scale_u_n_per_unit(self) -> float:
+        """Standard uncertainty of the scale, without what all forces have in common."""
+        return float(np.sqrt(self.covariance[1, 1])) * self.scale_n_per_unit**2
+
+    def force_u_n(self, force_n: float) -> float:
+        """Standard uncertainty that the line gives a force, likewise."""
+        by = np.array([1.0, force_n])
+        return float(np.sqrt(by @ self.covariance @ by)) * abs(self.scale_n_per_unit)
+
+
+def fit_line(force_n: Array, raw: Array, force_u_n: Array, raw_u: Array) -> LineFit | None:
+    """Fit; none where the readings do not change with the force.
+
+    Args:
+        force_n: (n,) known forces, at least two of them different.
+        raw: (n,) readings, in any unit.
+        force_u_n: (n,) standard uncertainties of the forces, 0 where unknown.
+        raw_u: (n,) those of the readings; where both are all 0, every point counts the same.
+    """
+    given = bool((force_u_n > 0.0).any() or (raw_u > 0.0).any())
+    weight = np.ones_like(force_n)
+    slope, zero = np.polyfit(force_n, raw, 1)
+    for _ in range(_WEIGHT_ROUNDS if given else 0):
+        weight = 1.0 / (raw_u**2 + (slope * force_u_n) ** 2)
+        slope, zero = np.polyfit(force_n, raw, 1, w=np.sqrt(weight))
+    if (
+        abs(slope) * LARGEST_SCALE_N_PER_UNIT < 1.0
+        or abs(slope) * np.ptp(force_n) <= LEAST_CHANGE * np.abs(raw).max()
+    ):
+        return None
+    error = raw - (zero + slope * force_n)
+    freedom = len(raw) - 2
+    variance = float((weight * error**2).sum()) / freedom
+    if given:
+        variance = max(1.0, variance)
+    design = np.stack([np.ones_like(force_n), force_n], axis=1)
+    covariance = variance * np.linalg.inv(design.T @ (design * weight[:, None]))
+    return LineFit(float(1.0 / slope), float(zero), np.asarray(covariance), freedom, error / slope)
+
+
+def residual_characteristics(force_n: Array, residual_n: Array) -> dict[str, Any]:
+    """Nonlinearity, hysteresis and repeatability of (n,) loads in the order they were put on.
+
+    The largest load belongs to both sides, as the end of one and the start of the other.
+    """
+    means: dict[tuple[int, bool], float] = {}
+    ranges = []
+    loads = load_numbers(force_n)
+    rising = _rising(loads)
+    top = int(loads[int(np.argmax(force_n))])
+    for load in np.unique(loads).tolist():
+        for up in (True, False):
+            chosen = (loads == load) & (rising == up)
+            if chosen.any():
+                means[load, up] = float(residual_n[chosen].mean())
+            if chosen.sum() > 1:
+                ranges.append(float(np.ptp(residual_n[chosen])))
+    on_the_way_up = [mean for (_, up), mean in means.items() if up]
+    loops = [
+        abs(mean - means[load, True])
+        for (load, up), mean in means.items()
+        if not up and load != top and (load, True) in means
+    ]
+    return {
+        "nonlinearity_n": max(abs(mean) for mean in on_the_way_up or means.values()),
+        "hysteresis_n": max(loops, default=None),
+        "repeatability_n": max(ranges, default=None),
+    }
+
+
+def load_numbers(force_n: Array) -> NDArray[np.int64]:
+    """(n,) which of the different loads each is, from 0 for the smallest."""
+    order = np.argsort(force_n, kind="stable")
+    new = np.diff(force_n[order]) > SAME_FORCE * max(float(force_n.max()), 1e-12)
+    numbers = np.empty(len(force_n), dtype=np.int64)
+    numbers[order] = np.concatenate([[0], np.cumsum(new)])
+    return numbers
+
+
+def _rising(loads: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n,) whether each load was reached by adding weight; the same load again as before."""
+    rising = np.ones(len(loads), dtype=bool)
+    for at, step in enumerate(np.diff(loads).tolist(), start=1):
+        rising[at] = rising[at - 1] if step == 0 else step > 0
+    return rising
+
+
+def _point(
+    load: KnownLoad, as_recorded: ChannelMap, recording: Recording | None
+) -> CalibrationPoint:
+    if isinstance(load.reading, float):
+        return CalibrationPoint(load.force_n, load.reading, load.force_u_n, load.raw_u)
+    if recording is None:
+        raise CommissioningError(
+            f"{load.where}: gives start_s and end_s; give the recording as well, or the reading "
+            "under raw"
+        )
+    rows = load.reading.rows(recording.time_s)
+    if np.count_nonzero(rows) < FEWEST_SAMPLES:
+        raise CommissioningError(
+            f"{load.where}: only {np.count_nonzero(rows)} samples of {recording.name} lie from "
+            f"{load.reading.start_s:g} to {load.reading.end_s:g} s; there must be at least "
+            f"{FEWEST_SAMPLES}, and the recording goes from {recording.time_s[0]:g} to "
+            f"{recording.time_s[-1]:g} s"
+        )
+    column = as_recorded.cable_names.index(load.cable)
+    tension_n = float(recording.tensions_n[rows, column].mean())
+    raw = as_recorded.channels[load.cable].value(tension_n)
+    return CalibrationPoint(load.force_n, raw, load.force_u_n, load.raw_u)
 
 
 def _expanded(fitted_u: float, common_u: float, line: LineFit) -> float:
@@ -316,7 +359,7 @@ def _check_loads(cable: str, force_n: Array) -> None:
     if loads < FEWEST_LOADS:
         raise CommissioningError(
             f"{cable}: loads of only {loads} size{'s' * (loads > 1)}; at least {FEWEST_LOADS} are "
-            "needed, or nobody can see whether the sensor is straight"
+            "needed, or linearity cannot be judged"
         )
     low, high = float(force_n.min()), float(force_n.max())
     if high - low < LEAST_SPREAD * high:
@@ -326,54 +369,14 @@ def _check_loads(cable: str, force_n: Array) -> None:
         )
 
 
-def calibration_record(
-    found: Mapping[str, SensorCalibration],
-    channel_map: ChannelMap,
-    database: Database,
-    made: datetime,
-    gravity_m_s2: float | None,
-    common_relative_u: float,
-) -> Calibration:
-    """The calibration of a map's sensors; cables that were not calibrated are listed as such.
-
-    Args:
-        found: by cable.
-        channel_map: the map of their channels.
-        database: its DBC file, whose units and factors are noted.
-        made: when.
-        gravity_m_s2: with which masses were taken for forces; none where there were no masses.
-        common_relative_u: relative standard uncertainty that all loads shared.
-    """
-    return Calibration(
-        map=channel_map.name,
-        made=made,
-        gravity_m_s2=gravity_m_s2,
-        common_relative_u=common_relative_u,
-        uncalibrated=[cable for cable in channel_map.channels if cable not in found],
-        cables={
-            cable: _sensor(found[cable], channel, database)
-            for cable, channel in channel_map.channels.items()
-            if cable in found
-        },
-    )
-
-
 def _sensor(found: SensorCalibration, channel: Channel, database: Database) -> CalibratedSensor:
     signal = channel_signal(database, channel)
+    values = {k: v for k, v in asdict(found).items() if k in CalibratedSensor.model_fields}
     return CalibratedSensor(
         message=channel.message,
         signal=channel.signal,
         signal_unit=signal.unit,
         signal_factor=signal.factor,
         signal_offset=signal.offset,
-        scale_n_per_unit=found.scale_n_per_unit,
-        zero=found.zero,
-        scale_u95_n_per_unit=found.scale_u95_n_per_unit,
-        zero_u95=found.zero_u95,
-        tension_u95_n=found.tension_u95_n,
-        points=found.points,
-        largest_force_n=found.largest_force_n,
-        nonlinearity_n=found.figures.nonlinearity_n,
-        hysteresis_n=found.figures.hysteresis_n,
-        repeatability_n=found.figures.repeatability_n,
+        **values,
     )

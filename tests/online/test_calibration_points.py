@@ -5,8 +5,8 @@ import pytest
 from can_frames import PACKED
 
 from cablesense_gap.recordings.recording import Recording
-from cablesense_online.commissioning.known_loads import KnownLoad, calibration_points
-from cablesense_online.commissioning.readings import CommissioningError, TimeWindow
+from cablesense_online.commissioning.sensor_calibration import calibration_points
+from cablesense_online.commissioning.tables import CommissioningError, KnownLoad, TimeWindow
 
 TIME_S = np.arange(0.0, 20.0, 0.1)
 

@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_online.commissioning.sensor_check import channel_figures, quantisation_step_n
+from cablesense_online.commissioning.sensor_statistics import (
+    channel_statistics,
+    quantisation_step_n,
+)
 
 TIME_S = np.arange(2000) / 100.0
 REST = np.ones(2000, dtype=bool)
@@ -16,7 +19,7 @@ def noise_n(deviation_n, seed=0):
 
 
 def test_noise_is_told_beside_drift():
-    figures = channel_figures("c", TIME_S, 50.0 + 0.1 * TIME_S + noise_n(0.2), REST)
+    figures = channel_statistics("c", TIME_S, 50.0 + 0.1 * TIME_S + noise_n(0.2), REST)
     assert figures.noise_n == pytest.approx(0.2, rel=0.05)
     assert figures.drift_n == pytest.approx(2.0, rel=0.05)
     assert figures.mean_n == pytest.approx(51.0, abs=0.05)
@@ -24,14 +27,14 @@ def test_noise_is_told_beside_drift():
 
 def test_only_what_was_read_at_rest_counts_as_noise():
     moving = 50.0 + noise_n(0.1) + np.where(TIME_S > 10.0, 40.0 * np.sin(20.0 * TIME_S), 0.0)
-    figures = channel_figures("c", TIME_S, moving, TIME_S <= 10.0)
+    figures = channel_statistics("c", TIME_S, moving, TIME_S <= 10.0)
     assert figures.noise_n == pytest.approx(0.1, rel=0.1)
     assert figures.highest_n > 85.0
     assert figures.mean_n == pytest.approx(50.0, abs=0.05)
 
 
 def test_without_rest_noise_and_drift_are_not_told():
-    figures = channel_figures("c", TIME_S, 50.0 + noise_n(0.1), ~REST)
+    figures = channel_statistics("c", TIME_S, 50.0 + noise_n(0.1), ~REST)
     assert (figures.noise_n, figures.drift_n) == (None, None)
 
 

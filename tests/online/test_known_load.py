@@ -3,8 +3,7 @@
 import pytest
 
 from cablesense_base.errors import CableSenseError
-from cablesense_online.commissioning.known_loads import read_known_loads
-from cablesense_online.commissioning.readings import TimeWindow
+from cablesense_online.commissioning.tables import TimeWindow, read_known_loads
 
 CABLES = ("cable_1", "cable_2")
 

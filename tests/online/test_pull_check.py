@@ -5,8 +5,8 @@ import pytest
 from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
 
 from cablesense_base.errors import CableSenseError
-from cablesense_online.commissioning.pull_check import Pull, PullVerdict, judge_pull, read_pulls
-from cablesense_online.commissioning.readings import TimeWindow
+from cablesense_online.commissioning.sensor_statistics import PullVerdict, judge_pull
+from cablesense_online.commissioning.tables import Pull, TimeWindow, read_pulls
 
 WINDOW = TimeWindow(4.0, 7.0)
 

@@ -3,27 +3,32 @@
 import numpy as np
 import pytest
 
-from cablesense_online.commissioning.sensor_calibration import load_numbers, residual_figures
+from cablesense_online.commissioning.sensor_calibration import (
+    load_numbers,
+    residual_characteristics,
+)
 
 LOOP_N = np.array([0.0, 50.0, 100.0, 50.0, 0.0])
 
 
 def test_the_loop_is_between_falling_and_rising():
-    figures = residual_figures(LOOP_N, np.array([0.0, -0.5, 0.25, 1.0, 0.125]))
-    assert figures.hysteresis_n == pytest.approx(1.5)
-    assert figures.nonlinearity_n == pytest.approx(0.5)
-    assert figures.repeatability_n is None
+    found = residual_characteristics(LOOP_N, np.array([0.0, -0.5, 0.25, 1.0, 0.125]))
+    assert found["hysteresis_n"] == pytest.approx(1.5)
+    assert found["nonlinearity_n"] == pytest.approx(0.5)
+    assert found["repeatability_n"] is None
 
 
 def test_loads_put_on_again_show_repeatability():
-    figures = residual_figures(np.tile([0.0, 50.0, 100.0], 2), np.array([0, 0, 0, 0, 0.75, 0.0]))
-    assert figures.repeatability_n == pytest.approx(0.75)
+    found = residual_characteristics(
+        np.tile([0.0, 50.0, 100.0], 2), np.array([0, 0, 0, 0, 0.75, 0.0])
+    )
+    assert found["repeatability_n"] == pytest.approx(0.75)
 
 
 def test_rising_loads_alone_show_no_loop():
-    figures = residual_figures(np.array([0.0, 50.0, 100.0]), np.array([0.1, -0.2, 0.1]))
-    assert figures.hysteresis_n is None
-    assert figures.nonlinearity_n == pytest.approx(0.2)
+    found = residual_characteristics(np.array([0.0, 50.0, 100.0]), np.array([0.1, -0.2, 0.1]))
+    assert found["hysteresis_n"] is None
+    assert found["nonlinearity_n"] == pytest.approx(0.2)
 
 
 def test_nearly_the_same_weight_is_the_same_load():

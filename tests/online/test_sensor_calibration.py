@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cablesense_online.commissioning.readings import CommissioningError
 from cablesense_online.commissioning.sensor_calibration import CalibrationPoint, calibrate_sensor
+from cablesense_online.commissioning.tables import CommissioningError
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 SCALE, ZERO = 0.0125, -310.0
@@ -61,10 +61,10 @@ def test_what_all_loads_share_is_covered_as_well():
     assert 0.925 <= hits / DRAWS <= 0.975
 
 
-def test_figures_of_a_sensor_with_a_loop():
+def test_characteristics_of_a_sensor_with_a_loop():
     loop_n = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.6, 0.8, 0.6, 0.0])
     found = calibrate_sensor("c", points(noise_n=loop_n))
-    assert found.figures.hysteresis_n == pytest.approx(0.8, rel=0.02)
+    assert found.hysteresis_n == pytest.approx(0.8, rel=0.02)
 
 
 def test_the_worst_point_is_named():

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from sensor_series import EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
 
-from cablesense_online.commissioning.pull_check import Pull
-from cablesense_online.commissioning.readings import TimeWindow
 from cablesense_online.commissioning.sensor_check import check_sensors
+from cablesense_online.commissioning.tables import Pull, TimeWindow
 
 
 def wrong(report):

@@ -5,9 +5,8 @@ from rich.console import Console
 from sensor_series import EXPECTED, good_tensions_n, series
 
 from cablesense_cli.sensors import check_table
-from cablesense_online.commissioning.pull_check import Pull
-from cablesense_online.commissioning.readings import TimeWindow
 from cablesense_online.commissioning.sensor_check import check_sensors
+from cablesense_online.commissioning.tables import Pull, TimeWindow
 
 
 def shown(tensions_n, pulls=()):

@@ -1,4 +1,4 @@
-"""Tables written by hand: any text is a table or one line of what would be."""
+"""Tables written by hand: any text is a table or refused in one line."""
 
 from contextlib import suppress
 
@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_base.errors import CableSenseError
-from cablesense_online.commissioning.readings import (
+from cablesense_online.commissioning.tables import (
     MAX_TABLE_BYTES,
     CommissioningError,
-    read_table,
-    window_of,
+    Pull,
+    TimeWindow,
+    read_pulls,
 )
 
 
@@ -24,22 +25,19 @@ def path(tmp_path_factory):
 def test_any_text_is_read_or_refused(path, text):
     path.write_text(text, encoding="utf-8", newline="")
     with suppress(CableSenseError):
-        for row in read_table(path, ("cable",), ("start_s", "end_s")):
-            row.text("cable")
-            window_of(row)
+        assert all(pull.cable == "1" for pull in read_pulls(path, ["1"]))
 
 
-def test_cells_are_found_by_name_and_row(path):
-    path.write_text("b,a\n\n1, x \n", encoding="utf-8")
-    (row,) = read_table(path, ("a",), ("b",))
-    assert row.text("a") == "x"
-    assert row.number("b", 0.0, 2.0) == 1.0
-    assert row.where == f"{path}: line 3"
-    with pytest.raises(CommissioningError, match="line 3: b is '1'; it must be a number from 2"):
-        row.number("b", 2.0, 3.0)
+def test_cells_go_by_column_name_and_errors_name_the_line(path):
+    path.write_text("end_s,cable,start_s\n\n# by hand\n2, c ,1\n", encoding="utf-8")
+    assert read_pulls(path, ["c"]) == [Pull("c", TimeWindow(1.0, 2.0))]
+    path.write_text("end_s,cable,start_s\n\n2,c,-1\n", encoding="utf-8")
+    remedy = "line 3: start_s is '-1'; it must be a number from 0"
+    with pytest.raises(CommissioningError, match=remedy):
+        read_pulls(path, ["c"])
 
 
 def test_a_huge_file_is_refused_unread(path):
     path.write_text("a" * (MAX_TABLE_BYTES + 1), encoding="utf-8")
     with pytest.raises(CableSenseError, match="larger than"):
-        read_table(path, ("a",), ())
+        read_pulls(path, ["c"])

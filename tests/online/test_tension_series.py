@@ -3,7 +3,7 @@
 import numpy as np
 from gap_recordings import small_recording
 
-from cablesense_online.commissioning.readings import SETTLING_S, series_of, without
+from cablesense_online.commissioning.sensor_statistics import SETTLING_S, series_of, without
 
 NAMES = tuple(f"cable_{n}" for n in range(1, 13))
 
