@@ -1,10 +1,25 @@
-"""A sensor from known loads: planted values come back as often as stated; or it is refused."""
+"""Scale and zero from known loads: exact, weighted, with uncertainty, or refused."""
+
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from can_frames import PACKED, PACKED_DATABASE
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
-from cablesense_online.commissioning.sensor_calibration import CalibrationPoint, calibrate_sensor
-from cablesense_online.commissioning.tables import CommissioningError
+from cablesense_gap.recordings.recording import Recording
+from cablesense_online.can.calibration import calibrated
+from cablesense_online.commissioning.sensor_calibration import (
+    CalibrationPoint,
+    calibrate_sensor,
+    calibration_points,
+    calibration_record,
+    fit_line,
+    load_numbers,
+    residual_characteristics,
+)
+from cablesense_online.commissioning.tables import CommissioningError, KnownLoad, TimeWindow
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 SCALE, ZERO = 0.0125, -310.0
@@ -103,3 +118,155 @@ def test_uncertainties_are_given_for_all_loads_or_none():
     given[0] = CalibrationPoint(0.0, ZERO, raw_u=1.0)
     with pytest.raises(CommissioningError, match="1 of 9 loads"):
         calibrate_sensor("c", given)
+
+
+FORCES_N = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
+NONE = np.zeros(6)
+
+
+@given(
+    st.floats(1e-6, 1e4) | st.floats(-1e4, -1e-6),
+    st.floats(-1e5, 1e5),
+)
+def test_readings_without_error_give_back_scale_and_zero(scale, zero):
+    raw = zero + FORCES_N / scale
+    assume(100.0 / abs(scale) > 1e-5 * abs(raw).max())
+    line = fit_line(FORCES_N, raw, NONE, NONE)
+    assert line.scale_n_per_unit == pytest.approx(scale, rel=1e-6)
+    assert line.zero == pytest.approx(zero, abs=1e-6 * (abs(zero) + 100.0 / abs(scale)))
+    assert line.degrees_of_freedom == 4
+
+
+def test_readings_that_stand_still_have_no_line():
+    assert fit_line(FORCES_N, np.full(6, 17.0), NONE, NONE) is None
+
+
+def test_an_unsure_reading_counts_for_little():
+    raw = 5.0 + 2.0 * FORCES_N
+    raw[3] += 10.0
+    sure = np.where(np.arange(6) == 3, 100.0, 0.1)
+    assert fit_line(FORCES_N, raw, NONE, sure).zero == pytest.approx(5.0, abs=1e-3)
+    assert abs(fit_line(FORCES_N, raw, NONE, NONE).zero - 5.0) > 0.1
+
+
+def test_given_uncertainties_are_not_undercut_by_luck():
+    raw = 5.0 + 2.0 * FORCES_N
+    line = fit_line(FORCES_N, raw, NONE, np.full(6, 1.0))
+    design = np.stack([np.ones(6), FORCES_N], axis=1)
+    np.testing.assert_allclose(line.covariance, np.linalg.inv(design.T @ design))
+    unsure_loads = fit_line(FORCES_N, raw, np.full(6, 0.5), np.full(6, 1.0))
+    np.testing.assert_allclose(unsure_loads.covariance, 2.0 * line.covariance, rtol=1e-6)
+
+
+def test_the_residual_is_in_newtons_of_the_sensor():
+    raw = 100.0 - 4.0 * FORCES_N
+    raw[2] += 8.0
+    line = fit_line(FORCES_N, raw, NONE, np.where(np.arange(6) == 2, 1e4, 1.0))
+    assert line.residual_n[2] == pytest.approx(-2.0, rel=1e-3)
+
+
+@given(st.floats(0.01, 1.0), st.floats(1.0, 500.0))
+def test_uncertainties_scale_with_the_units(noise, factor):
+    raw = 7.0 + 3.0 * FORCES_N + noise * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -0.5])
+    line = fit_line(FORCES_N, raw, NONE, NONE)
+    other = fit_line(FORCES_N, factor * raw, NONE, NONE)
+    assert other.zero_u == pytest.approx(factor * line.zero_u, rel=1e-6)
+    assert other.scale_u_n_per_unit == pytest.approx(line.scale_u_n_per_unit / factor, rel=1e-6)
+    assert other.force_u_n(50.0) == pytest.approx(line.force_u_n(50.0), rel=1e-6)
+    assert line.force_u_n(50.0) < line.force_u_n(0.0)
+
+
+LOOP_N = np.array([0.0, 50.0, 100.0, 50.0, 0.0])
+
+
+def test_the_loop_is_between_falling_and_rising():
+    found = residual_characteristics(LOOP_N, np.array([0.0, -0.5, 0.25, 1.0, 0.125]))
+    assert found["hysteresis_n"] == pytest.approx(1.5)
+    assert found["nonlinearity_n"] == pytest.approx(0.5)
+    assert found["repeatability_n"] is None
+
+
+def test_loads_put_on_again_show_repeatability():
+    found = residual_characteristics(
+        np.tile([0.0, 50.0, 100.0], 2), np.array([0, 0, 0, 0, 0.75, 0.0])
+    )
+    assert found["repeatability_n"] == pytest.approx(0.75)
+
+
+def test_rising_loads_alone_show_no_loop():
+    found = residual_characteristics(np.array([0.0, 50.0, 100.0]), np.array([0.1, -0.2, 0.1]))
+    assert found["hysteresis_n"] is None
+    assert found["nonlinearity_n"] == pytest.approx(0.2)
+
+
+def test_nearly_the_same_weight_is_the_same_load():
+    assert load_numbers(np.array([100.0, 0.0, 50.0, 50.2])).tolist() == [2, 0, 1, 1]
+
+
+TIME_S = np.arange(0.0, 20.0, 0.1)
+
+
+def recording(tensions_n):
+    rows = len(TIME_S)
+    return Recording(
+        "run",
+        TIME_S,
+        np.zeros(rows, dtype=np.int64),
+        np.zeros((rows, 8)),
+        np.zeros(rows, dtype=np.int64),
+        np.zeros((rows, 3)),
+        tensions_n,
+    )
+
+
+def load(reading, cable="cable_3"):
+    return KnownLoad("l.csv: line 2", cable, True, 20.0, 0.1, reading, 0.0)
+
+
+def with_channel(cable, **values):
+    channels = dict(PACKED.channels)
+    channels[cable] = channels[cable].model_copy(update=values)
+    return PACKED.model_copy(update={"channels": channels})
+
+
+def test_noted_readings_go_through():
+    (point,) = calibration_points({"cable_3": [load(417.0)]}, PACKED, None)["cable_3"]
+    assert (point.force_n, point.raw, point.force_u_n) == (20.0, 417.0, 0.1)
+
+
+def test_a_window_gives_the_signal_value_whatever_scale_was_in_force():
+    as_recorded = with_channel("cable_3", scale_n_per_unit=0.5, zero=10.0)
+    tensions_n = np.zeros((len(TIME_S), 12))
+    tensions_n[(TIME_S >= 5.0) & (TIME_S <= 8.0), 2] = as_recorded.channels["cable_3"].tension_n(
+        417.0
+    )
+    loads = {"cable_3": [load(TimeWindow(5.0, 8.0))]}
+    (point,) = calibration_points(loads, as_recorded, recording(tensions_n))["cable_3"]
+    assert point.raw == pytest.approx(417.0)
+
+
+@pytest.mark.parametrize("window", [TimeWindow(5.0, 5.2), TimeWindow(30.0, 40.0)])
+def test_a_window_with_too_few_samples_is_refused(window):
+    with pytest.raises(CommissioningError, match=r"line 2: only .* samples of run"):
+        calibration_points({"c": [load(window)]}, PACKED, recording(np.zeros((200, 12))))
+
+
+def test_a_window_wants_a_recording():
+    with pytest.raises(CommissioningError, match="give the recording as well"):
+        calibration_points({"c": [load(TimeWindow(1.0, 2.0))]}, PACKED, None)
+
+
+POINTS = [CalibrationPoint(force, 3.0 + 4.0 * force) for force in (0.0, 20.0, 40.0, 60.0, 80.0)]
+
+
+def test_the_record_is_taken_by_the_map_it_was_made_for():
+    found = {"cable_9": calibrate_sensor("cable_9", POINTS, 0.01)}
+    made = calibration_record(
+        found, PACKED, PACKED_DATABASE, datetime(2026, 3, 1, tzinfo=UTC), 9.81, 0.01
+    )
+    assert made.uncalibrated == [cable for cable in PACKED.channels if cable != "cable_9"]
+    assert made.cables["cable_9"].signal == PACKED.channels["cable_9"].signal
+    assert made.cables["cable_9"].points == 5
+    assert made.cables["cable_9"].hysteresis_n is None
+    channel = calibrated(PACKED, PACKED_DATABASE, made, "c").channels["cable_9"]
+    assert abs(channel.tension_n(3.0 + 4.0 * 50.0) - 50.0) < 1e-9

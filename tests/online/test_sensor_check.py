@@ -1,13 +1,21 @@
-"""Good sensors pass; every fault is found where it is, and nowhere else."""
+"""Good sensors pass; every fault is a finding that names its cable and the remedy."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_series import EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
+from gap_recordings import LAB, small_recording
+from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
 
-from cablesense_online.commissioning.sensor_check import check_sensors
+from cablesense_online.commissioning.sensor_check import (
+    LEAST_FLOOR_N,
+    check_sensors,
+    exercised_channel_findings,
+    expectation,
+)
 from cablesense_online.commissioning.tables import Pull, TimeWindow
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
 
 
 def wrong(report):
@@ -117,3 +125,58 @@ def test_a_pull_that_shows_nothing_is_noted_and_not_wrong():
 def test_problems_of_the_coming_are_wrong():
     spoiled = replace(series(good_tensions_n()), problems=("3 samples were not finite",))
     assert wrong(check_sensors(spoiled, EXPECTED)) == {("samples", "all")}
+
+
+def test_bounds_are_the_arm_files():
+    expected = expectation(ARM.sensors)
+    assert expected.rate_hz == ARM.sensors.rate_hz
+    assert expected.floor_n == pytest.approx((0.05**2 + 0.1813**2 / 12) ** 0.5)
+    assert expected.noise_n == pytest.approx(2.0 * expected.floor_n)
+    assert expected.jitter_s == pytest.approx(0.5 / expected.rate_hz)
+
+
+def test_rate_and_drift_can_be_given():
+    expected = expectation(ARM.sensors, 1000.0, 0.5)
+    assert (expected.rate_hz, expected.drift_n) == (1000.0, 0.5)
+
+
+def test_ideal_sensors_of_a_file_leave_room_for_real_ones():
+    ideal = ARM.sensors.model_copy(update={"noise_std_n": 0.0, "step_n": 0.0})
+    assert expectation(ideal).floor_n == LEAST_FLOOR_N
+
+
+@pytest.fixture(scope="module")
+def recording():
+    made = small_recording()
+    nominal = solve_equilibrium(mechanism_of(LAB), made.command_rad, made.forces_n)
+    draw = np.random.default_rng(0)
+    return replace(
+        made, tensions_n=nominal.tensions_n + draw.normal(0.0, 0.05, nominal.tensions_n.shape)
+    )
+
+
+def test_channels_as_they_should_be_give_nothing(recording):
+    assert exercised_channel_findings(recording, LAB) == []
+
+
+def test_an_exchange_is_found(recording):
+    swapped_n = recording.tensions_n.copy()
+    swapped_n[:, [1, 6]] = swapped_n[:, [6, 1]]
+    (finding,) = exercised_channel_findings(replace(recording, tensions_n=swapped_n), LAB)
+    assert finding.wrong
+    assert finding.kind == "swapped"
+    assert "tension_2_n reads cable_7" in finding.text
+
+
+def test_an_arm_that_was_left_alone_tells_nothing(recording):
+    still = recording.rows(slice(0, 20))
+    assert exercised_channel_findings(still, LAB) == []
+
+
+def test_a_long_recording_is_thinned_out_and_says_so(recording, monkeypatch):
+    module = "cablesense_online.commissioning.sensor_check.MOST_ROWS"
+    monkeypatch.setattr(module, len(recording) // 2)
+    swapped_n = recording.tensions_n.copy()
+    swapped_n[:, [1, 6]] = swapped_n[:, [6, 1]]
+    (finding,) = exercised_channel_findings(replace(recording, tensions_n=swapped_n), LAB)
+    assert "one sample in" in finding.text

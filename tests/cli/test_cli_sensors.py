@@ -1,0 +1,212 @@
+"""The verb `sensors`: check and calibrate, from files, with tables and exit codes."""
+
+import json
+
+import numpy as np
+import pytest
+from can_frames import PACKED, PACKED_DATABASE
+from rich.console import Console
+from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
+from typer.testing import CliRunner
+
+from cablesense_base.errors import CableSenseError
+from cablesense_cli.app import app
+from cablesense_cli.sensors import check_table
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_gap.recordings.mcap_file import write_mcap
+from cablesense_gap.recordings.recording import Recording
+from cablesense_online.can.calibration import calibrated, load_calibration
+from cablesense_online.commissioning.sensor_check import check_sensors
+from cablesense_online.commissioning.tables import Pull, TimeWindow
+from cablesense_sim.arm import open_arm
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["sensors", "check", *map(str, arguments)])
+
+
+def recording(tensions_n):
+    rows = len(tensions_n)
+    return Recording(
+        "run",
+        np.arange(rows) / RATE_HZ,
+        np.zeros(rows, dtype=np.int64),
+        np.zeros((rows, ARM.joint_count)),
+        np.zeros(rows, dtype=np.int64),
+        np.zeros((rows, 3)),
+        tensions_n,
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "mcap"])
+def test_good_sensors_give_a_table_and_exit_code_0(tmp_path, suffix):
+    path = tmp_path / f"run.{suffix}"
+    made = recording(good_tensions_n())
+    if suffix == "csv":
+        write_csv(path, made)
+    else:
+        write_mcap(path, made, ARM)
+    result = run(path)
+    assert result.exit_code == 0, result.output
+    assert "1,000 samples at 100.0 Hz" in result.output
+    assert "cable_12" in result.output
+    assert "Nothing wrong" in result.output
+
+
+def test_what_is_wrong_gives_exit_code_1_and_says_where(tmp_path):
+    tensions_n = good_tensions_n()
+    tensions_n[:, 3] += np.random.default_rng(0).normal(0.0, 1.0, len(tensions_n))
+    write_csv(tmp_path / "run.csv", recording(tensions_n))
+    result = run(tmp_path / "run.csv")
+    assert result.exit_code == 1
+    assert "wrong: cable_4 varies by" in result.output
+    assert "Nothing wrong" not in result.output
+
+
+def test_json_has_the_figures_and_what_was_expected(tmp_path):
+    tensions_n = good_tensions_n()
+    tensions_n[400:600, 6] += 25.0
+    write_csv(tmp_path / "run.csv", recording(tensions_n))
+    pulls = tmp_path / "pulls.csv"
+    pulls.write_text("cable,start_s,end_s\ncable_1,3.5,6.5\n", encoding="utf-8")
+    result = run(tmp_path / "run.csv", "--pulls", pulls, "--json")
+    content = json.loads(result.stdout)
+    assert result.exit_code == 1
+    assert not content["usable"]
+    assert content["timing"]["rate_hz"] == pytest.approx(100.0)
+    assert content["expected"]["rate_hz"] == 100.0
+    assert content["channels"][0]["noise_n"] < content["expected"]["noise_n"]
+    assert content["pulls"][0]["moved"] == "cable_7"
+    assert content["findings"][0]["kind"] == "swapped"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (["none.csv"], "no such file"),
+        (["none.csv", "--pull", "all"], "--pulls FILE"),
+        (["--pulls", "p.csv"], "--pull all"),
+        (["--pull", "cable_99"], "no cable 'cable_99'"),
+        (["--arm", "nonsense"], "bundled arms are"),
+    ],
+)
+def test_wrong_input_is_refused(arguments, remedy):
+    result = run(*arguments)
+    assert isinstance(result.exception, CableSenseError)
+    assert remedy in str(result.exception)
+
+
+SCALE, ZERO = 0.125, 40.0
+MASSES_KG = (0.0, 2.0, 4.0, 8.0, 4.0, 2.0, 0.0)
+
+
+def run_calibrate(*arguments):
+    return CliRunner().invoke(app, ["sensors", "calibrate", *map(str, arguments)])
+
+
+@pytest.fixture
+def loads(tmp_path):
+    lines = ["cable,mass_kg,raw"]
+    for cable in ("cable_1", "cable_2"):
+        lines += [f"{cable},{m},{ZERO + m * 9.81 / SCALE:.6f}" for m in MASSES_KG]
+    path = tmp_path / "loads.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def test_the_file_is_one_that_the_driver_takes(loads, tmp_path):
+    out = tmp_path / "calibration.yaml"
+    result = run_calibrate(loads, "--out", out, "--gravity", "9.81")
+    assert result.exit_code == 0, result.output
+    assert "Not calibrated: cable_3" in result.output
+    calibration = load_calibration(out)
+    channels = calibrated(PACKED, PACKED_DATABASE, calibration, "c").channels
+    assert channels["cable_2"].scale_n_per_unit == pytest.approx(SCALE, rel=1e-6)
+    assert channels["cable_2"].zero == pytest.approx(ZERO, rel=1e-6)
+    assert channels["cable_12"] == PACKED.channels["cable_12"]
+    assert calibration.gravity_m_s2 == 9.81
+
+
+def test_unknown_gravity_makes_the_scale_less_sure(loads, tmp_path):
+    result = run_calibrate(loads, "--out", tmp_path / "c.yaml", "--json")
+    sensor = json.loads(result.stdout)["cables"]["cable_1"]
+    assert sensor["scale_u95_n_per_unit"] / sensor["scale_n_per_unit"] == pytest.approx(
+        0.003, rel=0.05
+    )
+
+
+def test_no_calibration_is_written_over(loads, tmp_path):
+    out = tmp_path / "c.yaml"
+    out.write_text("mine", encoding="utf-8")
+    result = run_calibrate(loads, "--out", out)
+    assert isinstance(result.exception, CableSenseError)
+    assert out.read_text(encoding="utf-8") == "mine"
+
+
+def test_too_few_loads_leave_no_file(loads, tmp_path):
+    text = loads.read_text(encoding="utf-8").splitlines()
+    loads.write_text("\n".join(text[:4]), encoding="utf-8")
+    result = run_calibrate(loads, "--out", tmp_path / "c.yaml")
+    assert "at least 5" in str(result.exception)
+    assert not (tmp_path / "c.yaml").exists()
+
+
+def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_path):
+    in_force = tmp_path / "in_force.yaml"
+    assert run_calibrate(loads, "--out", in_force, "--gravity", "9.81").exit_code == 0
+    arm = open_arm("cdsm")
+    time_s = np.arange(0.0, 10.0 * len(MASSES_KG), 0.1)
+    step = (time_s // 10.0).astype(int)
+    raw = 75.0 + np.array(MASSES_KG)[step] * 9.81 / 0.5  # of a sensor that was exchanged since
+    tensions_n = np.full((len(time_s), 12), 50.0)
+    tensions_n[:, 1] = SCALE * (raw - ZERO)
+    rows = len(time_s)
+    write_csv(
+        tmp_path / "run.csv",
+        Recording(
+            "run",
+            time_s,
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, arm.joint_count)),
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, 3)),
+            tensions_n,
+        ),
+    )
+    lines = [f"cable_2,{mass},{10 * n + 2},{10 * n + 9}" for n, mass in enumerate(MASSES_KG)]
+    loads.write_text("\n".join(["cable,mass_kg,start_s,end_s", *lines]), encoding="utf-8")
+    out = tmp_path / "anew.yaml"
+    recorded = ("--recording", tmp_path / "run.csv", "--recorded-with", in_force)
+    result = run_calibrate(loads, "--out", out, "--gravity", "9.81", *recorded)
+    assert result.exit_code == 0, result.output
+    (sensor,) = load_calibration(out).cables.values()
+    assert sensor.scale_n_per_unit == pytest.approx(0.5, rel=1e-4)
+    assert sensor.zero == pytest.approx(75.0, rel=1e-4)
+
+
+def shown(tensions_n, pulls=()):
+    console = Console(width=120, record=True, force_terminal=True, quiet=False)
+    with console.capture() as captured:
+        console.print(check_table(check_sensors(series(tensions_n), EXPECTED, pulls), EXPECTED))
+    return captured.get()
+
+
+def row(text, cable):
+    return next(line for line in text.splitlines() if f"{cable} " in line)
+
+
+def test_what_is_right_stands_above_and_only_what_is_wrong_is_red():
+    tensions_n = good_tensions_n()
+    tensions_n[:, 4] += np.random.default_rng(0).normal(0.0, 1.0, len(tensions_n))
+    text = shown(tensions_n)
+    assert f"≤ {EXPECTED.noise_n:.3f}" in text
+    assert "\x1b[31m" in row(text, "cable_5")
+    assert "\x1b[31m" not in row(text, "cable_6")
+    assert "pulled" not in text
+
+
+def test_pulls_have_a_column_of_their_own():
+    tensions_n = good_tensions_n()
+    tensions_n[400:600, 6] += 25.0
+    text = shown(tensions_n, [Pull("cable_7", TimeWindow(3.5, 6.5))])
+    assert "cable_7, right" in row(text, "cable_7")
