@@ -6,26 +6,31 @@ PYTHON ?= $(shell for python in python3 python3.12 python3.11; do \
 ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
+# The tests of a file stay together: they share fixtures, and ROS nodes in the worker's own domain.
+PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
-# An editable installation is made again when a requirement, an entry point or a room has changed.
+# An editable installation is made again when a requirement, an entry point or a package has changed.
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint setup models lock clean
+.PHONY: help demo test test-fast lint setup models lock clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless' prints a table instead
 	@$(BIN)/cablesense demo $(ARGS)
 
-test: setup build/mypy/cablesense_training  ## style, types, the arrows between rooms, and the tests; ARGS go to pytest
+test: setup build/mypy/cablesense_training  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	$(BIN)/python -m pytest $(ARGS) || failed=1; \
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS) || failed=1; \
 	exit $$failed
 
-lint: setup build/mypy/cablesense_training  ## style, types and the arrows between rooms
+test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow
+	@$(BIN)/python -m pytest $(PARALLEL) -m 'not slow and not ros and not browser' $(ARGS)
+
+lint: setup build/mypy/cablesense_training  ## style, types and dependencies between packages
 	@failed=0; \
 	$(BIN)/ruff check || failed=1; \
 	$(BIN)/ruff format --check || failed=1; \

@@ -32,10 +32,10 @@ EXTRAS = {
     ],
     "can": [
         "cantools",  # decodes and encodes frames by a DBC file
-        "python-can[serial]",  # one door to every CAN adapter; serial for those that speak slcan
+        "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
     ],
     "page": [
-        "matplotlib",  # the picture of a headless demo, figures of an evaluation
+        "matplotlib",  # the picture of a headless demo, pictures of an evaluation
         "trimesh",  # the meshes of the arm on the page
         "viser",  # the 3D page in the browser
     ],
@@ -52,7 +52,7 @@ EXTRAS = {
         "distributed",  # datasets made on a Dask cluster of more than one machine
         "onnxscript",  # torch exports through it
         "pyarrow>=14.0.1",  # datasets are Parquet; older releases run code that a file brings
-        "scikit-learn",  # the gradient-boosting peer
+        "scikit-learn",  # the gradient-boosting baseline
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
     ],
     "dev": [
@@ -60,7 +60,7 @@ EXTRAS = {
         "colcon-core",  # the real build of the ROS package, in a test
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
-        "import-linter",  # the arrows between the rooms
+        "import-linter",  # the dependencies between packages
         "mypy",  # types
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test
@@ -78,9 +78,9 @@ EXTRAS = {
 
 def packages() -> list[str]:
     """List the Python packages; the folder `training` is imported as `cablesense_training`."""
-    rooms = find_packages(include=["cablesense_*"])
+    found = find_packages(include=["cablesense_*"])
     training = find_packages("training")
-    return [*rooms, "cablesense_training", *(f"cablesense_training.{name}" for name in training)]
+    return [*found, "cablesense_training", *(f"cablesense_training.{name}" for name in training)]
 
 
 def data_files() -> list[tuple[str, list[str]]]:

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablesense_base.errors import CableSenseError
+from cablesense_cli.options import refuse_given
 
 if TYPE_CHECKING:
     from cablesense_training.data.dataset import Summary
 
 
 def dataset(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="The Parquet file to write.")],
     arm: Annotated[str, typer.Option(help="A bundled arm's name, or an arm file.")] = "cdsm",
     protocol: Annotated[
@@ -92,6 +94,10 @@ def dataset(
             f"datasets need {error.name}; install it with: pip install 'cablesense_ros[train]'"
         ) from error
 
+    if pose == "straight":
+        refuse_given(context, ["pose_range_deg"], "with --pose straight")
+    if dask_scheduler is not None:
+        refuse_given(context, ["workers"], "with --dask-scheduler")
     chosen = {
         "kind": protocol,
         "samples": samples,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cablesense_cli.options import refuse_given
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(
+    context: typer.Context,
     samples: Annotated[
         int, typer.Option(min=100, max=10_000_000, help="Fresh samples per setting.")
     ] = 20_000,
@@ -51,6 +54,8 @@ def evaluate(
     from rich.console import Console
 
     if table2:
+        unused = ("samples", "seed", "workers")
+        refuse_given(context, unused, "with --table2, which draws no samples")
         _show_table2(model, json_output, Console())
     elif model:
         _show_model(model, samples, seed, workers, json_output, Console())

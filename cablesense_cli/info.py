@@ -14,6 +14,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from cablesense_cli.options import refuse_given
 from cablesense_sim.arm import find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
@@ -21,6 +22,7 @@ from cablesense_sim.effects.registry import known_effects
 
 
 def info(
+    context: typer.Context,
     file: Annotated[
         str,
         typer.Argument(
@@ -47,6 +49,7 @@ def info(
     from rich.console import Console
 
     if effects:
+        refuse_given(context, ["file"], "with --effects, which are the same for every arm")
         description = describe_effects()
         tables = effect_tables(description)
     else:

@@ -17,7 +17,7 @@ class OptionError(CableSenseError):
 
 
 def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None:
-    """Refuse options that this run would ignore.
+    """Refuse options that this run would ignore; a default that is spelled out is harmless.
 
     Args:
         context: of the command.
@@ -25,21 +25,16 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
         why: ends the sentence "… has no effect".
 
     Raises:
-        OptionError: one of them was given.
+        OptionError: one of them has another value than its default.
     """
     given = [
         parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.opts[0].upper()
         for parameter in context.command.params
-        if parameter.name in set(names) and _was_given(context, parameter.name)
+        if parameter.name in set(names) and context.params[parameter.name] != parameter.default
     ]
     if given:
         have = "has" if len(given) == 1 else "have"
         raise OptionError(f"{', '.join(given)} {have} no effect {why}; leave it out")
-
-
-def _was_given(context: typer.Context, name: str) -> bool:
-    source = context.get_parameter_source(name)
-    return source is not None and source.name != "DEFAULT"
 
 
 def print_json(content: Any) -> None:

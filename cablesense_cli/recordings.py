@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from cablesense_cli.options import refuse_given
+
 
 def record(
     out: Annotated[Path, typer.Option(help="The .mcap file to write.")],
@@ -40,6 +42,7 @@ EXIT_DIFFERENT = 1
 
 
 def replay(
+    context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="The .mcap file of `cablesense record`.")],
     arm: Annotated[
         str, typer.Option(help="Another arm than the recorded: a bundled name, or an arm file.")
@@ -80,6 +83,8 @@ def replay(
             "--publish: the estimator that runs has its own arm and model, and publishes its "
             "estimates; leave out --arm, --model and --estimates"
         )
+    if not publish:
+        refuse_given(context, ("rate", "namespace"), "without --publish")
     run = RecordedRun(recording)
     if publish:
         from cablesense_ros.replay_through_node import replay_through_node

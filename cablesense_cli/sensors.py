@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from cablesense_cli.options import refuse_given
+
 if TYPE_CHECKING:
     from cablesense_online.commissioning.sensor_calibration import SensorCalibration
     from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
+    context: typer.Context,
     loads: Annotated[
         Path,
         typer.Argument(
@@ -99,9 +102,13 @@ def calibrate(
         of_arm = open_arm(arm)
         recorded = read_recording(recording, of_arm)
         as_recorded = as_recorded.arranged(of_arm.cable_names)
+    else:
+        refuse_given(context, ["arm"], "without --recording")
     gravity_m_s2 = STANDARD_GRAVITY_M_S2 if gravity is None else gravity
     known = read_known_loads(loads, described.cable_names, gravity_m_s2)
     weighed = any(load.by_mass for of_cable in known.values() for load in of_cable)
+    if not weighed:
+        refuse_given(context, ["gravity"], "on loads that are all given as forces")
     gravity_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
     common_relative_u = float((gravity_u**2 + (reference_uncertainty / 100.0) ** 2) ** 0.5)
     found = {
@@ -162,6 +169,7 @@ EXIT_UNUSABLE = 1
 
 
 def check(
+    context: typer.Context,
     recording: Annotated[
         Path | None,
         typer.Argument(
@@ -243,6 +251,7 @@ def check(
     else:
         if pull is not None:
             raise CommissioningError("--pull is for a live arm; of a recording it is --pulls FILE")
+        refuse_given(context, ["seconds"], "on a recording")
         recorded = read_recording(recording, described)
         made = [] if pulls is None else read_pulls(pulls, names)
         report = check_sensors(series_of(recorded, names), expected, made)

@@ -12,12 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from cablesense_cli.dataset import command_line
+from cablesense_cli.options import refuse_given
 
 if TYPE_CHECKING:
     from cablesense_training.train_model import TrainingReport
 
 
 def train(
+    context: typer.Context,
     arm: Annotated[str, typer.Option(help="A bundled arm's name, or an arm file.")] = "cdsm",
     network: Annotated[
         str,
@@ -95,6 +97,11 @@ def train(
     from cablesense_training.recipes import adjusted, recipe_for
     from cablesense_training.train_model import draw_training_data, train_model
 
+    if data is not None:
+        drawing = ("samples", "pose", "pose_range_deg", "force_high_n", "randomise")
+        refuse_given(context, drawing, "with --data, which draws no samples")
+    elif pose == "straight":
+        refuse_given(context, ["pose_range_deg"], "with --pose straight")
     recipe = recipe_for(network)
     settings = adjusted(
         recipe.settings,

@@ -27,7 +27,12 @@ from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, Recordi
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.endpoints import overridable, qos_profile
 from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.parameters import (
+    NodeParameter,
+    ParameterError,
+    declare_parameters,
+    parameter_values,
+)
 from cablesense_sim.arm import Arm, open_arm
 
 SLCAN_PORT: Final = "slcan_port"
@@ -88,6 +93,7 @@ class CanEmulatorNode(Node):
         super().__init__("can_emulator")
         declare_parameters(self, CAN_EMULATOR_PARAMETERS, read_only=False)
         given = parameter_values(self, CAN_EMULATOR_PARAMETERS)
+        _refuse_ignored(given)
         self._arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(self._arm.cable_names)
@@ -199,6 +205,17 @@ class CanEmulatorNode(Node):
             "fault": self._emulator.fault or "none",
         }
         return [Status("frames", level, message, values)]
+
+
+def _refuse_ignored(given: dict[str, Any]) -> None:
+    """Parameters that the others leave without effect are refused."""
+    if given["loop"] and not given["recording"]:
+        raise ParameterError("parameter loop has no effect without recording; leave it false")
+    if given["bitrate_bit_s"] and given["interface"] == SLCAN_PORT:
+        raise ParameterError(
+            "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets it; "
+            "leave it 0"
+        )
 
 
 def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:

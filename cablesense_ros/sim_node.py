@@ -34,7 +34,12 @@ from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
 from cablesense_ros.endpoints import overridable
 from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.parameters import (
+    NodeParameter,
+    ParameterError,
+    declare_parameters,
+    parameter_values,
+)
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.dynamics import moving_arm
@@ -94,6 +99,8 @@ class SimNode(Node):
         self._arm = open_arm(given["arm"])
         self._frames = Frames(self._arm.segment_count, given["frame_prefix"])
         self._joint_order = NamedOrder(self._arm.joint_names, "joints")
+        if given["seed"] and not given["noise"]:
+            raise ParameterError("parameter seed has no effect without noise; leave it 0")
         self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
         self._rate_hz = given["rate_hz"] or min(self._arm.sensors.rate_hz, 1000.0)
         self._simulated = SimulatedArm(

@@ -40,9 +40,13 @@ class NodeProcess(Process):
         os.close(handle)
         super().__init__(name, node_command(name, given, remaps, namespace), Path(path))
 
+    def wait(self, within_s: float = PATIENCE_S) -> int:
+        """Its exit code, once it has ended by itself."""
+        return super().wait(within_s)
+
 
 class Graph:
-    """A node in this process: hears everything, can publish and call."""
+    """A node in this process: receives everything, can publish and call."""
 
     def __init__(self) -> None:
         rclpy.init()
@@ -80,7 +84,7 @@ class Graph:
 
     def push(self, segment: int, force_base_n) -> None:
         """Put a load on a segment."""
-        self.until(self.load.get_subscription_count, "someone who takes loads")
+        self.until(self.load.get_subscription_count, "a subscriber of loads")
         message = WrenchStamped()
         message.header.frame_id = f"segment_{segment}"
         force = message.wrench.force

@@ -204,6 +204,8 @@ def test_a_recording_is_played_with_its_commands(graph, tmp_path):
         ({"fault": "explosion"}, "unknown fault"),
         ({"recording": "none.csv"}, "no such file"),
         ({"channel": "/none/of/that"}, "no link to"),
+        ({"loop": True}, "loop has no effect without recording"),
+        ({"bitrate_bit_s": 500_000}, "bitrate_bit_s has no effect on slcan_port"),
     ],
 )
 def test_what_cannot_be_ends_it_with_one_line(parameters, said, tmp_path):

@@ -220,6 +220,12 @@ def test_a_parameter_out_of_range_is_one_line(module):
     assert "0.1 to 360" in process.log
 
 
+def test_a_seed_without_noise_is_refused():
+    process = NodeProcess(SIM, noise=False, seed=3)
+    assert process.wait() == 2
+    assert "seed has no effect without noise" in process.log
+
+
 def test_a_model_that_is_missing_leaves_the_estimator_unconfigured(tmp_path):
     process = NodeProcess(ESTIMATOR, model=tmp_path / "none.onnx")
     end = time.monotonic() + 15.0

@@ -1,0 +1,47 @@
+"""An option that a run would ignore is refused in one line; a default spelled out is harmless."""
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cablesense_cli.app import app
+from cablesense_cli.options import OptionError, refuse_given
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        ("demo --headless --port 9000", "--port"),
+        ("demo --headless --host 0.0.0.0 --controller admittance", "--host"),
+        ("demo --duration 10", "--duration"),
+        ("demo --json --controller admittance --source can", "--json"),
+        ("info cdsm_lab --effects", "FILE"),
+        ("replay run.mcap --rate 2", "--rate"),
+        ("replay run.mcap --namespace left", "--namespace"),
+        ("evaluate --table2 --samples 900", "--samples"),
+        ("evaluate --table2 --seed 1 --workers 2", "--seed, --workers"),
+        ("train --data d.parquet --samples 10", "--samples"),
+        ("train --data d.parquet --pose straight --force-high-n 9", "--pose, --force-high-n"),
+        ("train --pose straight --pose-range-deg 5", "--pose-range-deg"),
+        ("dataset --out d.parquet --pose straight --pose-range-deg 5", "--pose-range-deg"),
+        ("dataset --out d.parquet --dask-scheduler tcp://a:1 --workers 3", "--workers"),
+        ("sensors check run.csv --seconds 20", "--seconds"),
+        ("sensors calibrate loads.csv --out c.yaml --arm cdsm_lab", "--arm"),
+    ],
+)
+def test_what_would_be_ignored_is_refused_by_name(arguments, option):
+    result = CliRunner().invoke(app, arguments.split())
+    assert isinstance(result.exception, OptionError), result.output
+    assert str(result.exception).startswith(f"{option} ha")
+    assert "no effect" in str(result.exception)
+
+
+def test_a_default_that_is_spelled_out_is_no_reason_to_refuse():
+    small = typer.Typer()
+
+    @small.command()
+    def run(context: typer.Context, size: int = 3) -> None:
+        refuse_given(context, ["size"], "here")
+
+    assert CliRunner().invoke(small, ["--size", "3"]).exit_code == 0
+    assert isinstance(CliRunner().invoke(small, ["--size", "4"]).exception, OptionError)
