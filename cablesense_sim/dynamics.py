@@ -1,19 +1,10 @@
-"""The arm in time: MuJoCo stepped under commands and loads, with the tensions in its cables.
+"""An arm that is commanded and loaded as time goes on: stepped by MuJoCo, or from rest to rest.
 
-Effects on the arm itself and on its actuators are in it. What depends on the past is not: sticking
-as a force computed every step is stiffer than a step of 1 ms bears. `rest_to_rest` has that.
-
-What an arm can be commanded to, and the cable lengths that its actuators then hold.
-
-An arm whose effects depend on the past, as the sim node runs it: from rest to rest.
-
-A cable that sticks or a joint that does must hold at rest and not creep. As a force in time that
-is a stiffness of megapascals over micrometres, which an explicit step does not bear, and a
-regularised one creeps. Between two moments this arm therefore comes to rest at once, with the
-state that it had kept; there is no swinging. It does so when it is looked at, and no sooner than
-`LEAST_PERIOD_S` after the last time.
-
-Which simulation an arm runs in: in time, or from rest to rest where the past counts.
+`ArmDynamics` steps MuJoCo, with the effects on the arm itself and on its actuators. A cable or a
+joint that sticks must hold at rest and not creep. As a force in time that is a stiffness of
+megapascals over micrometres, which an explicit step does not bear, and a regularised one creeps.
+An arm with history-dependent effects is therefore a `RestToRestArm`: it comes to rest at once,
+with the state that it had kept, and there is no swinging.
 """
 
 from __future__ import annotations
@@ -36,95 +27,44 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 from cablesense_sim.quasi_static import QuasiStaticArm
 
+LEAST_PERIOD_S = 0.02
+"""A rest takes some milliseconds to find; fast sensors read the same one several times."""
 
-def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
-    """Joint angles (2N,) as an array.
+_ROUNDING_S = 1e-9
+
+
+def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
+    """The arm of a file with its effects, those of the sensors aside.
 
     Raises:
-        EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
+        EquilibriumError: it has no rest under its own weight.
     """
-    command = np.asarray(joint_angles_rad, dtype=float)
-    if command.shape != (mechanism.joint_count,) or not np.isfinite(command).all():
-        raise EquilibriumError(
-            f"a command is {mechanism.joint_count} finite joint angles in rad, not {command!r}"
-        )
-    bend, limit = kinematics.bend_rad(command), mechanism.bend_limit_rad
-    if (bend >= limit).any():
-        joint = int(np.argmax(bend - limit))
-        raise EquilibriumError(
-            f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
-            f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
-        )
-    return command.copy()
+    if transmissions([entries_of(arm)]):
+        return RestToRestArm(arm)
+    return ArmDynamics(arm, timestep_s)
 
 
-def actuated_m(
-    nominal: Mechanism, command_rad: Array, through: Sequence[Actuation], time_s: float
-) -> Array:
-    """Lengths (M,), relative to the straight arm, that actuators hold under a command (2N,).
-
-    They are commanded those of the `nominal` arm: its controller knows of no effects.
-    """
-    held = held_lengths_m(nominal, command_rad)[None]
-    for actuation in through:
-        held = actuation.step(time_s, held)
-    return np.asarray(held[0])
-
-
-class ArmDynamics:
-    """One arm that moves in time; starts at rest under its own weight, straight command.
+class _CommandedArm:
+    """What both kinds of arm have: the description, the command that counts, and the loads.
 
     Attributes:
         arm: the description it was built from.
         mechanism: its numbers as arrays, as its effects leave them.
-        model, data: MuJoCo's own, for rendering.
     """
 
-    def __init__(self, arm: Arm, timestep_s: float = 1e-3) -> None:
-        """Raise an EquilibriumError where the arm has effects that depend on the past."""
+    def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self._entries = entries_of(arm)
-        if transmissions([self._entries]):
-            raise EquilibriumError(
-                f"arm {arm.identity} has effects that depend on the past; it goes from rest to "
-                "rest (cablesense_sim.dynamics), not in time"
-            )
         self._nominal = mechanism_of(arm)
         self.mechanism = amended(self._nominal, self._entries)
-        self.model = build_spec(self.mechanism, arm.name).compile()
-        self.model.opt.timestep = timestep_s
-        self.data = mujoco.MjData(self.model)
-        self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
-        self._segments = np.array(
-            [self.model.body(f"segment_{n + 1}").id for n in range(arm.segment_count)]
-        )
-        self._contacts = np.array(
-            [self.model.site(f"contact_{n + 1}").id for n in range(arm.segment_count)]
-        )
-        self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
         self._forces_n = np.zeros((arm.segment_count, 3))
         self._command_rad = np.zeros(arm.joint_count)
         self._actuations = actuations([self._entries])
-        self.reset()
 
-    def reset(self, command_rad: ArrayLike | None = None) -> None:
-        """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
-        command = self.checked_command(
-            np.zeros(self.arm.joint_count) if command_rad is None else command_rad
-        )
-        fresh = actuations([self._entries])
-        held = actuated_m(self._nominal, command, fresh, 0.0)
-        rest = solve_equilibrium(self.mechanism, command, held_m=held)
-        mujoco.mj_resetData(self.model, self.data)
-        self._forces_n[:] = 0.0
-        self._actuations = fresh
-        self.command(command)
-        self.data.qpos[self._joints] = rest.joint_angles_rad
-        if not self._rigid:
-            sag = rest.tensions_n / self.mechanism.actuator_stiffness_n_m
-            for i, retraction in enumerate(self.data.ctrl - sag):
-                self.data.joint(f"screw_{i + 1}").qpos = retraction
-        mujoco.mj_forward(self.model, self.data)
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        raise NotImplementedError
 
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Let the actuators hold the cable lengths of these joint angles (2N,).
@@ -136,11 +76,10 @@ class ArmDynamics:
         """
         command = self.checked_command(joint_angles_rad)
         self._command_rad = command
-        retraction = -actuated_m(self._nominal, command, self._actuations, self.time_s)
-        if self._rigid:
-            self.data.mocap_pos[:, 0] = -self.mechanism.run_m - retraction
-        else:
-            self.data.ctrl[:] = retraction
+        self._hold(_held_m(self._nominal, command, self._actuations, self.time_s))
+
+    def _hold(self, held_m: Array) -> None:
+        raise NotImplementedError
 
     def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
         """Joint angles (2N,) that the arm can be commanded to; changes nothing.
@@ -167,6 +106,64 @@ class ArmDynamics:
     def command_rad(self) -> Array:
         """(2N,) commanded joint angles."""
         return self._command_rad.copy()
+
+
+class ArmDynamics(_CommandedArm):
+    """One arm that moves in time; starts at rest under its own weight, straight command.
+
+    Attributes:
+        model, data: MuJoCo's own, for rendering.
+    """
+
+    def __init__(self, arm: Arm, timestep_s: float = 1e-3) -> None:
+        """Build the model.
+
+        Raises:
+            EquilibriumError: the arm has history-dependent effects, or no rest.
+        """
+        super().__init__(arm)
+        if transmissions([self._entries]):
+            raise EquilibriumError(
+                f"arm {arm.identity} has history-dependent effects; it goes from rest to rest "
+                "(cablesense_sim.dynamics.RestToRestArm), not in time"
+            )
+        self.model = build_spec(self.mechanism, arm.name).compile()
+        self.model.opt.timestep = timestep_s
+        self.data = mujoco.MjData(self.model)
+        self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
+        self._segments = np.array(
+            [self.model.body(f"segment_{n + 1}").id for n in range(arm.segment_count)]
+        )
+        self._contacts = np.array(
+            [self.model.site(f"contact_{n + 1}").id for n in range(arm.segment_count)]
+        )
+        self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
+        self.reset()
+
+    def reset(self, command_rad: ArrayLike | None = None) -> None:
+        """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
+        command = self.checked_command(
+            np.zeros(self.arm.joint_count) if command_rad is None else command_rad
+        )
+        fresh = actuations([self._entries])
+        held = _held_m(self._nominal, command, fresh, 0.0)
+        rest = solve_equilibrium(self.mechanism, command, held_m=held)
+        mujoco.mj_resetData(self.model, self.data)
+        self._forces_n[:] = 0.0
+        self._actuations = fresh
+        self.command(command)
+        self.data.qpos[self._joints] = rest.joint_angles_rad
+        if not self._rigid:
+            sag = rest.tensions_n / self.mechanism.actuator_stiffness_n_m
+            for i, retraction in enumerate(self.data.ctrl - sag):
+                self.data.joint(f"screw_{i + 1}").qpos = retraction
+        mujoco.mj_forward(self.model, self.data)
+
+    def _hold(self, held_m: Array) -> None:
+        if self._rigid:
+            self.data.mocap_pos[:, 0] = -self.mechanism.run_m + held_m
+        else:
+            self.data.ctrl[:] = -held_m
 
     @property
     def time_s(self) -> float:
@@ -217,26 +214,15 @@ class ArmDynamics:
         self.data.xfrc_applied[self._segments, 3:] = np.cross(arm, self._forces_n)
 
 
-LEAST_PERIOD_S = 0.02
-"""A rest takes some milliseconds to find; fast sensors read the same one several times."""
+class RestToRestArm(_CommandedArm):
+    """One arm without motion between its rests.
 
-_ROUNDING_S = 1e-9
-
-
-class RestToRestArm:
-    """One arm with what `ArmDynamics` has, but without motion between its rests.
-
-    Attributes:
-        arm: the description it was built from.
-        mechanism: its numbers as arrays, as its effects leave them.
+    It comes to rest when it is read, and no sooner than `LEAST_PERIOD_S` after the last time.
     """
 
     def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self._entries = entries_of(arm)
-        self._nominal = mechanism_of(arm)
-        self.mechanism = amended(self._nominal, self._entries)
-        self._forces_n = np.zeros((arm.segment_count, 3))
+        super().__init__(arm)
+        self._time_s = 0.0
         self.reset()
 
     def reset(self, command_rad: ArrayLike | None = None) -> None:
@@ -249,7 +235,7 @@ class RestToRestArm:
             np.zeros(self.arm.joint_count) if command_rad is None else command_rad
         )
         actuating = actuations([self._entries])
-        held = actuated_m(self._nominal, command, actuating, 0.0)
+        held = _held_m(self._nominal, command, actuating, 0.0)
         resting = QuasiStaticArm([self.mechanism], [self._entries])
         tensions = resting.step(0.0, held[None], np.zeros_like(self._forces_n))[0]
         self._actuations, self._resting = actuating, resting
@@ -257,33 +243,8 @@ class RestToRestArm:
         self._forces_n[:] = 0.0
         self._time_s = self._rested_s = 0.0
 
-    def command(self, joint_angles_rad: ArrayLike) -> None:
-        """Let the actuators hold the cable lengths of these joint angles (2N,).
-
-        They are those of the arm without its effects: its controller knows no better.
-
-        Raises:
-            EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
-        """
-        command = self.checked_command(joint_angles_rad)
-        self._held_m = actuated_m(self._nominal, command, self._actuations, self._time_s)
-        self._command_rad = command
-
-    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
-        """Joint angles (2N,) that the arm can be commanded to; changes nothing.
-
-        Raises:
-            EquilibriumError: as `command`.
-        """
-        return checked_command(self._nominal, joint_angles_rad)
-
-    def load(self, segment: int, force_base_n: ArrayLike) -> None:
-        """Push segment 1..N at its contact point with a force (3,) in base axes, N, from now on.
-
-        Raises:
-            LoadError: no such segment, or a force that is not three finite numbers.
-        """
-        self._forces_n[segment - 1] = checked_load(self._nominal, segment, force_base_n)
+    def _hold(self, held_m: Array) -> None:
+        self._held_m = held_m
 
     def advance(self, duration_s: float) -> None:
         """Let time pass."""
@@ -293,16 +254,6 @@ class RestToRestArm:
     def time_s(self) -> float:
         """Simulated time."""
         return self._time_s
-
-    @property
-    def command_rad(self) -> Array:
-        """(2N,) commanded joint angles."""
-        return self._command_rad.copy()
-
-    @property
-    def forces_n(self) -> Array:
-        """(N, 3) loads in force, base axes."""
-        return self._forces_n.copy()
 
     @property
     def joint_angles_rad(self) -> Array:
@@ -328,12 +279,35 @@ class RestToRestArm:
             self._tensions_n = np.full(self.arm.cable_count, np.nan)
 
 
-def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
-    """The arm of a file with its effects, those of the sensors aside.
+def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
+    """Joint angles (2N,) as an array.
 
     Raises:
-        EquilibriumError: it has no rest under its own weight.
+        EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
     """
-    if transmissions([entries_of(arm)]):
-        return RestToRestArm(arm)
-    return ArmDynamics(arm, timestep_s)
+    command = np.asarray(joint_angles_rad, dtype=float)
+    if command.shape != (mechanism.joint_count,) or not np.isfinite(command).all():
+        raise EquilibriumError(
+            f"a command is {mechanism.joint_count} finite joint angles in rad, not {command!r}"
+        )
+    bend, limit = kinematics.bend_rad(command), mechanism.bend_limit_rad
+    if (bend >= limit).any():
+        joint = int(np.argmax(bend - limit))
+        raise EquilibriumError(
+            f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
+            f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
+        )
+    return command.copy()
+
+
+def _held_m(
+    nominal: Mechanism, command_rad: Array, through: Sequence[Actuation], time_s: float
+) -> Array:
+    """Lengths (M,), relative to the straight arm, that actuators hold under a command (2N,).
+
+    They are commanded those of the `nominal` arm: its controller knows of no effects.
+    """
+    held = held_lengths_m(nominal, command_rad)[None]
+    for actuation in through:
+        held = actuation.step(time_s, held)
+    return np.asarray(held[0])

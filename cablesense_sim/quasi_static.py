@@ -1,4 +1,4 @@
-"""An arm that goes from rest to rest: the static solver with the memory that effects bring.
+"""An arm that goes from rest to rest: the static solver with history-dependent effects.
 
 Between two samples the arm comes to rest again, and where it does depends on where it was: a cable
 that sticks on its guide keeps what it carried, a cable that creeps is longer than before. Several
@@ -57,7 +57,7 @@ class QuasiStaticArm:
         """Arms of the amended `mechanisms`, with what of each variant depends on the past."""
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
-        self._memories = transmissions(variants)
+        self._transmissions = transmissions(variants)
         straight = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, straight).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
@@ -82,24 +82,24 @@ class QuasiStaticArm:
         """
         rest_m = self._straight_m + held_m
         if self._angles_rad is None:
-            for memory in self._memories:
-                memory.hold(rest_m)
+            for transmission in self._transmissions:
+                transmission.hold(rest_m)
             self._begin(time_s, held_m, forces_n)
-        for memory in self._memories:
-            longer = memory.lengthening_m(time_s)
+        for transmission in self._transmissions:
+            longer = transmission.lengthening_m(time_s)
             if longer is not None:
                 rest_m = rest_m + longer
         arms = kinematics.load_arms(
             self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         )
-        for memory in self._memories:
-            memory.hold(rest_m)
+        for transmission in self._transmissions:
+            transmission.hold(rest_m)
         pose = self._next(rest_m, arms)
         self._require_room(pose.angles_rad)
         self._angles_rad = pose.angles_rad
         rest = Rest(time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n)
-        for memory in self._memories:
-            memory.settle(rest)
+        for transmission in self._transmissions:
+            transmission.settle(rest)
         return pose.tensions_n
 
     def _next(self, rest_m: Array, arms: Array) -> _Pose:
@@ -154,27 +154,27 @@ class QuasiStaticArm:
         return pose.angles_rad + _step_rad(pose._replace(torque_n_m=torque))
 
     def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
-        """The same rest by way of others, which memory takes no note of."""
+        """The same rest by way of others, which change no state."""
         assert self._angles_rad is not None
         angles = self._angles_rad
         last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
         for share in np.linspace(0.0, 1.0, _SMALL_STEPS + 1)[1:]:
             on_the_way_m = last_m + share * (rest_m - last_m)
-            for memory in self._memories:
-                memory.hold(on_the_way_m)
+            for transmission in self._transmissions:
+                transmission.hold(on_the_way_m)
             pose = self._search(angles, on_the_way_m, last_arms + share * (arms - last_arms))
             angles = pose.angles_rad
         return pose
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
-        """Every memory begins where an arm without a past would rest."""
+        """The state begins where an arm without history-dependent effects would rest."""
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         self._angles_rad, tensions = self._without_past(held_m, forces)
         span = kinematics.spans(self._mechanism, self._angles_rad)
         bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
         rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
-        for memory in self._memories:
-            memory.begin(self._mechanism, rest)
+        for transmission in self._transmissions:
+            transmission.begin(self._mechanism, rest)
 
     def _without_past(self, held_m: Array, forces_n: Array) -> tuple[Array, Array]:
         """Angles (P, 2N) and tensions (P, M); equal mechanisms are solved at once."""
@@ -256,8 +256,8 @@ class QuasiStaticArm:
         torque += spring * angles
         diagonal = np.arange(angles.shape[-1])
         slope[..., diagonal, diagonal] += spring
-        for memory in self._memories:
-            resisted = memory.joint_torque_n_m(angles)
+        for transmission in self._transmissions:
+            resisted = transmission.joint_torque_n_m(angles)
             if resisted is not None:
                 torque += resisted[0]
                 slope[..., diagonal, diagonal] += resisted[1]
@@ -267,8 +267,8 @@ class QuasiStaticArm:
     def _kept(self, spans_m: Array, bends_rad: Array) -> Kept:
         """What friction of all kinds leaves of the tension along the cables."""
         kept = Kept.all_of(spans_m)
-        for memory in self._memories:
-            other = memory.kept_tension(spans_m, bends_rad)
+        for transmission in self._transmissions:
+            other = transmission.kept_tension(spans_m, bends_rad)
             if other is not None:
                 kept = kept.and_then(other)
         return kept

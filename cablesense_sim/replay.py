@@ -1,7 +1,7 @@
 """What the sensors of an arm would have read under given commands and loads, without noise.
 
-An arm without memory rests where its potential is least, sample by sample and in any order; equal
-samples are solved once. With effects that remember, the samples are gone through in time order.
+A memoryless arm rests where its potential is least, sample by sample and in any order; equal
+samples are solved once. With history-dependent effects the samples are solved in time order.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from cablesense_sim.quasi_static import QuasiStaticArm
 
 
 class Replay:
-    """One course of commands and loads that any number of arms are put through.
+    """One sequence of commands and loads that any number of arms are put through.
 
     Attributes:
         time_s: (R,) of the samples, ascending.
@@ -55,8 +55,8 @@ class Replay:
     ) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
 
-        Where `unborne_n` (R, M) is given, it stands for the tensions of samples that an arm
-        without memory cannot bear.
+        Where `unborne_n` (R, M) is given, it stands for the tensions of samples that a
+        memoryless arm cannot bear.
 
         Raises:
             EquilibriumError: an arm finds no rest.

@@ -1,7 +1,7 @@
 """What a real arm does beyond the ideal one: one effect a file, found by `registry`.
 
-An effect says what it is called, where it can sit, which parameters it has and what it does. The
-static replay, the running sim node, the randomisation in training and the diagnosis all work from
-that one file. To add an effect, add a file here, or offer the class under the entry point group
+An effect declares its name, places, parameters, order and text, and says what it does. The static
+replay, the running sim node, the randomisation in training and the diagnosis all work from that
+one file. To add an effect, add a file here, or offer the class under the entry point group
 `cablesense.effects` of another package.
 """

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, Values, segments
+from cablesense_sim.effects.effect import (
+    WHOLE_ARM,
+    Effect,
+    Parameter,
+    Values,
+    own_cables,
+    segments,
+)
 from cablesense_sim.effects.transmission import Rest, Transmission
 from cablesense_sim.mechanism import Mechanism
 
@@ -69,9 +76,7 @@ class _Creep(Transmission):
         self._settled, self._begun = values["settled"][:, None], values["begun"][:, None]
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
-        here = np.ones(mechanism.cable_count, dtype=bool)
-        if self._place != WHOLE_ARM:
-            here = mechanism.cable_segment == int(self._place.rsplit("_", 1)[1])
+        here = own_cables(self._place, mechanism)
         self._give_m_n = self._share * here / mechanism.stiffness_n_m
         self._reference_n = self._settled * mechanism.pretension_n
         target = self._give_m_n * (rest.tensions_n - self._reference_n)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, segments
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, own_cables, segments
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -30,10 +30,7 @@ class CableStiffness(Effect):
         return (WHOLE_ARM, *segments(segment_count))
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
-        here = np.ones(mechanism.cable_count, dtype=bool)
-        if place != WHOLE_ARM:
-            here = mechanism.cable_segment == int(place.rsplit("_", 1)[1])
-        scale = np.where(here, 1.0 + values["change"], 1.0)
+        scale = np.where(own_cables(place, mechanism), 1.0 + values["change"], 1.0)
         in_series = mechanism.stiffness_n_m * scale
         cable = 1.0 / (1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m)
         return replace(mechanism, stiffness_n_m=in_series, cable_stiffness_n_m=cable)

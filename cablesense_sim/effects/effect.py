@@ -1,9 +1,4 @@
-"""What every effect says of itself, and the ways in which it can act on an arm.
-
-What lies between the commanded cable length and the one that an actuator holds.
-
-What lies between the tension at an actuator and what its sensor reads.
-"""
+"""What every effect declares, and the ways in which it can act on an arm."""
 
 from __future__ import annotations
 
@@ -37,7 +32,7 @@ class Parameter:
         default: what holds where nothing is said.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
             says how the effect behaves where it is present.
-        starts: values of a shape with which a first look should be taken.
+        starts: values of a shape to screen with.
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
     """
@@ -125,6 +120,13 @@ def chosen(place: str, count: int) -> NDArray[np.bool_]:
     if place == WHOLE_ARM:
         return np.ones(count, dtype=bool)
     return np.arange(1, count + 1) == int(place.rsplit("_", 1)[1])
+
+
+def own_cables(place: str, mechanism: Mechanism) -> NDArray[np.bool_]:
+    """(M,) which cables end on the segment that a place means; `arm` means all."""
+    if place == WHOLE_ARM:
+        return np.ones(mechanism.cable_count, dtype=bool)
+    return mechanism.cable_segment == int(place.rsplit("_", 1)[1])
 
 
 class Actuation:

@@ -1,8 +1,6 @@
-"""Every effect that is known: the files of this folder, and what other packages offer.
+"""Every effect that is known, entries of arm files, and what listed effects do in their order.
 
-One effect of an arm file: which, where, and how large.
-
-What listed effects do, one after the other: to one mechanism, or to P arms side by side.
+Known are the files of this folder and what other packages offer under `ENTRY_POINTS`.
 """
 
 from __future__ import annotations
@@ -128,7 +126,7 @@ def actuations(variants: Variants) -> list[Actuation]:
 
 
 def transmissions(variants: Variants) -> list[Transmission]:
-    """What along the cables and in the joints depends on the past, each for all arms."""
+    """What is history-dependent along the cables and in the joints, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.transmission(place, values))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen, segments
+from cablesense_sim.effects.effect import Effect, Parameter, chosen, own_cables, segments
 from cablesense_sim.mechanism import Mechanism, with_cables_moved, with_plates_moved
 
 
@@ -30,7 +30,7 @@ class RoutingGeometry(Effect):
         return segments(segment_count)
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
-        own = mechanism.cable_segment == int(place.rsplit("_", 1)[1])
+        own = own_cables(place, mechanism)
         carried = chosen(place, mechanism.segment_count)
         if values["cables_radius_m"] or values["cables_angle_rad"]:
             mechanism = with_cables_moved(

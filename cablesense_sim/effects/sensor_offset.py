@@ -7,7 +7,7 @@ from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, ca
 
 
 class SensorOffset(Effect):
-    """A sensor whose zero is wrong, by more than a careful workshop leaves."""
+    """A sensor whose zero is wrong by more than the manufacturing tolerance."""
 
     name = "sensor_offset"
     acts_on = "sensor"

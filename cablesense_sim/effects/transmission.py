@@ -1,7 +1,4 @@
-"""What happens along the cables and in the joints and depends on the past.
-
-Dry friction as a state: which share of its limit a contact carries, and how that lasts.
-"""
+"""What is history-dependent along the cables and in the joints; dry friction as a state."""
 
 from __future__ import annotations
 
@@ -81,7 +78,7 @@ class Transmission:
         return None
 
     def hold(self, rest_m: Array) -> None:
-        """Hear the spans' lengths (P, M) at which the cables are just slack, before a search."""
+        """Take the spans' lengths (P, M) at which the cables are just slack, before a search."""
 
     def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept | None:
         """What friction leaves of the tension along the cables."""

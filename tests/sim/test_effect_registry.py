@@ -1,12 +1,20 @@
-"""The catalogue: what every effect says of itself, and effects of other packages."""
+"""The catalogue: what every effect declares, and entries in arm files, valid or refused."""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import pytest
+from arm_variants import variant
+from hypothesis import given
+from hypothesis import strategies as st
 
+from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
+from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect
-from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.effects.registry import EffectError, checked_entry, known_effects, side_by_side
 
 
 def effects() -> list[Effect]:
@@ -49,3 +57,87 @@ def test_where_an_effect_acts_is_where_it_says(effect: Effect) -> None:
     assert [where for where, what in acting.items() if what is not None] == (
         [] if effect.acts_on == "arm" else [effect.acts_on]
     )
+
+
+GAIN = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
+CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}
+
+
+def with_effects(*listed: Any) -> Any:
+    return variant({"effects": list(listed)}, "cdsm_lab")
+
+
+def test_what_is_not_given_has_its_default_and_order_is_kept() -> None:
+    gain, creep = entries_of(with_effects(GAIN, CREEP))
+    assert (gain.effect.name, gain.place, gain.values) == (
+        "sensor_gain",
+        "cable_3",
+        {"gain": 0.04},
+    )
+    assert creep.place == "arm"
+    assert creep.values == {
+        p.name: 0.2 if p.name == "share" else p.default for p in creep.effect.parameters
+    }
+
+
+def test_an_arm_file_without_effects_has_none() -> None:
+    assert entries_of(open_arm("cdsm_lab")) == []
+
+
+def test_effects_are_part_of_who_the_arm_is_and_survive_a_file() -> None:
+    import yaml
+
+    arm = with_effects(GAIN, CREEP)
+    assert arm.identity != open_arm("cdsm_lab").identity
+    again = parse_arm(yaml.safe_dump(arm.model_dump()))
+    assert again == arm
+    assert again.identity == arm.identity
+
+
+@pytest.mark.parametrize(
+    ("listed", "words"),
+    [
+        ({"effect": "rust"}, "'rust' is unknown; known: actuator_backlash, .*sensor_lag"),
+        (GAIN | {"at": "cable_13"}, "cannot be at 'cable_13'; valid: cable_1, .*…"),
+        (GAIN | {"at": "arm"}, "cannot be at 'arm'"),
+        ({"effect": "sensor_gain"}, "cannot be at 'arm'"),
+        (CREEP | {"at": "segment_5"}, "cannot be at 'segment_5'; valid: arm, segment_1"),
+        (GAIN | {"parameters": {"gian": 0.1}}, "no parameter 'gian'; it has gain"),
+        (GAIN | {"parameters": {"gain": 0.6}}, "gain = 0.6 1 must be from -0.5 to 0.5"),
+        (CREEP | {"parameters": {"time_s": 0.0}}, "time_s = 0 s must be from 0.5 to 3000"),
+        (GAIN | {"parameters": {"gain": True}}, "= True: must be a number"),
+        (GAIN | {"parameters": {"gain": math.nan}}, "finite"),
+        (GAIN | {"parameters": {"gain": math.inf}}, "finite"),
+        (GAIN | {"parameters": {"gain": "much"}}, "number"),
+        (GAIN | {"parameters": [0.1]}, "parameters"),
+        (GAIN | {"size": 3}, "size"),
+        ("sensor_gain", "effects"),
+        ({"at": "cable_3"}, "effect"),
+    ],
+)
+def test_an_entry_that_cannot_be_is_refused_in_one_line(listed: Any, words: str) -> None:
+    with pytest.raises(ArmFileError, match=words) as caught:
+        with_effects(listed)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", list(known_effects()))
+@given(data=st.data())
+def test_every_number_in_range_is_taken_and_every_other_refused(
+    name: str, data: st.DataObject
+) -> None:
+    effect = known_effects()[name]
+    place = data.draw(st.sampled_from(effect.places(4, 12)))
+    parameter = data.draw(st.sampled_from(effect.parameters))
+    value = data.draw(st.floats(parameter.low - 1.0, parameter.high + 1.0) | st.just(math.nan))
+    if parameter.low <= value <= parameter.high:
+        entry = checked_entry(name, place, {parameter.name: value}, 4, 12)
+        assert entry.values[parameter.name] == value
+    else:
+        with pytest.raises(EffectError, match=parameter.name):
+            checked_entry(name, place, {parameter.name: value}, 4, 12)
+
+
+def test_side_by_side_puts_each_parameter_in_one_array() -> None:
+    entries = [checked_entry("sensor_gain", "cable_3", {"gain": g}, 4, 12) for g in (0.1, 0.2)]
+    np.testing.assert_array_equal(side_by_side(entries)["gain"], [0.1, 0.2])

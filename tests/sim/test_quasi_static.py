@@ -1,4 +1,4 @@
-"""From rest to rest: without memory the static solver, and arms side by side as if alone."""
+"""From rest to rest: memoryless it is the static solver, and arms side by side as if alone."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def tensions(
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=15, deadline=None)
-def test_without_a_memory_it_is_the_static_solver(seed: int) -> None:
+def test_memoryless_it_is_the_static_solver(seed: int) -> None:
     rng = np.random.default_rng(seed)
     commands, loads = bent(seed, count=6), rng.uniform(-8.0, 8.0, (6, 4, 3))
     odd = amended(
@@ -78,7 +78,7 @@ def test_all_at_once_go_together() -> None:
         assert np.abs(everything - one).max() > 0.05
 
 
-def test_a_memory_is_made_for_all_arms_at_once() -> None:
+def test_a_transmission_is_made_for_all_arms_at_once() -> None:
     variants = [[KINDS[0], entry("sensor_gain", "cable_1")] for _ in range(3)]
     assert len(transmissions(variants)) == 1
     assert transmissions([[entry("payload", "segment_1")]]) == []

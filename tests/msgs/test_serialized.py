@@ -1,4 +1,4 @@
-"""The reader of serialized joint states agrees with rclpy's serializer and refuses all else."""
+"""Serialized messages: read, written and stamped as rclpy does it, and refused in one line."""
 
 import math
 import struct
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.serialized import EffortReader
+from cablesense_msgs_py.serialized import EffortReader, WrenchWriter, restamped, stamp_ns
 from cablesense_msgs_py.topics import ContractError
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -116,3 +116,49 @@ def test_a_text_that_is_not_closed_is_refused():
     for text in (b"base_link\0", b"a\0"):
         with pytest.raises(ContractError, match="do not end with a NUL"):
             EffortReader().read(raw.replace(text, text[:-1] + b"x"))
+
+
+geometry_msgs = pytest.importorskip("geometry_msgs.msg")
+
+
+VECTOR = st.tuples(*[st.floats(allow_nan=False)] * 3)
+
+
+@given(
+    st.text(st.characters(codec="ascii", min_codepoint=1)), VECTOR, VECTOR, st.integers(0, 2**60)
+)
+def test_rclpy_reads_the_same(frame, force, torque, stamp_ns):
+    raw = WrenchWriter(frame).write(stamp_ns, force + torque)
+    message = serialization.deserialize_message(raw, geometry_msgs.WrenchStamped)
+    wrench = message.wrench
+    assert message.header.frame_id == frame
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+    assert (wrench.force.x, wrench.force.y, wrench.force.z) == force
+    assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) == torque
+
+
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+
+
+@given(STAMPS, STAMPS, st.sampled_from([b"\0\0", b"\0\1"]), st.binary(max_size=50))
+def test_another_stamp_and_the_same_rest(old, new, order, rest):
+    raw = restamped(order + bytes(10), old) + rest
+    assert stamp_ns(raw) == old
+    moved = restamped(raw, new)
+    assert stamp_ns(moved) == new
+    assert moved[:4] + moved[12:] == raw[:4] + raw[12:]
+    assert restamped(moved, old) == raw
+
+
+def test_as_rclpy_writes_it():
+    serialization = pytest.importorskip("rclpy.serialization")
+    messages = pytest.importorskip("geometry_msgs.msg")
+    message = messages.WrenchStamped()
+    message.header.stamp.sec, message.header.stamp.nanosec = 1234, 567
+    assert stamp_ns(serialization.serialize_message(message)) == 1234 * 10**9 + 567
+
+
+@pytest.mark.parametrize("raw", [b"", b"\0\1\0\0", b"\0\3" + bytes(20)])
+def test_other_bytes_are_refused(raw):
+    with pytest.raises(ContractError, match="no message with a stamp"):
+        stamp_ns(raw)
