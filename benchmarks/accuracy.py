@@ -2,10 +2,10 @@
 
     python benchmarks/accuracy.py [--samples 100000] [--quick] [--write]
 
-The shipped models and their bundled peers answer as ONNX files. Peers too large or too many to
-ship are trained here, by their recipes and with seed 0: gradient boosting in every setting, the
-paper's decoupled networks and shared backbone on the straight arm and at random poses. `--write`
-puts `accuracy.json` and the tables `accuracy.md` into `benchmarks/results/`.
+The shipped models and their bundled baselines answer as ONNX files. Baselines too large or too
+many to ship are trained here, by their recipes and with seed 0: gradient boosting in every
+setting, the decoupled networks and shared backbone of the paper on the straight arm and at random
+poses. `--write` puts `accuracy.json` and the tables `accuracy.md` into `benchmarks/results/`.
 """
 
 from __future__ import annotations
@@ -20,22 +20,26 @@ from pathlib import Path
 from typing import Any
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingPeer, BoostingSettings
+from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
+from cablesense_training.evaluation.answers import single_contact_answer
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
+    SHIPPED,
     TABLE2_MODELS,
     Setting,
-    SettingFigures,
-    multi_figures,
+    SettingEvaluation,
+    evaluate_answer,
+    evaluate_multi_models,
+    evaluate_setting,
+    metrics_json,
     multi_protocol,
-    setting_figures,
-    single_json,
 )
-from cablesense_training.evaluation.metrics import SingleContactMetrics, single_contact_metrics
+from cablesense_training.evaluation.metrics import (
+    SingleContactMetrics,
+)
 from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import fit
 from cablesense_training.inference.estimator import Estimator
@@ -82,13 +86,15 @@ def main() -> None:
         dataset = draw_dataset(
             setting.arm, setting.protocol(options.samples), TEST_SEED, workers=options.workers
         )
-        figures = setting_figures(setting, dataset)
-        extra = {} if options.quick else _trained_peers(setting, dataset, options.workers)
+        figures = evaluate_setting(setting, dataset)
+        extra = {} if options.quick else _trained_baselines(setting, dataset, options.workers)
         result["single"][setting.name] = _setting_json(figures, extra)
     multi = draw_dataset(
         open_arm(MULTI_ARM), multi_protocol(options.samples), TEST_SEED, workers=options.workers
     )
-    result["multi"] = {name: asdict(f) for name, f in multi_figures(multi).items()}
+    result["multi"] = {
+        name: asdict(found.metrics) for name, found in evaluate_multi_models(multi).items()
+    }
     result["table2"] = {name: _table2_rows(model) for name, model in TABLE2_MODELS.items()}
     result["seconds"] = time.perf_counter() - start
     table = markdown(result)
@@ -98,9 +104,9 @@ def main() -> None:
         (RESULTS / "accuracy.md").write_text(table)
 
 
-def _trained_peers(setting: Setting, test: Dataset, workers: int) -> dict[str, Any]:
-    """Figures of the peers that are trained here, with the seconds their training took."""
-    truth, peers = single_contact_truth(test), {}
+def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[str, Any]:
+    """Errors of the baselines that are trained here, with the seconds their training took."""
+    baselines: dict[str, Any] = {}
     names = TRAINED_HERE.get(setting.name, ())
     samples = max([BOOSTING_SAMPLES, *(recipe_for(name).samples for name in names)])
     training = draw_dataset(setting.arm, setting.protocol(samples), TRAIN_SEED, workers=workers)
@@ -109,27 +115,29 @@ def _trained_peers(setting: Setting, test: Dataset, workers: int) -> dict[str, A
         recipe, network = recipe_for(name), build_network(name, setting.arm, TRAIN_SEED)
         history = fit(network, training.select(slice(recipe.samples)), recipe.settings)
         answer = single_contact_answer(network.double(), test)
-        metrics = single_contact_metrics(truth, answer, test.arm.segment_count)
-        peers[name] = {**single_json(metrics), "training_seconds": history.seconds}
+        metrics = evaluate_answer(answer, test).metrics
+        baselines[name] = {**metrics_json(metrics), "training_seconds": history.seconds}
     print("  training gradient boosting …", file=sys.stderr, flush=True)
     start = time.perf_counter()
     aware = setting.name in ("random_pose", "compliant")
-    boosting = BoostingPeer(
+    boosting = BoostingBaseline(
         training.select(slice(BOOSTING_SAMPLES)), BoostingSettings(pose_aware=aware)
     )
     seconds = time.perf_counter() - start
-    metrics = single_contact_metrics(truth, boosting.answer(test), test.arm.segment_count)
-    peers["gradient_boosting"] = {**single_json(metrics), "training_seconds": seconds}
-    return peers
+    metrics = evaluate_answer(boosting.answer(test), test).metrics
+    baselines["gradient_boosting"] = {**metrics_json(metrics), "training_seconds": seconds}
+    return baselines
 
 
-def _setting_json(figures: SettingFigures, extra: dict[str, Any]) -> dict[str, Any]:
+def _setting_json(figures: SettingEvaluation, extra: dict[str, Any]) -> dict[str, Any]:
+    shipped = figures.models[SHIPPED]
+    bundled = {n: metrics_json(m) for n, m in figures.models.items() if n != SHIPPED}
     return {
-        "shipped": {**single_json(figures.shipped), **_uncertainty(figures.shipped)},
+        "shipped": {**metrics_json(shipped), **_uncertainty(shipped)},
         "mae_over_bound_above_2_n": figures.firm_ratio,
         "bound": asdict(figures.bound),
-        "peers": {**{name: single_json(peer) for name, peer in figures.peers.items()}, **extra},
-        "confusion": [list(row) for row in figures.shipped.confusion],
+        "peers": {**bundled, **extra},
+        "confusion": [list(row) for row in shipped.confusion],
     }
 
 

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingPeer, MultiBoostingPeer
+from cablesense_training.baselines import BoostingBaseline, MultiBoostingBaseline
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     WEAKEST_MULTI_N,
-    multi_figures,
+    evaluate_multi_answer,
+    evaluate_multi_models,
     multi_protocol,
 )
-from cablesense_training.evaluation.metrics import multi_contact_metrics
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
 from cablesense_training.evaluation.table2 import read_table2
 
@@ -45,11 +45,10 @@ def main() -> None:
     options = parser.parse_args()
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(options.samples), TEST_SEED)
-    figures = {name: asdict(metrics) for name, metrics in multi_figures(test).items()}
+    figures = {name: asdict(found.metrics) for name, found in evaluate_multi_models(test).items()}
     training = draw_dataset(arm, multi_protocol(TRAINING_SAMPLES), seed=0)
-    answer = MultiBoostingPeer(training).answer(test)
-    trees = multi_contact_metrics(test.contacts, test.magnitudes_n, *answer, WEAKEST_MULTI_N)
-    figures["gradient_boosting"] = asdict(trees)
+    answer = MultiBoostingBaseline(training).answer(test)
+    figures["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     figures["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
     result = {
@@ -67,7 +66,7 @@ def main() -> None:
 def _table2() -> list[dict[str, Any]]:
     """The physical rows as boosted trees of the three-segment arm see them."""
     arm, rows = open_arm("cdsm_table2"), [r for r in read_table2() if r.source == "physical"]
-    peer = BoostingPeer(
+    peer = BoostingBaseline(
         draw_dataset(arm, SingleContact(samples=TRAINING_SAMPLES, pose="straight"), 0)
     )
     blank = draw_dataset(arm, SingleContact(samples=len(rows), pose="straight"), 1)

@@ -42,7 +42,7 @@ def evaluate(
     ] = False,
     json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Compare the bundled models, their peers and the noise bound on fresh samples.
+    """Compare the bundled models, their baselines and the noise bound on fresh samples.
 
     Without options: single contacts on the straight arm, at random poses, on a compliant arm, and
     from tensions alone; several contacts at once. With [bold]--table2[/bold]: the six loads that
@@ -66,12 +66,12 @@ def evaluate(
 def _show_table2(model: str, json_output: bool, console: Any) -> None:
     from rich.table import Table
 
-    from cablesense_training.evaluation.comparison import TABLE2_MODEL
+    from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
     from cablesense_training.evaluation.table2 import evaluate_table2
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
 
-    estimator = Estimator.load(find_model(model or TABLE2_MODEL))
+    estimator = Estimator.load(find_model(model or TABLE2_MODELS[SHIPPED]))
     answers = evaluate_table2(estimator)
     if json_output:
         rows = [
@@ -109,7 +109,7 @@ def _show_model(
 ) -> None:
     from cablesense_training.data.generation import draw_dataset
     from cablesense_training.data.protocols import SingleContact
-    from cablesense_training.evaluation.comparison import single_figures, single_json
+    from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
     from cablesense_training.evaluation.noise_bound import noise_bound
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
@@ -124,9 +124,10 @@ def _show_model(
         tare_samples=said.tare_samples,
     )
     dataset = draw_dataset(said.arm, protocol, seed, workers=workers)
-    figures, bound = single_figures(estimator, dataset), noise_bound(dataset)
+    figures = evaluate_estimator(estimator, dataset).metrics
+    bound = noise_bound(dataset)
     if json_output:
-        print(json.dumps({"single": single_json(figures), "bound": asdict(bound)}, indent=2))
+        print(json.dumps({"single": metrics_json(figures), "bound": asdict(bound)}, indent=2))
         return
     table = _figures_table(f"{said.network} on {said.arm_identity}, {samples} fresh samples")
     _add_figures(table, said.network, figures)
@@ -155,12 +156,14 @@ def _show_comparison(
 def _comparison_tables(comparison: Comparison) -> list[Table]:
     from rich.table import Table
 
+    from cablesense_training.evaluation.comparison import SHIPPED
+
     tables = []
     for figures in comparison.settings:
         table = _figures_table(figures.setting.replace("_", " "))
-        _add_figures(table, "shipped model", figures.shipped)
-        for name, peer in figures.peers.items():
-            _add_figures(table, name.replace("_", " "), peer)
+        for name, metrics in figures.models.items():
+            label = "shipped model" if name == SHIPPED else name.replace("_", " ")
+            _add_figures(table, label, metrics)
         _add_bound(table, figures.bound)
         tables.append(table)
     table = Table(

@@ -22,8 +22,8 @@ from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import Pose, SingleContact
-from cablesense_training.evaluation.answers import single_contact_answer, single_contact_truth
-from cablesense_training.evaluation.metrics import single_contact_metrics
+from cablesense_training.evaluation.answers import single_contact_answer
+from cablesense_training.evaluation.comparison import evaluate_answer
 from cablesense_training.export import export_model
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.metadata import ModelMetadata
@@ -232,7 +232,7 @@ def trial(
     network = build(shape, training.arm, seed)
     fit(network, training, replace(settings, seed=seed, threads=1))
     answer = single_contact_answer(network.double(), test)
-    metrics = single_contact_metrics(single_contact_truth(test), answer, test.arm.segment_count)
+    metrics = evaluate_answer(answer, test).metrics
     return Trial(
         shape=shape,
         seed=seed,

@@ -38,7 +38,7 @@ class BoostingSettings:
     seed: int = 0
 
 
-class BoostingPeer:
+class BoostingBaseline:
     """Histogram gradient boosting: a classifier for the contact, regressors for the force.
 
     Trees split on one input at a time and answer in steps, so a force that is linear in twelve
@@ -116,7 +116,7 @@ class BoostingPeer:
         )
 
 
-class MultiBoostingPeer:
+class MultiBoostingBaseline:
     """A classifier and a regressor for each segment, from the tension differences alone."""
 
     def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:

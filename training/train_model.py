@@ -18,9 +18,9 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.answers import (
     multi_contact_answer,
     single_contact_answer,
-    single_contact_truth,
 )
 from cablesense_training.evaluation.metrics import (
+    ContactTruth,
     MultiContactMetrics,
     SingleContactMetrics,
     multi_contact_metrics,
@@ -222,7 +222,7 @@ def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:
             )
             for key, weakest_n in (("multi", 0.0), ("multi_firm", WEAKEST_JUDGED_N))
         }
-    answer, truth = single_contact_answer(network, test), single_contact_truth(test)
+    answer, truth = single_contact_answer(network, test), ContactTruth.of(test)
     return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
 
 

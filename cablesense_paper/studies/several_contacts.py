@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.report.style import plain_log_ticks
@@ -25,26 +23,23 @@ from cablesense_paper.drawing import (
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingSettings, MultiBoostingPeer
+from cablesense_training.baselines import BoostingSettings, MultiBoostingBaseline
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
-    MULTI_MODEL,
-    MULTI_PEERS,
     SETTINGS,
     WEAKEST_MULTI_N,
+    MultiEvaluation,
+    evaluate_models,
+    evaluate_multi_answer,
+    evaluate_multi_models,
     multi_protocol,
-    single_figures,
 )
 from cablesense_training.evaluation.metrics import (
-    MultiContactMetrics,
     confusion_matrix,
-    multi_contact_metrics,
 )
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.metadata import find_model
 
 _TEST_SEED, _TRAIN_SEED = 20_260_002, 0
 _SHIPPED, _TWO_STAGE, _TREES = "shipped model", "two-stage (the paper’s)", "gradient boosting"
@@ -56,30 +51,18 @@ _STYLES = {
 _SHOWN_POINTS = 500
 
 
-@dataclass(frozen=True, eq=False)
-class _Answers:
-    """Of one estimator to B samples: segments touched and magnitudes (B, N), and their metrics."""
-
-    touched: NDArray[np.bool_]
-    magnitude_n: Array
-    metrics: MultiContactMetrics
-
-
 def run(quick: bool, progress: Progress) -> StudyResult:
     """None to four contacts on the straight arm, answered by the bundled models and by trees."""
     size = study_size("several_contacts", quick)
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(size["samples"]), _TEST_SEED)
     progress(0.1)
-    answers = {}
-    for name, model in ((_SHIPPED, MULTI_MODEL), (_TWO_STAGE, MULTI_PEERS["two_stage"])):
-        estimator = MultiEstimator.load(find_model(model), arm)
-        batch = estimator.estimate_batch(test.tension_difference_n, test.command_rad)
-        answers[name] = _judged(test, batch.probabilities > 0.5, batch.magnitude_n)
+    bundled = evaluate_multi_models(test).values()
+    answers = dict(zip((_SHIPPED, _TWO_STAGE), bundled, strict=True))
     progress(0.3)
     training = draw_dataset(arm, multi_protocol(size["training_samples"]), _TRAIN_SEED)
-    trees = MultiBoostingPeer(training, BoostingSettings(rounds=size["rounds"]))
-    answers[_TREES] = _judged(test, *trees.answer(test))
+    trees = MultiBoostingBaseline(training, BoostingSettings(rounds=size["rounds"]))
+    answers[_TREES] = evaluate_multi_answer(*trees.answer(test), test)
     progress(0.9)
     bound_n = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     shipped, two_stage = answers[_SHIPPED].metrics, answers[_TWO_STAGE].metrics
@@ -112,22 +95,15 @@ def run(quick: bool, progress: Progress) -> StudyResult:
     return study_result("several_contacts", numbers, figures)
 
 
-def _judged(test: Dataset, touched: NDArray[np.bool_], magnitude_n: Array) -> _Answers:
-    metrics = multi_contact_metrics(
-        test.contacts, test.magnitudes_n, touched, magnitude_n, WEAKEST_MULTI_N
-    )
-    return _Answers(touched, magnitude_n, metrics)
-
-
 def _alone_mae_n(samples: int) -> float:
     """Force error of the paper's network for one contact, 0 to 200 N on the straight arm."""
     straight = SETTINGS[0]
     test = draw_dataset(straight.arm, straight.protocol(samples), _TEST_SEED)
-    estimator = Estimator.load(find_model(straight.peers["two_stage"]), test.arm)
-    return single_figures(estimator, test).errors.magnitude_mae_n
+    alone = evaluate_models({_TWO_STAGE: straight.models["two_stage"]}, test)[_TWO_STAGE]
+    return alone.metrics.errors.magnitude_mae_n
 
 
-def _rows(answers: dict[str, _Answers], bound_n: Array) -> list[tuple[str | float, ...]]:
+def _rows(answers: dict[str, MultiEvaluation], bound_n: Array) -> list[tuple[str | float, ...]]:
     rows: list[tuple[str | float, ...]] = [
         (
             name, 100.0 * one.metrics.recognition_accuracy,
@@ -141,7 +117,7 @@ def _rows(answers: dict[str, _Answers], bound_n: Array) -> list[tuple[str | floa
     return rows
 
 
-def _confusion_figure(test: Dataset, answers: dict[str, _Answers]) -> Any:
+def _confusion_figure(test: Dataset, answers: dict[str, MultiEvaluation]) -> Any:
     figure, every = panels(
         len(answers), test.contacts.shape[1], 2.1 * len(answers), width=0.78, grid=""
     )
@@ -155,7 +131,7 @@ def _confusion_figure(test: Dataset, answers: dict[str, _Answers]) -> Any:
     return figure
 
 
-def _magnitude_figure(test: Dataset, answers: dict[str, _Answers]) -> Any:
+def _magnitude_figure(test: Dataset, answers: dict[str, MultiEvaluation]) -> Any:
     figure, every = panels(
         len(answers), test.contacts.shape[1], 2.3 * len(answers) + 0.3, sharex=True, sharey=True
     )
@@ -179,7 +155,7 @@ def _label_columns(every: Any, xlabel: str) -> None:
         bottom.set_xlabel(xlabel)
 
 
-def _error_figure(answers: dict[str, _Answers], bound_n: Array) -> Any:
+def _error_figure(answers: dict[str, MultiEvaluation], bound_n: Array) -> Any:
     figure, axes = one_panel(3.1, width=0.72)
     points = np.arange(1, 1 + len(bound_n))
     for name, one in answers.items():

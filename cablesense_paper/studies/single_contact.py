@@ -26,27 +26,22 @@ from cablesense_paper.drawing import (
 )
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
-from cablesense_training.baselines import BoostingPeer, BoostingSettings
-from cablesense_training.data.dataset import Dataset
+from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.evaluation.answers import single_contact_truth
 from cablesense_training.evaluation.comparison import (
     SETTINGS,
     TABLE2_MODELS,
+    Evaluation,
     Setting,
-    single_answer,
+    evaluate_answer,
+    evaluate_models,
 )
 from cablesense_training.evaluation.metrics import (
-    ContactAnswer,
     ContactTruth,
-    SingleContactMetrics,
     angle_difference_deg,
-    single_contact_metrics,
 )
 from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import find_model
 
 TEST_SEED, TRAIN_SEED = 20_260_002, 0
 SHIPPED, TWO_STAGE, TREES = "shipped", "two_stage", "gradient_boosting"
@@ -77,14 +72,6 @@ _SHOWN_POINTS = 500
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
-    """One estimator's answers on a setting's samples, and its metrics."""
-
-    answer: ContactAnswer
-    metrics: SingleContactMetrics
-
-
-@dataclass(frozen=True, eq=False)
 class SettingTest:
     """One setting.
 
@@ -98,7 +85,7 @@ class SettingTest:
 
     name: str
     truth: ContactTruth
-    tested: dict[str, Tested]
+    tested: dict[str, Evaluation]
     bound: NoiseBound
     bound_by_force: tuple[NoiseBound, ...]
 
@@ -125,9 +112,7 @@ class SettingTest:
 
 def all_settings() -> tuple[Setting, ...]:
     """The settings of `cablesense evaluate`, and the three-segment arm of Table II."""
-    baselines = {name: model for name, model in TABLE2_MODELS.items() if name != SHIPPED}
-    table2 = Setting("table2", "cdsm_table2", "straight", TABLE2_MODELS[SHIPPED], baselines)
-    return (*SETTINGS, table2)
+    return (*SETTINGS, Setting("table2", "cdsm_table2", "straight", TABLE2_MODELS))
 
 
 def answered_setting(
@@ -135,38 +120,25 @@ def answered_setting(
 ) -> SettingTest:
     """All estimators of a setting; trees are grown where there are samples to train on."""
     dataset = draw_dataset(setting.arm, setting.protocol(samples), TEST_SEED)
-    tested = answered_models(setting, dataset)
+    tested = evaluate_models(setting.models, dataset)
     if training_samples:
         protocol = setting.protocol(training_samples)
         training = draw_dataset(setting.arm, protocol, TRAIN_SEED)
-        tested[TREES] = _tested(dataset, BoostingPeer(training, boosting).answer(dataset))
-    truth = single_contact_truth(dataset)
+        trees = BoostingBaseline(training, boosting).answer(dataset)
+        tested[TREES] = evaluate_answer(trees, dataset)
+    truth = ContactTruth.of(dataset)
     touched = np.flatnonzero(truth.segment > 0)
     bins = _bins(truth.magnitude_n[touched])
     by_force = tuple(noise_bound(dataset.select(touched[bins == i])) for i in range(_BINS))
     return SettingTest(setting.name, truth, tested, noise_bound(dataset), by_force)
 
 
-def answered_models(setting: Setting, dataset: Dataset) -> dict[str, Tested]:
-    """The bundled models of a setting on a dataset."""
-    models = {SHIPPED: setting.model, **setting.peers}
-    return {
-        name: _tested(dataset, single_answer(Estimator.load(find_model(model)), dataset))
-        for name, model in models.items()
-    }
-
-
-def answered_as_the_paper_tests(setting: Setting, samples: int) -> dict[str, Tested]:
+def answered_as_the_paper_tests(setting: Setting, samples: int) -> dict[str, Evaluation]:
     """The bundled models on samples without noise, each of them a contact."""
     protocol = SingleContact(
         samples=samples, pose=setting.pose, noise=False, no_contact_fraction=0.0
     )
-    return answered_models(setting, draw_dataset(setting.arm, protocol, TEST_SEED))
-
-
-def _tested(dataset: Dataset, answer: ContactAnswer) -> Tested:
-    truth = single_contact_truth(dataset)
-    return Tested(answer, single_contact_metrics(truth, answer, dataset.arm.segment_count))
+    return evaluate_models(setting.models, draw_dataset(setting.arm, protocol, TEST_SEED))
 
 
 def _bins(magnitude_n: Array) -> NDArray[np.int64]:
@@ -221,7 +193,7 @@ def run(quick: bool, progress: Progress) -> StudyResult:
     return study_result("single_contact", numbers, figures)
 
 
-def _main_metrics(tested: Tested) -> dict[str, float]:
+def _main_metrics(tested: Evaluation) -> dict[str, float]:
     errors = tested.metrics.errors
     return {
         "accuracy": 100.0 * tested.metrics.contact_accuracy,
@@ -230,7 +202,7 @@ def _main_metrics(tested: Tested) -> dict[str, float]:
     }
 
 
-def _row(tested: Tested, f1: bool) -> tuple[float, ...]:
+def _row(tested: Evaluation, f1: bool) -> tuple[float, ...]:
     metrics, errors = tested.metrics, tested.metrics.errors
     return (
         100.0 * metrics.contact_accuracy, *((metrics.macro_f1,) if f1 else ()),
@@ -250,7 +222,7 @@ def _setting_table(test: SettingTest) -> dict[str, Any]:
     }
 
 
-def _as_the_paper(tested: Tested) -> dict[str, Any]:
+def _as_the_paper(tested: Evaluation) -> dict[str, Any]:
     """The paper's measures of merit, tested as it tests."""
     accuracy, direction_deg, mae_n, rmse_n = _row(tested, f1=False)
     counts = np.array(tested.metrics.confusion)
@@ -269,7 +241,7 @@ def _as_the_paper(tested: Tested) -> dict[str, Any]:
     }
 
 
-def _misclassified(tested: Tested) -> dict[str, Any]:
+def _misclassified(tested: Evaluation) -> dict[str, Any]:
     """Where the wrong answers lie."""
     counts = np.array(tested.metrics.confusion)
     classes = np.arange(len(counts))
@@ -415,7 +387,7 @@ def _grid(
     return figure, every
 
 
-def _draw_segments(axes: Any, tested: Tested, title: str) -> None:
+def _draw_segments(axes: Any, tested: Evaluation, title: str) -> None:
     counts = tested.metrics.confusion
     draw_confusion(axes, counts, ["–", *(str(n + 1) for n in range(len(counts) - 1))])
     right = f"{100.0 * tested.metrics.contact_accuracy:.2f} % right"

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
-from cablesense_training.evaluation.comparison import TABLE2_MODEL
+from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
 from cablesense_training.inference.metadata import find_model
 
 COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "evaluate"]
@@ -22,7 +22,7 @@ def _run(*arguments):
 
 @pytest.fixture
 def table2_model():
-    return find_model(TABLE2_MODEL)
+    return find_model(TABLE2_MODELS[SHIPPED])
 
 
 def test_table2_as_json_has_six_rows_of_true_and_estimated(table2_model):

@@ -27,9 +27,7 @@ def straight():
 
 
 def test_no_bundled_single_contact_model_is_left_out():
-    asked = {
-        model for setting in all_settings() for model in (setting.model, *setting.peers.values())
-    }
+    asked = {model for setting in all_settings() for model in setting.models.values()}
     single = {name for name in bundled_models() if _from_single_samples(name)}
     assert asked == single
     assert {setting.name for setting in all_settings()} == set(TITLES)

@@ -7,12 +7,11 @@ import pytest
 
 from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_training.baselines import BoostingPeer, BoostingSettings
+from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.answers import single_contact_truth
-from cablesense_training.evaluation.metrics import single_contact_metrics
+from cablesense_training.evaluation.metrics import ContactTruth, single_contact_metrics
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
 SMALL = BoostingSettings(rounds=20, leaves=31)
@@ -27,8 +26,8 @@ def data():
 @pytest.mark.parametrize("pose_aware", [False, True])
 def test_finds_most_contacts_and_roughly_their_force(data, pose_aware):
     training, test = data
-    peer = BoostingPeer(training, dataclasses.replace(SMALL, pose_aware=pose_aware))
-    found = single_contact_metrics(single_contact_truth(test), peer.answer(test), 4)
+    peer = BoostingBaseline(training, dataclasses.replace(SMALL, pose_aware=pose_aware))
+    found = single_contact_metrics(ContactTruth.of(test), peer.answer(test), 4)
     assert found.contact_accuracy > 0.9
     assert found.errors.direction_mae_deg < 20.0
     assert found.errors.magnitude_mae_n < 20.0
@@ -38,11 +37,11 @@ def test_finds_most_contacts_and_roughly_their_force(data, pose_aware):
 def test_same_seed_same_answers(data):
     training, test = data
     few = dataclasses.replace(SMALL, rounds=5)
-    first, second = BoostingPeer(training, few), BoostingPeer(training, few)
+    first, second = BoostingBaseline(training, few), BoostingBaseline(training, few)
     np.testing.assert_array_equal(first.answer(test).magnitude_n, second.answer(test).magnitude_n)
 
 
 def test_refuses_data_without_contacts(data):
     training, _ = data
     with pytest.raises(TrainingError, match="contact"):
-        BoostingPeer(training.select(training.segment == 0), SMALL)
+        BoostingBaseline(training.select(training.segment == 0), SMALL)

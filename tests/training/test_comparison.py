@@ -14,8 +14,8 @@ from cablesense_training.evaluation.comparison import (
     Setting,
     as_json,
     compare,
-    setting_figures,
-    single_figures,
+    evaluate_estimator,
+    evaluate_setting,
 )
 from cablesense_training.inference.metadata import ModelFileError, find_model
 
@@ -40,8 +40,8 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
     assert set(content["single"]) == set(content["bound"]) == names
     for figures in content["single"].values():
         assert set(figures) == FIGURES | {"mae_over_bound"}
-    for name, peer in content["peers"].items():
-        assert set(peer) <= names, name
+    for name, baseline in content["peers"].items():
+        assert set(baseline) <= names, name
     assert set(content["peers"]["closed_form"]) == names - {"tensions_only"}
     assert set(content["peers"]["two_stage"]) == names
     assert {"recognition_accuracy", "macro_f1", "magnitude_mae_n"} <= set(content["multi"])
@@ -54,7 +54,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
 def test_the_same_seed_gives_the_same_figures():
     setting = SETTINGS[0]
     one, again, other = (
-        setting_figures(setting, draw_dataset(setting.arm, setting.protocol(100), seed))
+        evaluate_setting(setting, draw_dataset(setting.arm, setting.protocol(100), seed))
         for seed in (1, 1, 2)
     )
     assert repr(one) == repr(again)  # NaN where a bin is empty
@@ -81,7 +81,7 @@ def test_a_perfect_answer_has_no_error(monkeypatch):
                 },
             )
 
-    figures = single_figures(Oracle(), dataset)
+    figures = evaluate_estimator(Oracle(), dataset).metrics
     assert figures.contact_accuracy == 1.0
     assert figures.errors.magnitude_rmse_n == figures.errors.direction_mae_deg == 0.0
 
@@ -97,10 +97,10 @@ def test_settings_are_bundled_arms_of_known_protocols():
 def test_a_model_for_another_arm_is_refused(monkeypatch):
     path = find_model("peers/cdsm_two_stage")
     monkeypatch.setattr(comparison, "find_model", lambda name: path)
-    setting = Setting("mixed", "cdsm_lab", "straight", "cdsm", {})
+    setting = Setting("mixed", "cdsm_lab", "straight", {"shipped": "cdsm"})
     dataset = draw_dataset(setting.arm, setting.protocol(100), seed=0)
     with pytest.raises(ModelFileError, match="made for arm cdsm-"):
-        setting_figures(setting, dataset)
+        evaluate_setting(setting, dataset)
 
 
 def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingSettings, MultiBoostingPeer
+from cablesense_training.baselines import BoostingSettings, MultiBoostingBaseline
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact
 from cablesense_training.errors import TrainingError
@@ -14,7 +14,7 @@ QUICK = BoostingSettings(rounds=15, leaves=15)
 
 
 def test_it_learns_which_segments_are_touched_and_how_hard():
-    peer = MultiBoostingPeer(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
+    peer = MultiBoostingBaseline(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
     test = draw_dataset(ARM, MultiContact(samples=500), seed=2)
     touched, force = peer.answer(test)
     firm = test.magnitudes_n > 10.0
@@ -27,4 +27,4 @@ def test_it_learns_which_segments_are_touched_and_how_hard():
 def test_a_segment_that_is_never_touched_is_refused():
     dataset = draw_dataset(ARM, MultiContact(samples=200), seed=1)
     with pytest.raises(TrainingError, match="segment 4 is touched in 0 of"):
-        MultiBoostingPeer(dataset.select(~dataset.contacts[:, 3]), QUICK)
+        MultiBoostingBaseline(dataset.select(~dataset.contacts[:, 3]), QUICK)

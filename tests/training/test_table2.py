@@ -8,7 +8,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.evaluation.comparison import TABLE2_MODEL
+from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
 from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2, read_table2
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
@@ -19,7 +19,7 @@ ROW = "physical,1,2,1,2,3,4,5,6,7,8,9"
 
 @pytest.fixture(scope="module")
 def estimator():
-    return Estimator.load(find_model(TABLE2_MODEL), open_arm("cdsm_table2"))
+    return Estimator.load(find_model(TABLE2_MODELS[SHIPPED]), open_arm("cdsm_table2"))
 
 
 def test_the_table_has_two_loads_on_three_segments_from_two_sources():

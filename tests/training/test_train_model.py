@@ -6,8 +6,11 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.errors import DatasetError, TrainingError
-from cablesense_training.evaluation.answers import single_contact_truth
-from cablesense_training.evaluation.metrics import ContactAnswer, single_contact_metrics
+from cablesense_training.evaluation.metrics import (
+    ContactAnswer,
+    ContactTruth,
+    single_contact_metrics,
+)
 from cablesense_training.fit import FitSettings
 from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
@@ -49,7 +52,7 @@ def test_the_model_file_answers_as_the_report_says(single, tmp_path):
     fresh = draw_training_data(ARM, name, {**FEW, "samples": 200}, seed=TEST_SEED_OFFSET)
     answers = estimator.estimate_batch(fresh.tension_difference_n)
     found = single_contact_metrics(
-        single_contact_truth(fresh),
+        ContactTruth.of(fresh),
         ContactAnswer(
             answers.segment,
             answers.angle_deg,

@@ -10,19 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.evaluation.metrics import ContactAnswer, ContactTruth
+from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 
 _ROWS_AT_ONCE = 8192
 
 
-def single_contact_truth(dataset: Dataset) -> ContactTruth:
-    """The labels of a single-contact dataset."""
-    return ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
-
-
 def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
-    """What a single-contact network says of a dataset; angles in [0, 360)."""
+    """Answers of a single-contact network on a dataset; angles in [0, 360)."""
     outputs = list(_outputs(network, dataset))
     logits, direction, magnitude, magnitude_std, angle_std = (
         torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)
@@ -39,7 +34,7 @@ def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> Co
 def multi_contact_answer(
     network: MultiContactNetwork, dataset: Dataset
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Touched segments (B, N) and magnitudes (B, N) that a multi-contact network says."""
+    """Touched segments (B, N) and magnitudes (B, N) of a multi-contact network on a dataset."""
     logits, magnitude, _ = zip(*_outputs(network, dataset), strict=True)
     touched: NDArray[np.bool_] = torch.cat(logits).numpy() > 0.0
     return touched, torch.cat(magnitude).double().numpy()

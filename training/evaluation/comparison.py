@@ -1,15 +1,20 @@
-"""Every setting, every estimator, on fresh samples: the figures of `cablesense evaluate`.
+"""The one evaluation of estimators: their errors on a dataset, and every bundled model compared.
 
-The settings that estimators are compared in: which arm, which poses, which models answer.
+`cablesense evaluate`, the benchmarks and the paper's studies all take it from here. A `Setting` is
+an arm, poses and the models that answer; every setting has fresh samples, the shipped model, its
+baselines and the noise bound on the same samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -26,24 +31,43 @@ from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.metadata import find_model
 
+SHIPPED = "shipped"
+"""The model that CableSense uses in a setting, in reports."""
+
+MULTI_ARM = "cdsm"
+MULTI_MODELS = {SHIPPED: "cdsm_multi", "two_stage": "peers/cdsm_multi_two_stage"}
+"""Models for several contacts, by the name that reports use."""
+
+TABLE2_MODELS = {
+    SHIPPED: "cdsm_table2",
+    "closed_form": "peers/cdsm_table2_closed_form",
+    "two_stage": "peers/cdsm_table2_two_stage",
+}
+"""Models of the three-segment arm, likewise."""
+
+WEAKEST_MULTI_N = 5.0
+"""Recognition of several contacts is judged on forces of at least this."""
+
+FIRM_N = 2.0
+"""Below this force errors are not compared with the noise bound: noise decides them."""
+
 
 @dataclass(frozen=True)
 class Setting:
-    """One column of the comparison.
+    """One column of the comparison; single contacts.
 
     Attributes:
         name: as `cablesense evaluate --json` calls it.
         arm_name: bundled arm.
-        pose: straight, or joints within ± 10 degrees.
-        model: bundled model that CableSense ships for it.
-        peers: bundled models to compare with, by the name the report uses.
+        pose: straight, or joints within ± 10 degrees: known to pose-aware models, unknown to the
+            others.
+        models: bundled models by the name that reports use; the first is the shipped one.
     """
 
     name: str
     arm_name: str
     pose: Pose
-    model: str
-    peers: dict[str, str]
+    models: dict[str, str]
 
     @property
     def arm(self) -> Arm:
@@ -55,51 +79,36 @@ class Setting:
         return SingleContact(samples=samples, pose=self.pose)
 
 
+def _models(shipped: str, **baselines: str) -> dict[str, str]:
+    return {SHIPPED: shipped, **{name: f"peers/{model}" for name, model in baselines.items()}}
+
+
 SETTINGS = (
     Setting(
         "straight",
         "cdsm",
         "straight",
-        "cdsm",
-        {"closed_form": "peers/cdsm_closed_form", "two_stage": "peers/cdsm_straight_two_stage"},
+        _models("cdsm", closed_form="cdsm_closed_form", two_stage="cdsm_straight_two_stage"),
     ),
     Setting(
         "random_pose",
         "cdsm",
         "random",
-        "cdsm",
-        {"closed_form": "peers/cdsm_closed_form", "two_stage": "peers/cdsm_two_stage"},
+        _models("cdsm", closed_form="cdsm_closed_form", two_stage="cdsm_two_stage"),
     ),
     Setting(
         "compliant",
         "cdsm_lab",
         "random",
-        "cdsm_lab",
-        {"closed_form": "peers/cdsm_lab_closed_form", "two_stage": "peers/cdsm_lab_two_stage"},
+        _models("cdsm_lab", closed_form="cdsm_lab_closed_form", two_stage="cdsm_lab_two_stage"),
     ),
     Setting(
         "tensions_only",
         "cdsm",
         "random",
-        "cdsm_tensions_only",
-        {"two_stage": "peers/cdsm_two_stage"},
+        _models("cdsm_tensions_only", two_stage="cdsm_two_stage"),
     ),
 )
-"""Single contact; random poses are known to the pose-aware models and unknown to the others."""
-
-MULTI_ARM = "cdsm"
-MULTI_MODEL = "cdsm_multi"
-MULTI_PEERS = {"two_stage": "peers/cdsm_multi_two_stage"}
-TABLE2_MODEL = "cdsm_table2"
-TABLE2_MODELS = {
-    "shipped": TABLE2_MODEL,
-    "closed_form": "peers/cdsm_table2_closed_form",
-    "two_stage": "peers/cdsm_table2_two_stage",
-}
-"""Models of the three-segment arm, by the name the report uses."""
-
-WEAKEST_MULTI_N = 5.0
-"""Multi-contact recognition is judged on forces of at least this."""
 
 
 def multi_protocol(samples: int) -> MultiContact:
@@ -107,40 +116,118 @@ def multi_protocol(samples: int) -> MultiContact:
     return MultiContact(samples=samples, pose="straight")
 
 
-FIRM_N = 2.0
-"""Below this force the figures beside the noise bound are not compared: noise decides them."""
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """An estimator's answers on a single-contact dataset, and their errors."""
+
+    answer: ContactAnswer
+    metrics: SingleContactMetrics
+
+
+@dataclass(frozen=True, eq=False)
+class MultiEvaluation:
+    """Touched segments (B, N), forces (B, N) on a multi-contact dataset, and their errors."""
+
+    touched: NDArray[Any]
+    magnitude_n: Array
+    metrics: MultiContactMetrics
 
 
 @dataclass(frozen=True)
-class SettingFigures:
-    """One setting: the shipped model, its peers, and the bound, all on the same samples.
+class SettingEvaluation:
+    """One setting: its models by name, and the bound, all on the same samples.
 
     Attributes:
-        firm_ratio: magnitude MAE over that of the bound, contacts above `FIRM_N`.
+        firm_ratio: magnitude MAE of the shipped model over that of the bound, contacts above
+            `FIRM_N`.
     """
 
     setting: str
-    shipped: SingleContactMetrics
-    peers: dict[str, SingleContactMetrics]
+    models: dict[str, SingleContactMetrics]
     bound: NoiseBound
     firm_ratio: float
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """All settings and the multi-contact model, for one seed."""
+    """All settings and the models for several contacts, for one seed."""
 
     seed: int
     samples: int
-    settings: tuple[SettingFigures, ...]
+    settings: tuple[SettingEvaluation, ...]
     multi: dict[str, MultiContactMetrics]
 
     @property
     def coverage95(self) -> float:
         """Share of the shipped models' stated 95 % magnitude intervals that hold the truth."""
-        known = [s.shipped.errors for s in self.settings]
+        known = [s.models[SHIPPED].errors for s in self.settings]
         total = sum(e.found for e in known)
         return sum(e.magnitude_coverage95 * e.found for e in known) / total
+
+
+def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
+    """Errors of answers, whoever gave them."""
+    truth = ContactTruth.of(dataset)
+    return Evaluation(answer, single_contact_metrics(truth, answer, dataset.arm.segment_count))
+
+
+def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
+    """Answers of a single-contact model on a dataset, and their errors."""
+    found = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+    answer = ContactAnswer(
+        segment=found.segment,
+        angle_deg=found.angle_deg,
+        magnitude_n=found.magnitude_n,
+        magnitude_std_n=found.magnitude_std_n,
+        angle_std_deg=found.angle_std_deg,
+    )
+    return evaluate_answer(answer, dataset)
+
+
+def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Evaluation]:
+    """Bundled single-contact models, or files, on a dataset of their arm.
+
+    Raises:
+        ModelFileError: a model is missing or does not fit the dataset's arm.
+    """
+    return {
+        name: evaluate_estimator(Estimator.load(find_model(model), dataset.arm), dataset)
+        for name, model in models.items()
+    }
+
+
+def evaluate_multi_answer(
+    touched: NDArray[Any], magnitude_n: Array, dataset: Dataset
+) -> MultiEvaluation:
+    """Errors of answers for several contacts, those below `WEAKEST_MULTI_N` left out."""
+    metrics = multi_contact_metrics(
+        dataset.contacts, dataset.magnitudes_n, touched, magnitude_n, WEAKEST_MULTI_N
+    )
+    return MultiEvaluation(touched, magnitude_n, metrics)
+
+
+def evaluate_multi_models(dataset: Dataset) -> dict[str, MultiEvaluation]:
+    """The `MULTI_MODELS` on a dataset."""
+    evaluations = {}
+    for name, model in MULTI_MODELS.items():
+        estimator = MultiEstimator.load(find_model(model), dataset.arm)
+        found = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+        touched = found.probabilities > 0.5
+        evaluations[name] = evaluate_multi_answer(touched, found.magnitude_n, dataset)
+    return evaluations
+
+
+def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
+    """A setting's models on its samples, beside the noise bound."""
+    models = evaluate_models(setting.models, dataset)
+    firm = dataset.select(dataset.magnitude_n > FIRM_N)
+    shipped = evaluate_models({SHIPPED: setting.models[SHIPPED]}, firm)[SHIPPED]
+    return SettingEvaluation(
+        setting=setting.name,
+        models={name: evaluation.metrics for name, evaluation in models.items()},
+        bound=noise_bound(dataset),
+        firm_ratio=shipped.metrics.errors.magnitude_mae_n / noise_bound(firm).magnitude_mae_n,
+    )
 
 
 def compare(
@@ -151,107 +238,53 @@ def compare(
     Raises:
         ModelFileError: a bundled model is missing or does not fit its arm.
     """
-    for name in _models():
-        find_model(name)
-    figures = []
+    for models in (*(setting.models for setting in SETTINGS), MULTI_MODELS):
+        for model in models.values():
+            find_model(model)
+    evaluations = []
     for setting in SETTINGS:
         if on_setting is not None:
             on_setting(setting.name)
         dataset = draw_dataset(setting.arm, setting.protocol(samples), seed, workers=workers)
-        figures.append(setting_figures(setting, dataset))
+        evaluations.append(evaluate_setting(setting, dataset))
     if on_setting is not None:
         on_setting("multi")
-    arm = open_arm(MULTI_ARM)
-    dataset = draw_dataset(arm, multi_protocol(samples), seed, workers=workers)
-    return Comparison(seed, samples, tuple(figures), multi_figures(dataset))
-
-
-def _models() -> Iterable[str]:
-    for setting in SETTINGS:
-        yield from (setting.model, *setting.peers.values())
-    yield from (MULTI_MODEL, *MULTI_PEERS.values())
-
-
-def setting_figures(setting: Setting, dataset: Dataset) -> SettingFigures:
-    """Figures of one setting's models on its samples."""
-    shipped = single_figures(Estimator.load(find_model(setting.model), dataset.arm), dataset)
-    firm = dataset.select(dataset.magnitude_n > FIRM_N)
-    firm_error = single_figures(Estimator.load(find_model(setting.model)), firm).errors
-    return SettingFigures(
-        setting=setting.name,
-        shipped=shipped,
-        peers={
-            name: single_figures(Estimator.load(find_model(peer), dataset.arm), dataset)
-            for name, peer in setting.peers.items()
-        },
-        bound=noise_bound(dataset),
-        firm_ratio=firm_error.magnitude_mae_n / noise_bound(firm).magnitude_mae_n,
-    )
-
-
-def single_figures(estimator: Estimator, dataset: Dataset) -> SingleContactMetrics:
-    """Metrics of a single-contact model on a dataset."""
-    truth = ContactTruth(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
-    answer = single_answer(estimator, dataset)
-    return single_contact_metrics(truth, answer, dataset.arm.segment_count)
-
-
-def single_answer(estimator: Estimator, dataset: Dataset) -> ContactAnswer:
-    """What a single-contact model says of a dataset."""
-    said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-    return ContactAnswer(
-        segment=said.segment,
-        angle_deg=said.angle_deg,
-        magnitude_n=said.magnitude_n,
-        magnitude_std_n=said.magnitude_std_n,
-        angle_std_deg=said.angle_std_deg,
-    )
-
-
-def multi_figures(dataset: Dataset) -> dict[str, MultiContactMetrics]:
-    """Metrics of the multi-contact models, contacts below `WEAKEST_MULTI_N` left out."""
-    figures = {}
-    for name, model in {"shipped": MULTI_MODEL, **MULTI_PEERS}.items():
-        estimator = MultiEstimator.load(find_model(model), dataset.arm)
-        said = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-        figures[name] = multi_contact_metrics(
-            dataset.contacts,
-            dataset.magnitudes_n,
-            said.probabilities > 0.5,
-            said.magnitude_n,
-            WEAKEST_MULTI_N,
-        )
-    return figures
+    dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
+    multi = {name: found.metrics for name, found in evaluate_multi_models(dataset).items()}
+    return Comparison(seed, samples, tuple(evaluations), multi)
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
     """The comparison as `cablesense evaluate --json` prints it."""
     settings = comparison.settings
-    peers: dict[str, dict[str, Any]] = {}
-    for figures in settings:
-        for name, metrics in figures.peers.items():
-            peers.setdefault(name, {})[figures.setting] = single_json(metrics)
+    baselines: dict[str, dict[str, Any]] = {}
+    for evaluation in settings:
+        for name, metrics in evaluation.models.items():
+            if name != SHIPPED:
+                baselines.setdefault(name, {})[evaluation.setting] = metrics_json(metrics)
+    multi = comparison.multi[SHIPPED]
     return {
         "seed": comparison.seed,
         "samples": comparison.samples,
         "single": {
-            f.setting: {**single_json(f.shipped), "mae_over_bound": f.firm_ratio} for f in settings
+            s.setting: {**metrics_json(s.models[SHIPPED]), "mae_over_bound": s.firm_ratio}
+            for s in settings
         },
         "multi": {
-            "recognition_accuracy": comparison.multi["shipped"].recognition_accuracy,
-            "macro_f1": comparison.multi["shipped"].macro_f1,
-            "magnitude_mae_n": list(comparison.multi["shipped"].magnitude_mae_n),
+            "recognition_accuracy": multi.recognition_accuracy,
+            "macro_f1": multi.macro_f1,
+            "magnitude_mae_n": list(multi.magnitude_mae_n),
         },
-        "bound": {f.setting: asdict(f.bound) for f in settings},
-        "peers": peers,
+        "bound": {s.setting: asdict(s.bound) for s in settings},
+        "peers": baselines,
         "coverage95": comparison.coverage95,
     }
 
 
-def single_json(metrics: SingleContactMetrics) -> dict[str, Any]:
-    """One model's figures in one setting; None where there was nothing to average."""
+def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
+    """One model's errors in one setting; None where there was nothing to average."""
     errors = metrics.errors
-    figures = {
+    overall = {
         "contact_accuracy": metrics.contact_accuracy,
         "direction_mae_deg": errors.direction_mae_deg,
         "magnitude_mae_n": errors.magnitude_mae_n,
@@ -259,22 +292,20 @@ def single_json(metrics: SingleContactMetrics) -> dict[str, Any]:
         "macro_f1": metrics.macro_f1,
         "coverage95": errors.magnitude_coverage95,
     }
-    by_force = [_none_for_nan(force_bin) for force_bin in _bins(metrics)]
-    return {**_none_for_nan(figures), "by_force": by_force}
-
-
-def _none_for_nan(figures: dict[str, float]) -> dict[str, float | None]:
-    """JSON has no NaN."""
-    return {name: None if math.isnan(value) else value for name, value in figures.items()}
-
-
-def _bins(metrics: SingleContactMetrics) -> Iterable[dict[str, float]]:
-    for force_bin in metrics.bins:
-        yield {
-            "low_n": force_bin.low_n,
-            "high_n": force_bin.high_n,
-            "contacts": force_bin.errors.contacts,
-            "contact_accuracy": force_bin.errors.contact_accuracy,
-            "direction_mae_deg": force_bin.errors.direction_mae_deg,
-            "magnitude_mae_n": force_bin.errors.magnitude_mae_n,
+    by_force = [
+        {
+            "low_n": part.low_n,
+            "high_n": part.high_n,
+            "contacts": part.errors.contacts,
+            "contact_accuracy": part.errors.contact_accuracy,
+            "direction_mae_deg": part.errors.direction_mae_deg,
+            "magnitude_mae_n": part.errors.magnitude_mae_n,
         }
+        for part in metrics.bins
+    ]
+    return {**_none_for_nan(overall), "by_force": [_none_for_nan(part) for part in by_force]}
+
+
+def _none_for_nan(values: dict[str, float]) -> dict[str, float | None]:
+    """JSON has no NaN."""
+    return {name: None if math.isnan(value) else value for name, value in values.items()}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_training.data.dataset import Dataset
 
 Integers = NDArray[np.int64]
 
@@ -25,6 +26,11 @@ class ContactTruth:
     segment: Integers
     angle_deg: Array
     magnitude_n: Array
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> ContactTruth:
+        """The labels of a single-contact dataset."""
+        return cls(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,7 +161,7 @@ _BUNDLED = BundledFiles("model", "models", (".onnx",), ModelFileError)
 
 
 def bundled_models() -> list[str]:
-    """Names of the bundled models, for example `cdsm`; peers to compare with are in `peers/`."""
+    """Names of the bundled models, for example `cdsm`; baselines are in `peers/`."""
     return _BUNDLED.names()
 
 

@@ -211,7 +211,7 @@ class CorrectedClosedForm(SingleContactNetwork):
 
 
 class PlainClosedForm(CorrectedClosedForm):
-    """The peer to beat: statics at the commanded pose; nothing in it is trained."""
+    """The baseline: statics at the commanded pose; nothing in it is trained."""
 
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
