@@ -108,6 +108,6 @@ def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):
         raise AssertionError("samples were drawn for nothing")
 
     monkeypatch.setattr(comparison, "draw_dataset", refuse)
-    monkeypatch.setattr("cablesense_training.inference.metadata.bundled_models", list)
-    with pytest.raises(ModelFileError, match="unknown model"):
+    monkeypatch.setitem(comparison.MULTI_MODELS, "gone", "cdsm_gone")
+    with pytest.raises(ModelFileError, match="unknown model 'cdsm_gone'"):
         compare(0, 100)
