@@ -10,14 +10,12 @@ poses. `--write` puts `accuracy.json` and the tables `accuracy.md` into `benchma
 
 from __future__ import annotations
 
-import argparse
-import json
-import platform
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
+
+import harness
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingBaseline, BoostingSettings
@@ -46,7 +44,6 @@ from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.recipes import build_network, recipe_for
 
-RESULTS = Path(__file__).parent / "results"
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0
 BOOSTING_SAMPLES = 50_000
@@ -61,21 +58,19 @@ PAPER = {
     "magnitude_mae_n": 9.97,
     "magnitude_rmse_n": 14.26,
 }
-"""The paper's figures: straight arm, noise-free, every sample a contact."""
+"""The paper's numbers: straight arm, noise-free, every sample a contact."""
 
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = harness.parser(__doc__, "results/accuracy.*")
     parser.add_argument("--samples", type=int, default=100_000, help="test samples per setting")
     parser.add_argument("--workers", type=int, default=2, help="processes that draw samples")
     parser.add_argument("--quick", action="store_true", help="bundled models only")
-    parser.add_argument("--write", action="store_true", help="write benchmarks/results/accuracy.*")
     options = parser.parse_args()
     start = time.perf_counter()
     result: dict[str, Any] = {
-        "command": "python " + " ".join(["benchmarks/accuracy.py", *sys.argv[1:]]),
-        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        **harness.origin("python " + " ".join(["benchmarks/accuracy.py", *sys.argv[1:]])),
         "seed": TEST_SEED,
         "samples": options.samples,
         "paper": PAPER,
@@ -100,8 +95,8 @@ def main() -> None:
     table = markdown(result)
     print(table)
     if options.write:
-        (RESULTS / "accuracy.json").write_text(json.dumps(result, indent=1) + "\n")
-        (RESULTS / "accuracy.md").write_text(table)
+        harness.write_result("accuracy.json", result)
+        harness.write_result("accuracy.md", table)
 
 
 def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[str, Any]:
@@ -171,7 +166,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"samples a setting, seed {result['seed']}: 0 to 200 N, one fifth of the samples without "
         "contact, sensor noise and step on. Contact counts *no contact* as a class; direction is "
         "over the contacts found; force over all contacts, an answer of none counting as 0 N. "
-        "The paper's figures are for a straight arm without noise and without contact-free "
+        "The paper's numbers are for a straight arm without noise and without contact-free "
         "samples.",
     ]
     for name, setting in result["single"].items():

@@ -1,36 +1,31 @@
 """Equilibria per second with cables that only pull, and how long time-stepping takes for the same.
 
-    python benchmarks/equilibria.py [--json] [--out benchmarks/results/equilibria.json]
+    python benchmarks/equilibria.py [--json] [--write]
 
 Worker processes, one per core and each with one BLAS thread, solve random poses within ±10
 degrees under one contact of 0 to 200 N. Handing out the cases and taking back the tensions counts,
 starting the workers does not. Then 2,000 hard cases (±20 degrees, one to four contacts) with their
 residuals.
 
-The peer steps the same model in time, from the unloaded rest until no joint moves faster than
+The baseline steps the same model in time, from the unloaded rest until no joint moves faster than
 `STILL_RAD_S`, under loads that leave the plates of either arm apart. Two ratios compare the time
 per case: as run, `ArmDynamics.settle` on one core against the solver on all; and on one core each
-with the peer's time counted as its number of steps times MuJoCo's bare step, without Python.
+with the baseline's time counted as its number of steps times MuJoCo's bare step, without Python.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import os
-import platform
 import statistics
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
+import harness
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -51,44 +46,13 @@ STILL_RAD_S = {"cdsm": 1e-8, "cdsm_lab": 1e-6}
 STEPPED_LARGEST_N = {"cdsm": 200.0, "cdsm_lab": 100.0}
 BAR_PER_S, RATIO_BAR = 10_000, 500
 BARE_STEPS = 20_000
-
-
-@dataclass(frozen=True)
-class ArmFigures:
-    """One arm's figures; a rate counts cases per second, a ratio is of times per case."""
-
-    cases: int
-    per_second: float
-    per_second_one_core: float
-    slack_share: float
-    without_rest: int
-    largest_residual_n_m: float
-    largest_iterations: int
-    stepped_cases: int
-    steps_to_rest: float
-    stepping_ms: float
-    stepping_with_python_ms: float
-    largest_tension_difference_n: float
-    ratio_as_run: float
-    ratio_bare_one_core: float
-
-
-@dataclass(frozen=True)
-class HardFigures:
-    """The hard cases on the stiff arm."""
-
-    cases: int
-    converged: int
-    largest_residual_n_m: float
-    largest_iterations: int
-    slack_share: float
+RESULT = "equilibria.json"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, write; 1 where a bar is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument("--out", type=Path, help="also write the JSON to this file")
     options = parser.parse_args(arguments)
     for library in ("OMP", "OPENBLAS", "MKL"):  # read by the workers, which start afterwards
         os.environ[f"{library}_NUM_THREADS"] = "1"
@@ -98,27 +62,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arms = {name: _measure(pool, workers, name) for name in ("cdsm", "cdsm_lab")}
         hard = pool.submit(_hard).result()
     met = (
-        all(arm.per_second >= BAR_PER_S for arm in arms.values())
-        and arms["cdsm_lab"].ratio_as_run >= RATIO_BAR
-        and hard.converged == hard.cases
+        all(arm["per_second"] >= BAR_PER_S for arm in arms.values())
+        and arms["cdsm_lab"]["ratio_as_run"] >= RATIO_BAR
+        and hard["converged"] == hard["cases"]
     )
     report = {
-        "command": "python benchmarks/equilibria.py --out benchmarks/results/equilibria.json",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": f"{platform.machine()}, {workers} cores, Python {platform.python_version()}",
-        "versions": {name: version(name) for name in ("numpy", "mujoco")},
+        **harness.origin("python benchmarks/equilibria.py --write", ["numpy", "mujoco"]),
         "workers": f"{workers} processes with one BLAS thread each",
         "load_average_at_the_end": os.getloadavg()[0],
         "bar": {"per_second": BAR_PER_S, "cdsm_lab_ratio_as_run": RATIO_BAR, "met": met},
-        "arms": {name: asdict(figures) for name, figures in arms.items()},
-        "hard": asdict(hard),
+        "arms": arms,
+        "hard": hard,
     }
-    text = json.dumps(report, indent=2)
-    if options.out:
-        partial = options.out.with_suffix(".part")
-        partial.write_text(text + "\n", encoding="utf-8")
-        partial.replace(options.out)
-    print(text if options.json else _table(report))
+    if options.write:
+        harness.write_result(RESULT, report, indent=2)
+    print(json.dumps(report, indent=2) if options.json else _table(report))
     return 0 if met else 1
 
 
@@ -156,7 +114,7 @@ def _solve(
     return rest.tensions_n, rest.residual_n_m, rest.iterations, time.process_time() - start
 
 
-def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> ArmFigures:
+def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(name))
     command, forces = _cases(mechanism, CASES, degrees=10, contacts=1, largest_n=200)
     # also warms the workers up: each has solved before the clock starts
@@ -174,22 +132,22 @@ def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> ArmFigures:
     one_core = len(good) / sum(part[3] for part in found)
     steps, with_python_s, difference = pool.submit(_step_to_rest, name).result()
     bare_s = statistics.mean(steps) * pool.submit(_bare_step_s, name).result()
-    return ArmFigures(
-        cases=len(good),
-        per_second=len(good) / seconds,
-        per_second_one_core=one_core,
-        slack_share=float((tensions == 0).any(axis=1).mean()),
-        without_rest=CASES - len(good),
-        largest_residual_n_m=float(residual.max()),
-        largest_iterations=int(iterations.max()),
-        stepped_cases=len(steps),
-        steps_to_rest=statistics.mean(steps),
-        stepping_ms=1e3 * bare_s,
-        stepping_with_python_ms=1e3 * with_python_s,
-        largest_tension_difference_n=difference,
-        ratio_as_run=with_python_s * len(good) / seconds,
-        ratio_bare_one_core=bare_s * one_core,
-    )
+    return {
+        "cases": len(good),
+        "per_second": len(good) / seconds,
+        "per_second_one_core": one_core,
+        "slack_share": float((tensions == 0).any(axis=1).mean()),
+        "without_rest": CASES - len(good),
+        "largest_residual_n_m": float(residual.max()),
+        "largest_iterations": int(iterations.max()),
+        "stepped_cases": len(steps),
+        "steps_to_rest": statistics.mean(steps),
+        "stepping_ms": 1e3 * bare_s,
+        "stepping_with_python_ms": 1e3 * with_python_s,
+        "largest_tension_difference_n": difference,
+        "ratio_as_run": with_python_s * len(good) / seconds,
+        "ratio_bare_one_core": bare_s * one_core,
+    }
 
 
 def _step_to_rest(name: str) -> tuple[list[int], float, float]:
@@ -220,18 +178,18 @@ def _bare_step_s(name: str) -> float:
     return (time.process_time() - start) / BARE_STEPS
 
 
-def _hard() -> HardFigures:
+def _hard() -> dict[str, Any]:
     mechanism = mechanism_of(open_arm("cdsm"))
     command, forces = _cases(mechanism, HARD_CASES, degrees=20, contacts=4, largest_n=200)
     good = _with_rest("cdsm", command, forces)
     tensions, residual, iterations, _ = _solve("cdsm", command[good], forces[good])
-    return HardFigures(
-        cases=HARD_CASES,
-        converged=len(good),
-        largest_residual_n_m=float(residual.max()),
-        largest_iterations=int(iterations.max()),
-        slack_share=float((tensions == 0).any(axis=1).mean()),
-    )
+    return {
+        "cases": HARD_CASES,
+        "converged": len(good),
+        "largest_residual_n_m": float(residual.max()),
+        "largest_iterations": int(iterations.max()),
+        "slack_share": float((tensions == 0).any(axis=1).mean()),
+    }
 
 
 def _table(report: dict[str, Any]) -> str:

@@ -1,27 +1,26 @@
-"""The numbers of the belief formula, fitted to simulated cases of seeds used for nothing else.
+"""The numbers of the probability formula, fitted to simulated cases of seeds used only here.
 
     python benchmarks/gap_calibration.py FOLDER [FOLDER ...] [--write]
 
-Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. What
-the search leaves unexplained in each case is kept beside the recording, as `case_….search.json`;
-then the numbers are sought that give the true answers the highest mean log probability. The
-bundled numbers come from 60 cases of seed 606 and the first 21 of seed 9002.
+Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. The
+residuals that the search leaves in each case are kept beside the recording
+(`case_….search.json`); then the numbers are fitted that give the true answers the highest mean
+log probability. The bundled numbers come from 60 cases of seed 606 and the first 21 of seed 9002.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from multiprocessing import get_context
 from pathlib import Path
 
+import harness
 import numpy as np
 from rich.progress import track
 from scipy.optimize import minimize
 
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
@@ -33,26 +32,24 @@ from cablesense_sim.arm import open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-
 ARM = "cdsm_lab"
 TARGET = Path(probability.__file__).with_name("calibration.json")
 START = ProbabilityCalibration(4.0, 6.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
 WIDTHS = (2.0, 3.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
-"""How far each may be from its start before the cases speak; the last three as logarithms."""
+"""How far each may be from its start before any case counts; the last three as logarithms."""
 
 
 def main() -> None:
     """Searches where that has not been done, fits, prints; keeps the numbers with `--write`."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = harness.parser(__doc__, TARGET.name)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--write", action="store_true", help=f"write {TARGET.name}")
     options = parser.parse_args()
     cases = []
     for folder in options.folders:
         truth = {a.recording: a.effects for a in read_answers(folder / "answers" / "answers.csv")}
         paths = sorted(folder.glob("case_???.csv"))
-        with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        with WorkerPool(options.workers) as pool:
             found = list(track(pool.map(_searched, paths), total=len(paths)))
         cases += [(case, tuple(truth[p.stem])) for case, p in zip(found, paths, strict=True)]
     best = minimize(_cost, np.zeros(len(WIDTHS)), args=(cases,), method="Nelder-Mead",
@@ -64,7 +61,7 @@ def main() -> None:
           f"{np.mean([p for _, p in named]):.2f}")  # fmt: skip
     print(json.dumps(asdict(calibration), indent=1))
     if options.write:
-        TARGET.write_text(json.dumps(asdict(calibration), indent=1) + "\n")
+        harness.write_result(str(TARGET), asdict(calibration))
 
 
 def _searched(path: Path) -> dict[str, object]:
@@ -73,15 +70,15 @@ def _searched(path: Path) -> dict[str, object]:
         arm = open_arm(ARM)
         recording = read_recording(path, arm)
         simulator = ArmSimulator(arm, recording)
-        course = problem_of(recording, simulator, simulator.predict([{}])[0])
-        hypotheses = search(course)
+        problem = problem_of(recording, simulator, simulator.predict([{}])[0])
+        hypotheses = search(problem)
         content = {
-            "floor": course.floor,
+            "floor": problem.floor,
             "effects": [h.effects for h in hypotheses],
             "left": [h.held_out_rmse for h in hypotheses],
             "sizes": [h.sizes for h in hypotheses],
             "strains": [h.tolerance_chi2 for h in hypotheses],
-            "tolerances": len(course.tolerance_terms),
+            "tolerances": len(problem.tolerance_terms),
         }
         kept.write_text(json.dumps(content))
     return dict(json.loads(kept.read_text()))
@@ -117,8 +114,8 @@ def _cost(offsets: np.ndarray, cases: list) -> float:
     calibration = _calibration(offsets)
     if min(calibration.power, calibration.size, calibration.tolerance_chi2) < 0.0:
         return 1e6
-    told = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
-    return float(-np.log(np.maximum(told, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))
+    given = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
+    return float(-np.log(np.maximum(given, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))
 
 
 if __name__ == "__main__":

@@ -7,13 +7,12 @@ and passes on those whose forces it gets wrong by `--least` newtons or more, the
 effect first: each is diagnosed, and estimators are trained for the nominal arm and for what the
 diagnosis makes of it (`cablesense_gap.retraining`), as `cablesense gap diagnose --retrain` does.
 The seed was not used while the diagnosis was made. Beside it stands the same network trained on
-samples of the amended arm as `cablesense train --arm` draws them, which knows no past; that arm
+samples of the amended arm as `cablesense train --arm` draws them, which is memoryless; that arm
 was fitted to all trials.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -22,6 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import harness
 from rich.console import Console
 
 from cablesense_base.installation import config_path
@@ -38,8 +38,7 @@ from cablesense_training.inference.estimator import Estimator
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-
-RESULTS = Path(__file__).parent / "results" / "gap_retrain.json"
+RESULT = "gap_retrain.json"
 ARM = "cdsm_lab"
 HIDDEN = ("contact_offset", "joint_elasticity", "sensor_lag", "capstan_friction")
 """Effects that can hurt; what a tare takes away, or what acts before it, seldom does."""
@@ -48,15 +47,14 @@ LOG = Console(stderr=True)
 
 
 def main() -> None:
-    """Draws, diagnoses, trains and prints; keeps the figures with `--write`, case by case."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    """Draws, diagnoses, trains and prints; keeps the numbers with `--write`, case by case."""
+    parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--count", type=int, default=12, help="recordings drawn")
     parser.add_argument("--seed", type=int, default=9102, help="of the plant")
     parser.add_argument("--only", nargs="+", default=HIDDEN, help="effects, hidden in turn")
     parser.add_argument("--least", type=float, default=2.0, help="newtons of force error before")
     parser.add_argument("--most", type=int, default=99, help="cases to go through")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
     options = parser.parse_args()
     arm = open_arm(ARM)
     with tempfile.TemporaryDirectory() as name:
@@ -79,7 +77,7 @@ def main() -> None:
             {n: (answers[n].effects, e) for n, (e, _) in hurt.items() if e >= options.least}
         )
         result: dict[str, Any] = {
-            "command": "python " + " ".join(["benchmarks/gap_retrain.py", *sys.argv[1:]]),
+            **harness.origin("python " + " ".join(["benchmarks/gap_retrain.py", *sys.argv[1:]])),
             "arm": ARM,
             "drawn": options.count,
             "hurt_by_at_least_n": options.least,
@@ -91,7 +89,7 @@ def main() -> None:
             result["cases"][case] = _case(hurt[case][1], arm, answers[case], options.workers)
             print(json.dumps({case: result["cases"][case]}, indent=1), flush=True)
             if options.write:
-                RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+                harness.write_result(RESULT, result)
 
 
 def _worst_of_each_first(hurt: dict[str, tuple[str, float]]) -> list[str]:
@@ -137,12 +135,12 @@ def _without_past(recording: Recording, nominal: Arm, amended: Arm) -> dict[str,
 def _shipped(recording: Recording, arm: Arm) -> dict[str, float]:
     estimator = Estimator.load(config_path(f"models/{ARM}.onnx"), arm)
     mechanism, loads = mechanism_of(arm), tared_loads(recording)
-    said = estimator.estimate_batch(loads.tension_difference_n, loads.command_rad)
-    return force_errors(mechanism, loads, answered_n(mechanism, loads, said))
+    estimates = estimator.estimate_batch(loads.tension_difference_n, loads.command_rad)
+    return force_errors(mechanism, loads, answered_n(mechanism, loads, estimates))
 
 
-def _rounded(figures: dict[str, float]) -> dict[str, float]:
-    return {name: round(figure, 4) for name, figure in figures.items()}
+def _rounded(errors: dict[str, float]) -> dict[str, float]:
+    return {name: round(error, 4) for name, error in errors.items()}
 
 
 if __name__ == "__main__":

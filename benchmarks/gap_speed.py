@@ -5,14 +5,13 @@
 
 The diagnosis runs as a user runs it, in a process of its own with two workers. `mujoco.sysid`
 fits one candidate after the other, each chosen and written down here by hand, since it neither
-chooses nor knows what does not fit into a MuJoCo model. It gets the cheapest simulation that
+chooses nor has what does not fit into a MuJoCo model. It gets the cheapest simulation that
 MuJoCo offers: every distinct row once, as a rest, by steps so long that each is one of Newton's.
 Rows where the arm has more than one place to rest count in neither.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import os
@@ -21,9 +20,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import harness
 import mujoco
 import numpy as np
 from mujoco import sysid
@@ -43,8 +44,7 @@ from cablesense_sim.model import build_spec
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-
-RESULTS = Path(__file__).parent / "results" / "gap_speed.json"
+RESULT = "gap_speed.json"
 ARM = "cdsm_lab"
 WORKERS = 2
 STEP_S = 0.02
@@ -57,7 +57,7 @@ DIFF_STEP = 1e-3
 NOT_IN_A_MODEL = {
     "capstan_friction": "frictionloss creeps at rest; a loop that holds has no attribute",
     "joint_friction": "frictionloss creeps at rest; a loop that holds has no attribute",
-    "cable_creep": "tendons have no memory",
+    "cable_creep": "tendons are not history-dependent",
     "actuator_backlash": "needs code of one's own between command and actuator",
     "sensor_gain": "by sysid.apply_gain in a residual of one's own",
     "sensor_offset": "by sysid.apply_bias in a residual of one's own",
@@ -66,27 +66,25 @@ NOT_IN_A_MODEL = {
     "sensor_crosstalk": "no signal modifier",
 }
 
-Modifier = Callable[[Any, Any], None]
+Writer = Callable[[Any, int, float], None]
+"""Writes the value of a parameter for the place of an index to a spec."""
 
 
 def main() -> None:
-    """Makes the recording, diagnoses it, fits it, prints; keeps the figures with `--write`."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    """Makes the recording, diagnoses it, fits it, prints; keeps the numbers with `--write`."""
+    parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--seed", type=int, default=7, help="of the plant")
     parser.add_argument("--hidden", default="cable_creep", help="what is hidden in the recording")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         answers = folder / "answers" / "answers.csv"
         nominal = read_nominal(find_arm(ARM))
-        made = withhold(folder, answers, nominal, 1, options.seed, (options.hidden,), 1)
-        paths = list(made)
-        assert len(paths) == 1
+        list(withhold(folder, answers, nominal, 1, options.seed, (options.hidden,)))
         recording = read_recording(folder / "case_001.csv", open_arm(ARM))
         truth = next(csv.DictReader(answers.open()))
         result = {
-            "command": "python " + " ".join(["benchmarks/gap_speed.py", *sys.argv[1:]]),
+            **harness.origin("python " + " ".join(["benchmarks/gap_speed.py", *sys.argv[1:]])),
             "load_average_before": [round(load, 1) for load in os.getloadavg()],
             "rows": len(recording),
             "hidden": {key: truth[key] for key in ("effects", "where", "form", "gap_n")},
@@ -95,7 +93,7 @@ def main() -> None:
         }
     print(json.dumps(result, indent=1))
     if options.write:
-        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+        harness.write_result(RESULT, result)
 
 
 def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
@@ -148,13 +146,14 @@ def _fitted(recording: Recording) -> dict[str, Any]:
     rests = _Rests(recording, mechanism)
     found = {}
     began = time.monotonic()
-    for name, (parts, modifiers) in _candidates(mechanism).items():
+    for name, ((low, high, first), kind, count, write) in _candidates(mechanism).items():
         start = time.monotonic()
         rests.calls = 0
         parameters = sysid.ParameterDict()
-        for part, modifier in modifiers.items():
-            low, high, first = parts
-            parameters.add(sysid.Parameter(part, first, low, high, modifier=modifier))
+        places = ["pitch", "roll"] if kind == "axis" else [f"{kind}_{i + 1}" for i in range(count)]
+        for i, place in enumerate(places):
+            modifier = partial(_modify, write=write, index=i)
+            parameters.add(sysid.Parameter(place, first, low, high, modifier=modifier))
         residual = rests.residual_of(build_spec(mechanism, arm.name))
         _, fit = sysid.optimize(
             parameters,
@@ -162,16 +161,16 @@ def _fitted(recording: Recording) -> dict[str, Any]:
             optimizer="scipy",
             verbose=False,
             diff_step=DIFF_STEP,
-            x_scale=parts[1] / 3.0,
+            x_scale=high / 3.0,
             max_iters=12,
         )
         left = residual(fit.x, parameters)[0][0]
         found[name] = {
-            "parameters": len(modifiers),
+            "parameters": count,
             "seconds": round(time.monotonic() - start, 1),
             "simulations": rests.calls,
             "residual_n": round(float(np.sqrt((left**2).mean())), 4),
-            "values": {k: round(float(v), 6) for k, v in zip(modifiers, fit.x, strict=True)},
+            "values": {k: round(float(v), 6) for k, v in zip(places, fit.x, strict=True)},
         }
         print(f"sysid {name}: {found[name]}", file=sys.stderr)
     return {
@@ -182,6 +181,10 @@ def _fitted(recording: Recording) -> dict[str, Any]:
         "candidates": found,
         "not_expressible": NOT_IN_A_MODEL,
     }
+
+
+def _modify(spec: Any, parameter: Any, write: Writer, index: int) -> None:
+    write(spec, index, parameter.value[0])
 
 
 class _Rests:
@@ -252,77 +255,44 @@ class _Rests:
 
 def _candidates(
     mechanism: Mechanism,
-) -> dict[str, tuple[tuple[float, float, float], dict[str, Modifier]]]:
-    """By the library's names: range and start of each parameter, and what writes it to a spec."""
-    segments, cables = range(mechanism.segment_count), range(mechanism.cable_count)
+) -> dict[str, tuple[tuple[float, float, float], str, int, Writer]]:
+    """By the library's names: range and start, kind and number of the places, writer."""
     gravity = float(np.linalg.norm(mechanism.gravity_m_s2))
     straight_m = mechanism.pretension_n / mechanism.stiffness_n_m
+    lengths = build_spec(mechanism).compile().tendon_lengthspring[:, 1] + straight_m
+    segments, cables = mechanism.segment_count, mechanism.cable_count
 
-    def mass(n: int) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            spec.body(f"segment_{n + 1}").mass = mechanism.mass_kg[n] + p.value[0]
+    def mass(spec: Any, n: int, value: float) -> None:
+        spec.body(f"segment_{n + 1}").mass = mechanism.mass_kg[n] + value
 
-        return write
+    def tilt(spec: Any, axis: int, value: float) -> None:
+        spec.option.gravity[axis] = gravity * np.sin(value)
 
-    def tilt(axis: int) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            spec.option.gravity[axis] = gravity * np.sin(p.value[0])
+    def stiffness(spec: Any, n: int, value: float) -> None:
+        for i in np.flatnonzero(mechanism.cable_segment == n + 1):
+            k = mechanism.cable_stiffness_n_m[i] * (1.0 + value)
+            cable = spec.tendon(f"cable_{i + 1}")
+            cable.stiffness = [k, 0.0, 0.0]
+            cable.springlength = [0.0, lengths[i] - mechanism.pretension_n[i] / k]
 
-        return write
+    def pretension(spec: Any, i: int, value: float) -> None:
+        rest = lengths[i] - straight_m[i] - value / mechanism.stiffness_n_m[i]
+        spec.tendon(f"cable_{i + 1}").springlength = [0.0, rest]
 
-    def stiffness(chosen: list[int]) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            for i in chosen:
-                k = mechanism.cable_stiffness_n_m[i] * (1.0 + p.value[0])
-                cable = spec.tendon(f"cable_{i + 1}")
-                rest = lengths[i] - mechanism.pretension_n[i] / k
-                cable.stiffness = [k, 0.0, 0.0]
-                cable.springlength = [0.0, rest]
+    def elasticity(spec: Any, n: int, value: float) -> None:
+        for axis in ("pitch", "yaw"):
+            spec.joint(f"joint_{n + 1}_{axis}").stiffness = [value, 0.0, 0.0]
 
-        return write
+    def contact(spec: Any, n: int, value: float) -> None:
+        spec.site(f"contact_{n + 1}").pos = [mechanism.contact_m[n] + value, 0.0, 0.0]
 
-    def pretension(i: int) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            rest = lengths[i] - straight_m[i] - p.value[0] / mechanism.stiffness_n_m[i]
-            spec.tendon(f"cable_{i + 1}").springlength = [0.0, rest]
-
-        return write
-
-    def elasticity(n: int) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            for axis in ("pitch", "yaw"):
-                spec.joint(f"joint_{n + 1}_{axis}").stiffness = [p.value[0], 0.0, 0.0]
-
-        return write
-
-    def contact(n: int) -> Modifier:
-        def write(spec: Any, p: Any) -> None:
-            spec.site(f"contact_{n + 1}").pos = [mechanism.contact_m[n] + p.value[0], 0.0, 0.0]
-
-        return write
-
-    plain = build_spec(mechanism).compile()
-    lengths = plain.tendon_lengthspring[:, 1] + straight_m
-    own = [[i for i in cables if mechanism.cable_segment[i] == n + 1] for n in segments]
     return {
-        "payload": ((-0.4, 3.0, 0.1), {f"segment_{n + 1}": mass(n) for n in segments}),
-        "base_tilt": ((-0.5, 0.5, 0.01), {"pitch": tilt(0), "roll": tilt(1)}),
-        "cable_stiffness": (
-            (-0.8, 3.0, 0.05),
-            {f"segment_{n + 1}": stiffness(own[n]) for n in segments},
-        ),
-        "pretension_error": (
-            (-40.0, 100.0, 0.5),
-            {f"cable_{i + 1}": pretension(i) for i in cables},
-        ),
-        "joint_elasticity": (
-            (0.0, 100.0, 1.0),
-            {f"joint_{n + 1}": elasticity(n) for n in segments},
-        ),
-        "contact_offset": (
-            (-0.06, 0.06, 0.002),
-            {f"segment_{n + 1}": contact(n) for n in segments},
-        ),
+        "payload": ((-0.4, 3.0, 0.1), "segment", segments, mass),
+        "base_tilt": ((-0.5, 0.5, 0.01), "axis", 2, tilt),
+        "cable_stiffness": ((-0.8, 3.0, 0.05), "segment", segments, stiffness),
+        "pretension_error": ((-40.0, 100.0, 0.5), "cable", cables, pretension),
+        "joint_elasticity": ((0.0, 100.0, 1.0), "joint", segments, elasticity),
+        "contact_offset": ((-0.06, 0.06, 0.002), "segment", segments, contact),
     }
 
 

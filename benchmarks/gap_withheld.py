@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
+import harness
 from rich.progress import track
 
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.pipeline import diagnose
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.report.page import write_diagnosis
@@ -24,7 +24,6 @@ from cablesense_gap.verdict import Verdict, read_verdict
 from cablesense_sim.arm import open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 
 FOLDER = Path(__file__).parent / "withheld"
 ARM = "cdsm_lab"
@@ -53,10 +52,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     options = parser.parse_args()
     recordings = sorted((FOLDER / "recordings").glob("*.csv"))
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+    with WorkerPool(options.workers) as pool:
         done = track(pool.map(_verdict, recordings), "Diagnosing", total=len(recordings))
         lines = [_line(path.stem, verdict) for path, verdict in zip(recordings, done, strict=True)]
-    (FOLDER / "README.md").write_text(HEADING + "\n".join(lines) + "\n", encoding="utf-8")
+    harness.write_result("../withheld/README.md", HEADING + "\n".join(lines) + "\n")
 
 
 def _verdict(path: Path) -> Verdict:

@@ -9,13 +9,12 @@ Table II's physical rows are put to gradient boosting as well.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 
 from cablesense_sim.arm import open_arm
@@ -32,16 +31,14 @@ from cablesense_training.evaluation.comparison import (
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
 from cablesense_training.evaluation.table2 import read_table2
 
-RESULTS = Path(__file__).parent / "results" / "multi_contact.json"
 TEST_SEED = 20_260_001
 TRAINING_SAMPLES = 50_000
 
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = harness.parser(__doc__, "results/multi_contact.json")
     parser.add_argument("--samples", type=int, default=50_000, help="test samples")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
     options = parser.parse_args()
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(options.samples), TEST_SEED)
@@ -52,7 +49,7 @@ def main() -> None:
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     figures["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
     result = {
-        "command": "python " + " ".join(["benchmarks/multi_contact.py", *sys.argv[1:]]),
+        **harness.origin("python " + " ".join(["benchmarks/multi_contact.py", *sys.argv[1:]])),
         "seed": TEST_SEED,
         "samples": options.samples,
         "several_contacts": figures,
@@ -60,7 +57,7 @@ def main() -> None:
     }
     print(json.dumps(result, indent=1))
     if options.write:
-        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+        harness.write_result("multi_contact.json", result)
 
 
 def _table2() -> list[dict[str, Any]]:

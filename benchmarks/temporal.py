@@ -1,24 +1,22 @@
-"""Estimators along courses: in motion and at rest, with memory and without, under friction.
+"""Estimators along sequences: in motion and at rest, history-dependent or not, under friction.
 
     python benchmarks/temporal.py [--sequences 16] [--duration 30] [--write]
 
-Fresh courses of commands and contacts, seeds that no training has seen, sensor noise on. Those
-without memory are told the set-point at every tick, which is more than the node tells them: there
-they say nothing until the arm rests again, and that is a row of its own. Long courses show whether
-the memory holds; where cables rub there are several, as a late start weighs more than the time
-since. `--write` puts `temporal.json`, `temporal.md` and a picture into
+Fresh sequences of commands and contacts, seeds that no training has seen, sensor noise on.
+Memoryless estimators get the set-point at every tick, which is more than the node gives them:
+there they are silent until the arm rests again, and that is a row of its own. Long sequences show
+whether the state stays right; under friction there are several, as a late start weighs more than
+the time since. `--write` puts `temporal.json`, `temporal.md` and a picture into
 `benchmarks/results/`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import harness
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -40,8 +38,6 @@ from cablesense_training.motion.sequences import Sequences, draw_sequences
 
 mpl.use("Agg")
 
-RESULTS = Path(__file__).parent / "results"
-
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0
 
@@ -49,11 +45,11 @@ GATED = "statics, silent in motion (as the node runs it)"
 
 
 class Case(NamedTuple):
-    """An arm, how many long courses it gets, and its estimators by what the table calls them."""
+    """An arm, how many long sequences it gets, and its estimators by their names in the table."""
 
     arm: str
     why: str
-    long_courses: int
+    long_sequences: int
     estimators: dict[str, str]
 
 
@@ -84,15 +80,14 @@ CASES = (
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sequences", type=int, default=16, help="courses for each arm")
+    parser = harness.parser(__doc__, "results/temporal.*")
+    parser.add_argument("--sequences", type=int, default=16, help="sequences for each arm")
     parser.add_argument("--duration", type=float, default=30.0, help="of each, in s")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
-    parser.add_argument("--write", action="store_true", help="write the results")
     options = parser.parse_args()
     protocol = MotionProtocol(sequences=options.sequences, duration_s=options.duration)
     result: dict[str, Any] = {
-        "command": "python " + " ".join(["benchmarks/temporal.py", *sys.argv[1:]]),
+        **harness.origin("python " + " ".join(["benchmarks/temporal.py", *sys.argv[1:]])),
         "seeds": [SEED, LONG_SEED],
         "protocol": protocol.options(),
         "arms": {},
@@ -103,14 +98,13 @@ def main() -> None:
     text = _tables(result)
     print(text)
     if options.write:
-        (RESULTS / "temporal.json").write_text(json.dumps(result, indent=1) + "\n")
-        (RESULTS / "temporal.md").write_text(text)
-        figure.savefig(RESULTS / "temporal.png", dpi=150)
+        harness.write_result("temporal.json", result)
+        figure.savefig(harness.write_result("temporal.md", text).with_suffix(".png"), dpi=150)
 
 
 def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> dict[str, Any]:
     sequences = _drawn(case.arm, protocol, SEED, workers)
-    long_protocol = replace(protocol, sequences=case.long_courses, duration_s=LONG_S)
+    long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     figures: dict[str, Any] = {}
     for name, model in case.estimators.items():
@@ -119,7 +113,7 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
         figures[name] = _plain(sequence_metrics(answer, sequences))
         error_n = _force_error_n(sequence_answer(estimator, long), long)
         figures[name]["by_tenth_of_the_long_courses"] = _tenths(error_n)
-        if case.long_courses > 1:
+        if case.long_sequences > 1:
             figures[name]["of_long_courses_started"] = _by_start(error_n, long)
         figures[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
@@ -140,12 +134,12 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
 
 
 def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
-    with progress_bar(protocol.sequences, shown=True, what=f"courses of {arm}") as advance:
+    with progress_bar(protocol.sequences, shown=True, what=f"sequences of {arm}") as advance:
         return draw_sequences(open_arm(arm), protocol, seed, workers=workers, on_done=advance)
 
 
 def _gated(answer: ContactAnswer, sequences: Sequences) -> ContactAnswer:
-    """Nothing is said while the arm moves and half a second after."""
+    """No contact while the arm moves and half a second after."""
     silent = unsettled(sequences).ravel()
     return replace(answer, segment=np.where(silent, 0, answer.segment))
 
@@ -189,9 +183,9 @@ def _draw(axis: plt.Axes, name: str, answer: ContactAnswer, sequences: Sequences
 
 def _tables(result: dict[str, Any]) -> str:
     lines = [
-        "# Estimators along courses",
+        "# Estimators along sequences",
         "",
-        f"Made by `{result['command']}`. {result['protocol']['sequences']} fresh courses of "
+        f"Made by `{result['command']}`. {result['protocol']['sequences']} fresh sequences of "
         f"{result['protocol']['duration_s']:g} s for each arm, a sample every "
         f"{1000 * result['protocol']['tick_s']:g} ms; contacts of 0 to "
         f"{result['protocol']['force_high_n']:g} N that come, swell and go. In motion: the "

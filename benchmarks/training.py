@@ -7,26 +7,23 @@ Runs `cablesense train` with its defaults into a temporary folder, as a user wou
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-RESULTS = Path(__file__).parent / "results" / "training.json"
+import harness
+
 BAR_S = 600.0
 
 
 def main() -> int:
     """Trains, prints the figures, and exits 1 where the bar is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = harness.parser(__doc__, "results/training.json")
     parser.add_argument("--arm", default="cdsm")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--write", action="store_true", help=f"write {RESULTS.name}")
     options = parser.parse_args()
     command = ["train", "--arm", options.arm, "--threads", str(options.threads), "--json"]
     program = Path(sys.executable).with_name("cablesense")
@@ -42,9 +39,7 @@ def main() -> int:
         seconds = time.perf_counter() - start
     figures = json.loads(done.stdout)
     result = {
-        "command": "python " + " ".join(["benchmarks/training.py", *sys.argv[1:]]),
-        "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
-        "python": platform.python_version(),
+        **harness.origin("python " + " ".join(["benchmarks/training.py", *sys.argv[1:]])),
         "trained_by": " ".join(["cablesense", *command]),
         "seconds_in_all": round(seconds, 1),
         "seconds_of_training": round(figures["training_seconds"], 1),
@@ -55,7 +50,7 @@ def main() -> int:
     }
     print(json.dumps(result, indent=1))
     if options.write:
-        RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+        harness.write_result("training.json", result)
     return 0 if seconds <= BAR_S else 1
 
 
