@@ -3,10 +3,10 @@
     python benchmarks/table2_gap.py [--tables 40] [--out benchmarks/table2] [--workers 2] [--ship]
 
 54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Writes
-`verdict.json`, `README.md` and the report of `cablesense paper --only sim_to_real` with what that
-leaves out. Explanations are fitted to some rows and judged on others; `--tables` of each kind are
-simulated and diagnosed in the same way for the probability. `--ship` also writes their counts
-where `cablesense paper --quick` finds them.
+`verdict.json`, `README.md` and `report.html`, the page of `cablesense paper --only sim_to_real`
+with what that leaves out. Explanations are fitted to some rows and judged on others; `--tables` of
+each kind are simulated and diagnosed in the same way for the probability (0 takes the counts that
+ship). `--ship` also writes their counts where `cablesense paper --quick` finds them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cablesense_base.files import write_atomically
 from cablesense_gap.report.style import image_bytes, listed, newtons, percent, style
 from cablesense_gap.verdict import write_verdict
 from cablesense_paper.drawing import SERIES, one_panel
-from cablesense_paper.report import write_report
+from cablesense_paper.report import paper_page
 from cablesense_paper.studies.sim_to_real import (
     best_listed_n,
     load_names,
@@ -46,6 +46,7 @@ from cablesense_paper.table_2_gap import (
 from cablesense_paper.tension_changes import held_out_of_best, moments_n_m
 
 README = Path(__file__).with_name("table2_readme.md")
+_NEXT = "What to measure next. "
 
 
 def main() -> None:
@@ -63,9 +64,10 @@ def main() -> None:
     (study,) = chosen_studies(["sim_to_real"])
     options.out.mkdir(parents=True, exist_ok=True)
     outcome = Outcome(study, result, "", time.perf_counter() - began)
-    write_report(options.out, [outcome], quick=not options.tables)
+    page = paper_page([outcome], quick=not options.tables)
+    write_atomically(options.out / "report.html", page, CableSenseError)
     *reasons, _, _, _, following = result.notes
-    stated = {"why": tuple(reasons), "next_experiment": following}
+    stated = {"why": tuple(reasons), "next_experiment": following.removeprefix(_NEXT)}
     write_verdict(options.out / "verdict.json", found.verdict.model_copy(update=stated))
     command = f"python benchmarks/table2_gap.py {' '.join(sys.argv[1:])}".strip()
     text = readme(found, result, command)
@@ -163,7 +165,7 @@ def readme(found: TableDiagnosis, result: StudyResult, command: str) -> str:
         "slack": slack,
         "resolution": resolution,
         "paper": paper,
-        "next": following.removeprefix("What to measure next. "),
+        "next": following.removeprefix(_NEXT),
     }
     return README.read_text(encoding="utf-8").format_map(numbers)
 

@@ -16,7 +16,7 @@ from cablesense_paper import studies
 from cablesense_paper.study_result import StudyResult, filled, read_study_text
 
 DRAWING = ("jinja2", "matplotlib")
-"""What every report needs beyond the simulation; networks need more, and their studies say so."""
+"""What every report needs beyond the simulation; studies of networks need PyTorch too."""
 
 
 class PaperError(CableSenseError):

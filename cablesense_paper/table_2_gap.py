@@ -7,7 +7,7 @@ No calibration made on long recordings of another arm holds here, so the probabi
 comes from a rehearsal: simulated tables with known causes are drawn, diagnosed like the measured
 one, and counted. They are compared by what listed effects leave of the table that they were fitted
 to, not of rows held out. That is the kinder measure to the listed, and on simulated tables the
-sharper: a cable that goes slack shows in one row or two, which no other row tells of.
+sharper: a cable that goes slack shows in one row or two, which no other row shows.
 """
 
 from __future__ import annotations

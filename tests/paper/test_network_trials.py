@@ -153,8 +153,10 @@ def test_a_seed_gives_the_same_metrics_for_any_number_of_workers():
 
 
 @pytest.mark.slow
-def test_an_answer_takes_microseconds():
-    assert 1.0 < answer_us(Shape("shared trunk", 1, 8), ARM) < 5_000.0
+def test_an_untrained_network_is_timed_in_onnx_runtime(monkeypatch):
+    monkeypatch.setattr(network_trials, "_BLOCKS", 1)
+    monkeypatch.setattr(network_trials, "_RUNS", 1)
+    assert answer_us(Shape("two-stage", 1, 8), ARM) > 0.0
 
 
 def test_an_error_is_the_mean_over_the_seeds():
