@@ -33,7 +33,7 @@ from cablesense_online.admittance.controller import (
     control_status,
 )
 from cablesense_online.admittance.estimate_watch import (
-    Sight,
+    ContactState,
     WatchSettings,
     check_probabilities,
     input_is_stale,
@@ -136,7 +136,11 @@ ADMITTANCE_PARAMETERS: Final = (
         360.0,
     ),
     NodeParameter(
-        "settle_s", 0.5, "How long the estimator is blind after a move, s; as its own.", 0.0, 60.0
+        "settle_s",
+        0.5,
+        "How long the estimator gives no estimate after a move, s; as its own.",
+        0.0,
+        60.0,
     ),
 )
 
@@ -191,7 +195,7 @@ class AdmittanceNode(ConfiguredNode):
         self._inputs: list[Subscription] = []
         self._timer: Timer | None = None
         self._active = False
-        self._logged_sight = Sight.STOPPED
+        self._logged_sight = ContactState.STOPPED
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity if self._arm else "")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -234,7 +238,7 @@ class AdmittanceNode(ConfiguredNode):
             )
         ]
         self._timer = self.create_timer(LOOK_S, self._look)
-        self._logged_sight = Sight.STOPPED
+        self._logged_sight = ContactState.STOPPED
         self.get_logger().info(f"arm {arm.identity}: configured")
 
     def _release(self) -> None:
@@ -316,11 +320,11 @@ class AdmittanceNode(ConfiguredNode):
             return
         now_s = time.monotonic()
         sight = self._controller.watch.look(now_s)
-        if sight is Sight.STOPPED and self._logged_sight is not Sight.STOPPED:
+        if sight is ContactState.STOPPED and self._logged_sight is not ContactState.STOPPED:
             self.get_logger().warning(
                 f"stopped: {self._controller.watch.reason}; the arm holds its last command"
             )
-        elif sight is not Sight.STOPPED and self._logged_sight is Sight.STOPPED:
+        elif sight is not ContactState.STOPPED and self._logged_sight is ContactState.STOPPED:
             self.get_logger().info("estimates are trusted: contacts are yielded to")
         self._logged_sight = sight
         if self._active:

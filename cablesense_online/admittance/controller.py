@@ -1,10 +1,8 @@
 """The admittance controller without ROS: estimates in, joint commands out, in a cycle.
 
-Command, wait until the arm must have arrived, average what the estimator says from then on, step.
-An estimator that is blind until the arm has settled makes this a measure-step-wait cycle by
-itself; one that answers while the arm swings makes the cycle as short as move and average.
-
-What the controller says of itself in diagnostics.
+Command, wait until the arm must have arrived, average the estimates from then on, step. With an
+estimator that gives none until the arm has settled this is a measure-step-wait cycle; with one
+that estimates in motion the cycle is as short as move and average.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_online.admittance.estimate_watch import EstimateWatch, Sight, WatchSettings
+from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch, WatchSettings
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
     AdmittanceSettings,
@@ -30,7 +28,7 @@ from cablesense_sim.mechanism import Mechanism
 
 OWN_COMMANDS_KEPT = 16
 REPEAT_S = 0.5
-"""While estimates are awaited, the command in force is told again this often."""
+"""While estimates are awaited, the command in force is repeated this often."""
 
 _PROBABILITIES_FOR_FREE = 2
 """One message of probabilities could still be of the time before the command."""
@@ -44,8 +42,8 @@ class ControllerSettings:
         law, watch: of the parts.
         joint_limit_rad: radius of each joint's disc of commands.
         measure_s: estimates are averaged over this time.
-        yield_s: after a command of somebody else, none is sent for this long.
-        await_command: send nothing before the first command of somebody else has been heard.
+        yield_s: after a command of another node, none is sent for this long.
+        await_command: send nothing before the first command of another node was received.
     """
 
     law: AdmittanceSettings = field(default_factory=AdmittanceSettings)
@@ -61,7 +59,7 @@ class AdmittanceController:
 
     Attributes:
         command_rad: (2N,) the command in force.
-        home_rad: (2N,) where to be when nothing touches: the last command of somebody else.
+        home_rad: (2N,) where to be when nothing touches: the last command of another node.
         felt: the last measurement's contact; None when nothing touched.
         at_limit: whether the last step ended at the edge of the reach.
         step_count: steps sent.
@@ -86,9 +84,9 @@ class AdmittanceController:
         self.step_count = 0
 
     def heard_command(self, command_rad: Array, now_s: float) -> bool:
-        """A command (2N,) was on the topic; gives whether it was somebody else's.
+        """A command (2N,) was on the topic; gives whether it was another node's.
 
-        Such a command is the new home, whatever it is, and quiet is kept for a while.
+        Such a command is the new home, whatever it is, and none is sent for a while.
         """
         self._in_force = True
         own = any(np.array_equal(command_rad, sent) for sent in self._own)
@@ -108,14 +106,14 @@ class AdmittanceController:
             segment: touched, from 1.
             force_n: (3,) in the segment's axes.
             stamp_ns: of the sample.
-            clock_ns: what the clock of the stamps says now.
+            clock_ns: present time of the clock that sets stamps.
             now_s: monotonic.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
         fresh = self.watch.heard_wrench(bool(segment), age_s, now_s)
         sight = self.watch.look(now_s)
-        held = self.awaiting or self.yielding(now_s) or self.beyond_reach
-        if not fresh or sight is Sight.STOPPED or held:
+        waiting = self.awaiting or self.yielding(now_s) or self.beyond_reach
+        if not fresh or sight is ContactState.STOPPED or waiting:
             self._average.clear()
             return None
         if now_s - age_s < self._arrived_s:
@@ -128,12 +126,13 @@ class AdmittanceController:
         return self._step(now_s) if self._average.complete else None
 
     def repeated(self, now_s: float) -> Array | None:
-        """The command in force, when it is worth telling again.
+        """The command in force, when it should be repeated.
 
-        An estimator that was started anew takes the arm to be straight until it is told. While it
-        speaks but is not trusted yet, the command in force is told to it; the arm has it already.
+        An estimator that was started anew takes the arm to be straight until it gets a command.
+        While it publishes but is not trusted yet, the command in force is repeated; the arm has
+        it already.
         """
-        if self.watch.look(now_s) is not Sight.STOPPED or not self.watch.speaking(now_s):
+        if self.watch.look(now_s) is not ContactState.STOPPED or not self.watch.speaking(now_s):
             return None
         if not self._in_force or self.yielding(now_s) or now_s - self._repeated_s < REPEAT_S:
             return None
@@ -141,12 +140,12 @@ class AdmittanceController:
         return self.command_rad
 
     def yielding(self, now_s: float) -> bool:
-        """Whether somebody else commanded a short while ago."""
+        """Whether another node commanded a short while ago."""
         return now_s < self._yield_until_s
 
     @property
     def awaiting(self) -> bool:
-        """Whether the first command of somebody else is awaited."""
+        """Whether the first command of another node is awaited."""
         return self._await_command and not self._in_force
 
     @property
@@ -206,7 +205,7 @@ def _verdict(
 ) -> tuple[Level, str]:
     if not active:
         return Level.OK, "configured, not active: no commands are sent"
-    if controller.watch.sight is Sight.STOPPED:
+    if controller.watch.sight is ContactState.STOPPED:
         return Level.ERROR, f"stopped: {controller.watch.reason}"
     if controller.awaiting:
         return Level.WARN, "waits for a first command"

@@ -1,15 +1,15 @@
-"""Whether the estimator can be believed at this moment: stopped, blind, free or in contact.
+"""The contact state as far as the estimator can be trusted: stopped, unknown, free or contact.
 
 A wrench of zero stands for three things: nothing touches, no estimate while the arm moves, and no
 usable samples. What tells them apart:
 
 - a wrench in a segment's frame is an estimate of a contact;
-- probabilities come with estimates only, so that a zero wrench beside them is a sure "nothing
-  touches", and one without them says nothing;
-- after a new command the estimator may say nothing for as long as the arm moves and settles; when
-  it says nothing for longer, something is wrong.
+- probabilities come with estimates only, so that a zero wrench beside them is an estimate that
+  nothing touches, and one without them is no estimate;
+- after a new command the estimator may give no estimate for as long as the arm moves and settles;
+  when it gives none for longer, something is wrong.
 
-What is read of the estimator's messages; anything that breaks the contract is refused.
+Messages of the estimator are read here as well; one that breaks the contract is refused.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from cablesense_online.motion_gate import MotionGate
 PROBABILITIES_KEPT = 8
 
 
-class Sight(Enum):
-    """What can be known of contacts now."""
+class ContactState(Enum):
+    """What is known of contacts at this moment."""
 
     STOPPED = "stopped"
-    BLIND = "blind"
+    UNKNOWN = "unknown"
     FREE = "free"
     CONTACT = "contact"
 
@@ -47,7 +47,7 @@ class WatchSettings:
     Attributes:
         stale_after_s: without a fresh wrench for this long there is no estimator.
         resume_after_s: estimates must come for this long before they are trusted again.
-        joint_speed_rad_s, settle_s: as the estimator's: how long a command leaves it blind.
+        joint_speed_rad_s, settle_s: as the estimator's: how long after a command it gives no estimate.
     """
 
     stale_after_s: float = 0.2
@@ -57,14 +57,14 @@ class WatchSettings:
 
 
 class EstimateWatch:
-    """Takes note of all that the estimator says; times are monotonic, s.
+    """Follows all that the estimator publishes; times are monotonic, s.
 
     Attributes:
-        reason: why the sight is `STOPPED`; empty when it is not.
+        reason: why the state is `STOPPED`; empty when it is not.
     """
 
     def __init__(self, command_rad: Array, settings: WatchSettings, now_s: float) -> None:
-        """The arm holds `command_rad` (2N,); nothing has been heard of the estimator yet."""
+        """The arm holds `command_rad` (2N,); nothing was received from the estimator yet."""
         self._settings = settings
         self._gate = MotionGate(command_rad, settings.joint_speed_rad_s, settings.settle_s)
         self._contact_s = self._fresh_s = self._stale_report_s = float("-inf")
@@ -72,7 +72,7 @@ class EstimateWatch:
         self._moved_until_s = now_s
         self._believed_since_s: float | None = None
         self._fault = ""
-        self.sight = Sight.STOPPED
+        self.sight = ContactState.STOPPED
         self.reason = "no estimate yet"
 
     def commanded(self, command_rad: Array, now_s: float) -> None:
@@ -111,7 +111,7 @@ class EstimateWatch:
         """Whether wrenches with fresh stamps come, whatever is in them."""
         return now_s - self._fresh_s <= self._settings.stale_after_s
 
-    def look(self, now_s: float) -> Sight:
+    def look(self, now_s: float) -> ContactState:
         """Decide what can be known now; to be called at least every 20 ms."""
         fault, self._fault = self._fault or self._silence(now_s), ""
         estimating = now_s - self._estimate_s <= self._settings.stale_after_s
@@ -120,10 +120,10 @@ class EstimateWatch:
         elif self._believed_since_s is None:
             self._believed_since_s = now_s
         if fault:
-            self.sight, self.reason = Sight.STOPPED, fault
-        elif self.sight is Sight.STOPPED:
+            self.sight, self.reason = ContactState.STOPPED, fault
+        elif self.sight is ContactState.STOPPED:
             self._try_to_resume(now_s)
-        if self.sight is not Sight.STOPPED:
+        if self.sight is not ContactState.STOPPED:
             self.sight = self._sight(estimating, now_s)
         return self.sight
 
@@ -157,13 +157,13 @@ class EstimateWatch:
         elif now_s - since < self._settings.resume_after_s:
             self.reason = f"estimates are back; trusted after {self._settings.resume_after_s:g} s"
         else:
-            self.sight, self.reason = Sight.BLIND, ""
+            self.sight, self.reason = ContactState.UNKNOWN, ""
 
-    def _sight(self, estimating: bool, now_s: float) -> Sight:
+    def _sight(self, estimating: bool, now_s: float) -> ContactState:
         if not estimating:
-            return Sight.BLIND
+            return ContactState.UNKNOWN
         touched = now_s - self._contact_s <= self._settings.stale_after_s
-        return Sight.CONTACT if touched else Sight.FREE
+        return ContactState.CONTACT if touched else ContactState.FREE
 
 
 INPUT_STATUS = "cable_tensions"

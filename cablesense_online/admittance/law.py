@@ -9,11 +9,9 @@ step already taken off (linearly implicit Euler):
     (D/T + K) Δ + k j (jᵀ Δ) = τ max(0, 1 − deadband |j| / |τ|),   τ = j |f| − K (q − q_home),
     j = Jᵀ f / |f|.
 
-docs/controller.md derives when the loop that is closed by the estimator is stable.
-
-The joint angles that the controller may command: for each joint a disc about straight.
-
-One measurement: the average of the wrenches that came after the arm had arrived.
+docs/controller.md derives when the loop that is closed by the estimator is stable. The joint
+angles that may be commanded are, for each joint, a disc about straight (`Reach`); a force is the
+average of the wrenches that came after the arm had arrived (`ForceAverage`).
 """
 
 from __future__ import annotations
@@ -82,7 +80,8 @@ class AdmittanceSettings:
         speed_limit_rad_s: nor, on the average of a step, faster.
         touch_n: a step towards home may run into an unseen wall of the worst stiffness with at
             most this force.
-        smallest_step_rad: a step in which every joint turns less is not worth being blind for.
+        smallest_step_rad: a step in which every joint turns less is not made, as each one interrupts the
+            estimates.
     """
 
     damping_n_m_s_rad: float = 5.0

@@ -1,10 +1,7 @@
 """An elastic wall that approaches, presses on one segment and never pulls.
 
-Where a wall meets the arm, and how far the arm gives way there.
-
-The closed loop in statics: wall, arm at rest, an exact estimate, and the law, step by step.
-
-Nothing swings and nothing is blind here: what is left is what decides whether the loop is stable.
+`SampledLoop` closes the loop in statics, step by step: wall, arm in static equilibrium, an exact
+estimate, and the law. Without dynamics and interruptions only what decides its stability is left.
 """
 
 from __future__ import annotations
@@ -43,7 +40,7 @@ class ElasticWall:
 
 
 class WallPressing:
-    """The wall's force from one look at the arm to the next.
+    """The wall's force from one reading of the arm's pose to the next.
 
     An arm that gives way by c metres a newton has already given way to the last force when it is
     looked at. To press with k p at once would overshoot by the factor k c and, from k c = 1 on,
@@ -140,7 +137,7 @@ _MOST_LOOKS = 60
 
 
 @dataclass(frozen=True)
-class LoopCourse:
+class LoopRun:
     """What a run gave.
 
     Attributes:
@@ -163,9 +160,7 @@ class SampledLoop:
         self._wall = wall
         self._segment = segment
 
-    def run(
-        self, home_rad: Array, advance_m: float, step_count: int, period_s: float
-    ) -> LoopCourse:
+    def run(self, home_rad: Array, advance_m: float, step_count: int, period_s: float) -> LoopRun:
         """Steps from home (2N,) on, against the wall at an advance; a step every `period_s`.
 
         Raises:
@@ -180,7 +175,7 @@ class SampledLoop:
             commands.append(command)
             command = self._law.step(command, home_rad, self._felt(command, force), period_s)
         self._rest(pressing, command, advance_m)
-        return LoopCourse(np.array([*forces, pressing.force_n]), np.array([*commands, command]))
+        return LoopRun(np.array([*forces, pressing.force_n]), np.array([*commands, command]))
 
     def _rest(self, pressing: WallPressing, command_rad: Array, advance_m: float) -> Array:
         """The wall's force (3,) once arm and wall are at rest together."""
@@ -195,7 +190,7 @@ class SampledLoop:
         return forces[self._segment - 1].copy()
 
     def _felt(self, command_rad: Array, force_n: Array) -> FeltForce | None:
-        """What an exact estimator says: the part of the force that is normal to the segment."""
+        """An exact estimate: the part of the force that is normal to the segment."""
         axis = kinematics.segment_rotations(self._mechanism, command_rad)[self._segment - 1][:, 0]
         normal = force_n - axis * (axis @ force_n)
         return FeltForce(self._segment, np.asarray(normal)) if normal.any() else None

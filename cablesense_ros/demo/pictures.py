@@ -12,7 +12,7 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import written_whole
-from cablesense_online.admittance.estimate_watch import Sight
+from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_online.page.drawing import (
     ARROWS_APART_M,
     ESTIMATE_RGB,
@@ -52,10 +52,10 @@ _STYLE: Any = {
 _DPI = 110
 _HEAD_M = 0.034
 _PHASES = {
-    Sight.CONTACT: ("#7a4a00", "contact"),
-    Sight.FREE: ("#12452f", "free"),
-    Sight.BLIND: ("#2c323c", "blind: the arm moves"),
-    Sight.STOPPED: ("#6b1f2a", "stopped"),
+    ContactState.CONTACT: ("#7a4a00", "contact"),
+    ContactState.FREE: ("#12452f", "free"),
+    ContactState.UNKNOWN: ("#2c323c", "no estimate: the arm moves"),
+    ContactState.STOPPED: ("#6b1f2a", "stopped"),
 }
 
 
@@ -297,7 +297,7 @@ def _draw_forces(axes: Any, record: WallRecord) -> None:
         label="without controller (computed)",
     )
     axes.plot(times, record.true_n, color=css(TRUE_RGB), lw=2.2, label="true force of the wall")
-    touched = np.array([sight is Sight.CONTACT for sight in record.sights])
+    touched = np.array([sight is ContactState.CONTACT for sight in record.sights])
     felt = np.where(touched & (record.estimated_n > 0.0), record.estimated_n, np.nan)
     axes.plot(
         times,

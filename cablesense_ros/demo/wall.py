@@ -23,8 +23,8 @@ from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.admittance.estimate_watch import (
+    ContactState,
     EstimateWatch,
-    Sight,
     WatchSettings,
     read_wrench,
 )
@@ -69,7 +69,7 @@ class WallRecord:
     unyielding_n: Array
     estimated_n: Array
     commands_rad: Array
-    sights: tuple[Sight, ...]
+    sights: tuple[ContactState, ...]
     leaves_s: float
 
     def metrics(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Moment(NamedTuple):
     true_n: float
     estimated_n: float
     command_rad: Array
-    sight: Sight
+    sight: ContactState
 
 
 class MovableWall(Protocol):
@@ -141,7 +141,7 @@ class WallObserver(Observer):
     @property
     def ready(self) -> bool:
         """Whether the wall can be moved and the controller trusts the estimator."""
-        return self._wall.service_is_ready() and self._control in ("free", "contact", "blind")
+        return self._wall.service_is_ready() and self._control in ("free", "contact", "unknown")
 
     def move_wall(self, depth_m: float) -> None:
         """Set where the wall stops."""

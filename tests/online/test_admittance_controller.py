@@ -9,7 +9,7 @@ from cablesense_online.admittance.controller import (
     ControllerSettings,
     control_status,
 )
-from cablesense_online.admittance.estimate_watch import Sight, WatchSettings
+from cablesense_online.admittance.estimate_watch import ContactState, WatchSettings
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -23,9 +23,9 @@ NONE = np.zeros(3)
 class Played:
     """Estimates at 100 Hz; every command is heard back, as on a topic, and moves the clock on."""
 
-    def __init__(self, blind_s=0.6, **settings):
+    def __init__(self, mute_s=0.6, **settings):
         watch = WatchSettings(resume_after_s=0.3)
-        self.now_s, self.blind_s, self.blind_until_s = 50.0, blind_s, 0.0
+        self.now_s, self.mute_s, self.mute_until_s = 50.0, mute_s, 0.0
         self.controller = AdmittanceController(
             ARM, ControllerSettings(watch=watch, **settings), self.now_s
         )
@@ -34,7 +34,7 @@ class Played:
     def run(self, seconds, segment=0, force=NONE, age_s=0.002):
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            seeing = self.now_s >= self.blind_until_s
+            seeing = self.now_s >= self.mute_until_s
             clock_ns = CLOCK_OFFSET_NS + round(self.now_s * 1e9)
             if seeing:
                 self.controller.watch.heard_probabilities(self.now_s)
@@ -48,7 +48,7 @@ class Played:
             if command is not None:
                 self.sent.append((self.now_s, command))
                 self.controller.heard_command(command, self.now_s)
-                self.blind_until_s = self.now_s + self.blind_s
+                self.mute_until_s = self.now_s + self.mute_s
         return self.sent
 
     def message(self, active=True):
@@ -70,15 +70,15 @@ def test_a_contact_is_left_in_cycles_of_move_settle_and_measure():
     assert played.message().level is Level.OK
 
 
-def test_an_estimator_that_is_never_blind_makes_the_cycle_shorter():
-    played = Played(blind_s=0.0)
+def test_an_estimator_that_is_never_mute_makes_the_cycle_shorter():
+    played = Played(mute_s=0.0)
     played.run(0.5)
     sent = played.run(3.0, 3, PUSH)
     assert np.diff([when for when, _ in sent]).max() < 0.3
 
 
 def test_estimates_from_before_the_arm_arrived_do_not_count():
-    played = Played(blind_s=0.0)
+    played = Played(mute_s=0.0)
     played.run(0.5)
     first = played.run(0.2, 3, PUSH)[0][0]
     sent = played.run(0.5, 3, PUSH)
@@ -93,7 +93,7 @@ def test_old_stamps_stop_it():
     played = Played()
     played.run(0.5)
     assert not played.run(1.0, 3, PUSH, age_s=0.3)
-    assert played.controller.watch.sight is Sight.STOPPED
+    assert played.controller.watch.sight is ContactState.STOPPED
     assert played.message().level is Level.ERROR
     assert "no wrench with a fresh stamp" in played.message().message
 

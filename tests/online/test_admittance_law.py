@@ -1,11 +1,22 @@
-"""The law: away from the force, within its limits, passive; its loop gain is that of the docs."""
+"""The law: away from the force, within its limits, passive; its loop gain is that of the docs.
+
+Joint angles within reach: nearest, convex, short of the guide plates.
+
+One measurement: spans its time, has no gaps, and doubt weakens it.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, FeltForce, Reach
+from cablesense_online.admittance.law import (
+    AdmittanceLaw,
+    AdmittanceSettings,
+    FeltForce,
+    ForceAverage,
+    Reach,
+)
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -129,3 +140,76 @@ def test_without_return_stiffness_it_stays_where_it_is():
     law = AdmittanceLaw(ARM, REACH, AdmittanceSettings(return_stiffness_n_m_rad=0.0))
     command = np.full(8, 0.05)
     assert law.step(command, np.zeros(8), None, 1.0) is command
+
+
+angles_admittance_reach = st.lists(st.floats(-1.5, 1.5), min_size=8, max_size=8).map(np.array)
+
+
+@given(angles_admittance_reach)
+def test_no_joint_bends_farther_than_its_limit(command):
+    reach = Reach.of(ARM, np.deg2rad(90.0))
+    nearest = reach.nearest(command)
+    assert reach.holds(nearest)
+    assert (kinematics.bend_rad(nearest) < ARM.bend_limit_rad).all()
+    assert np.all(reach.radius_rad < ARM.bend_limit_rad)
+
+
+@given(angles_admittance_reach, angles_admittance_reach)
+def test_it_is_the_nearest_point(command, other):
+    reach = Reach.of(ARM, 0.2)
+    nearest, inside = reach.nearest(command), reach.nearest(other)
+    assert (command - nearest) @ (inside - nearest) <= 1e-9
+
+
+@given(angles_admittance_reach)
+def test_what_is_within_reach_stays(command):
+    reach = Reach.of(ARM, 0.2)
+    inside = reach.nearest(command) * 0.99
+    assert np.array_equal(reach.nearest(inside), inside)
+
+
+FORCE = np.array([0.0, 3.0, 4.0])
+
+
+def filled(samples, period_ms=10):
+    average = ForceAverage(0.1, 0.2)
+    for k, (segment, force) in enumerate(samples):
+        average.add(1_000_000 * period_ms * k, segment, force)
+    return average
+
+
+def test_it_is_complete_once_it_spans_its_time():
+    assert not filled([(3, FORCE)] * 10).complete
+    assert filled([(3, FORCE)] * 11).complete
+
+
+def test_slow_sensors_give_three_samples_at_least():
+    assert not filled([(3, FORCE)] * 2, period_ms=150).complete
+    assert filled([(3, FORCE)] * 3, period_ms=150).complete
+
+
+def test_the_mean_of_equal_samples_is_the_sample_and_it_begins_anew():
+    average = filled([(3, FORCE)] * 11)
+    segment, mean = average.take()
+    assert segment == 3
+    assert mean == pytest.approx(FORCE)
+    assert not average.complete
+
+
+def test_samples_without_contact_or_on_another_segment_weaken_it():
+    segment, mean = filled([(3, FORCE)] * 6 + [(0, np.zeros(3))] * 4 + [(2, FORCE)] * 2).take()
+    assert segment == 3
+    assert mean == pytest.approx(0.5 * FORCE)
+
+
+def test_no_contact_in_any_sample_is_no_contact():
+    segment, mean = filled([(0, np.zeros(3))] * 11).take()
+    assert segment == 0
+    assert not mean.any()
+
+
+@pytest.mark.parametrize("stamp_ns", [400_000_000, 90_000_000])
+def test_a_gap_or_a_stamp_that_goes_back_begins_anew(stamp_ns):
+    average = filled([(3, FORCE)] * 11)
+    average.add(stamp_ns, 3, FORCE)
+    assert not average.complete

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
-from cablesense_online.admittance.estimate_watch import Sight
+from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_ros.demo.wall import Moment, WallRecord, play_wall
 
 
@@ -15,7 +15,7 @@ def record(settling_s=3.0):
     decay = 2.0 + 28.0 * np.exp(-(times - 1.0) * np.log(28.0) / settling_s)
     commands = np.zeros((len(times), 8))
     commands[(times >= 2.0) & (times < 15.0), 3] = 0.01
-    sights = tuple(Sight.CONTACT if at else Sight.FREE for at in pressed)
+    sights = tuple(ContactState.CONTACT if at else ContactState.FREE for at in pressed)
     true = np.where(pressed, decay, 0.0)
     return WallRecord(times, true, np.where(pressed, 30.0, 0.0), true, commands, sights, 10.0)
 
@@ -48,7 +48,7 @@ def test_the_wall_of_the_play_moves_as_the_obstacles():
             self.asked = (*self.asked, depth_m)
 
         def moment(self):
-            return Moment(1.0, 0.5, np.zeros(8), Sight.BLIND)
+            return Moment(1.0, 0.5, np.zeros(8), ContactState.UNKNOWN)
 
     observer = Observer()
     played = play_wall(observer, 1e4, 3.0, lambda: None)
