@@ -5,7 +5,8 @@ What a program that estimates contacts needs stands here by short names::
     from cablesense_online import Estimation, EstimationSettings, load_model
 
     loaded = load_model("cdsm", "")
-    estimation = Estimation(loaded.arm, loaded.estimator, EstimationSettings(...), time.monotonic())
+    settings = EstimationSettings(contact_threshold=0.5, ...)
+    estimation = Estimation(loaded.arm, loaded.estimator, settings, time.monotonic())
     answer = estimation.sample(serialized_joint_state, time.time_ns(), time.monotonic())
 
 A name is imported when it is first used, so that `import cablesense_online` itself costs nothing.

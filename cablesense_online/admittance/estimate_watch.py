@@ -47,7 +47,8 @@ class WatchSettings:
     Attributes:
         stale_after_s: without a fresh wrench for this long there is no estimator.
         resume_after_s: estimates must come for this long before they are trusted again.
-        joint_speed_rad_s, settle_s: as the estimator's: how long after a command it gives no estimate.
+        joint_speed_rad_s, settle_s: as the estimator's: how long after a command it gives no
+            estimate.
     """
 
     stale_after_s: float = 0.2

@@ -80,8 +80,8 @@ class AdmittanceSettings:
         speed_limit_rad_s: nor, on the average of a step, faster.
         touch_n: a step towards home may run into an unseen wall of the worst stiffness with at
             most this force.
-        smallest_step_rad: a step in which every joint turns less is not made, as each one interrupts the
-            estimates.
+        smallest_step_rad: a step in which every joint turns less is not made, as each
+            interrupts the estimates.
     """
 
     damping_n_m_s_rad: float = 5.0
