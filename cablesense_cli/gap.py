@@ -1,17 +1,4 @@
-"""`cablesense gap …`: a recording of the real arm against the simulated one.
-
-`cablesense gap diagnose`: which effect makes a recorded arm differ from the simulated one.
-
-`cablesense gap predict`: what an arm's sensors would have read in a recording.
-
-`cablesense gap protocol`: what to do with the arm while it is recorded.
-
-`cablesense gap record`: the topics of a running arm into one file.
-
-`cablesense gap score`: verdicts against the answers that were withheld.
-
-`cablesense gap withhold`: recordings of arms with hidden effects, to try the diagnosis on.
-"""
+"""`cablesense gap …`: a recording of the real arm against the simulated one."""
 
 from __future__ import annotations
 
@@ -46,7 +33,7 @@ def diagnose(
         ),
     ] = False,
 ) -> None:
-    """Tell where the gap lies, which effect makes it, and how far it shrinks with that effect.
+    """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
     Writes the verdict, a report to read, and an amended arm file that the sim, the training and
     `gap predict` take as they take any other.
@@ -72,12 +59,12 @@ def diagnose(
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("reading", total=1.0)
 
-        def tell(doing: str, done: float) -> None:
+        def show(doing: str, done: float) -> None:
             progress.update(task, description=doing.replace("_", " "), completed=done)
 
-        found = make(recorded, nominal, tell, workers)
+        found = make(recorded, nominal, show, workers)
         if retrain:
-            errors = estimator_errors(recorded, nominal, found.amended, tell, workers)
+            errors = estimator_errors(recorded, nominal, found.amended, show, workers)
             verdict = found.verdict.model_copy(update={"estimator": errors})
             found = replace(found, verdict=verdict)
     write_diagnosis(out, found)
@@ -128,7 +115,7 @@ def protocol(
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
     ] = None,
 ) -> None:
-    """Print which poses, loads and holds to record, so that effects can be told apart.
+    """Print which poses, loads and holds to record, so that effects can be distinguished.
 
     Loads leave every cable of the nominal arm taut. Each block is one trial; take longer where
     hands need it, and keep the order.
@@ -253,14 +240,14 @@ def score(
         print(json.dumps(as_json(found), indent=2))
         return
     console = Console()
-    console.print(_figures(found))
+    console.print(_statistics(found))
     console.print(_confusion(found))
 
 
-def _figures(found: Score) -> Table:
+def _statistics(found: Score) -> Table:
     from rich.table import Table
 
-    table = Table("figure", "value", "95 % interval", "cases", title=f"{found.cases} verdicts")
+    table = Table("statistic", "value", "95 % interval", "cases", title=f"{found.cases} verdicts")
     for name, share in (
         ("exact", found.exact),
         ("truth among the two most probable", found.top2),
@@ -297,8 +284,8 @@ def _confusion(found: Score) -> Table:
     from rich.table import Table
 
     table = Table("truth", "verdicts", title="confusion")
-    for truth, said in found.confusion.items():
-        counts = sorted(said.items(), key=lambda pair: (pair[0] != truth, -pair[1], pair[0]))
+    for truth, named in found.confusion.items():
+        counts = sorted(named.items(), key=lambda pair: (pair[0] != truth, -pair[1], pair[0]))
         table.add_row(truth, ", ".join(f"{count} × {name}" for name, count in counts))
     return table
 
@@ -326,8 +313,8 @@ def withhold(
     """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
 
     The arms come from a plant that shares no code with the simulator or the diagnosis. Every arm
-    has a workshop's scatter; a fifth hides nothing more, a fifth something that no verdict has a
-    name for, some two effects at once.
+    has manufacturing tolerances; a fifth hides nothing more, a fifth something that no verdict
+    has a name for, some two effects at once.
 
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
     [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]

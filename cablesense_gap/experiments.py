@@ -1,4 +1,4 @@
-"""The experiment that would tell explanations apart, chosen among the blocks of the protocol.
+"""The experiment that would distinguish explanations, chosen among the blocks of the protocol.
 
 Each explanation is simulated with the numbers that were fitted to it, and the block is proposed
 where their predictions part most: after a constant of each channel and what tolerances could add
@@ -32,7 +32,7 @@ FINALISTS = 3
 SEPARATES_FLOORS = 1.0
 HIDDEN_FLOORS = 0.1
 ABOUT_AS_FAR = 0.9
-LEFT_BY_WORKSHOP = 2.0
+TOLERANCE_REACH = 2.0
 """Standard deviations to which each tolerance may take a difference away."""
 
 
@@ -42,7 +42,7 @@ class Experiment:
 
     Attributes:
         text: for a person at the arm: what to do, and what it will show.
-        block: what to do, as the protocol says it; empty where nothing is needed.
+        block: what to do, as in the protocol; empty where nothing is needed.
         separation_n: root mean square by which predictions part there.
         over_floor: the same in noise floors.
     """
@@ -88,10 +88,10 @@ def next_experiment(
     floor_n: float,
     blocks: Sequence[Block] | None = None,
 ) -> Experiment:
-    """What to record to tell the first rival from the others; fitted numbers each, `{}` for none.
+    """What to record to distinguish the first rival from the others.
 
-    A rival alone is told from the nominal arm, so that it can be confirmed. `blocks` are those of
-    the standard protocol unless others are offered.
+    Rivals are fitted numbers, `{}` for none. One alone is distinguished from the nominal arm, so
+    that it can be confirmed. `blocks` are those of the standard protocol unless given.
 
     Raises:
         ValueError: no rival is given.
@@ -122,7 +122,7 @@ def next_experiment(
 
 
 def _furthest(trials: Sequence[_Tried], floor_n: float) -> _Parting | None:
-    """The block that tells most; what differs by a constant alone is looked at as it is."""
+    """The block that separates most; a difference by a constant alone is taken as it is."""
     for free_constants in (True, False):
         nothing = np.empty((0, 0))
         first = [_parting(trial, nothing, free_constants) for trial in trials]
@@ -134,7 +134,7 @@ def _furthest(trials: Sequence[_Tried], floor_n: float) -> _Parting | None:
         most_n = max((p.rms_n for p in final), default=0.0)
         if most_n >= SEPARATES_FLOORS * floor_n:
             break
-    # of blocks that tell about as much, the first is the simplest
+    # of blocks that separate about as much, the first is the simplest
     far = [p.trial for p in final if p.rms_n >= ABOUT_AS_FAR * most_n]
     earliest = next((each for each in trials if any(each is t for t in far)), None)
     return next((p for p in final if p.trial is earliest), None)
@@ -183,7 +183,7 @@ def _tolerances(trial: _Tried, free_constants: bool) -> Array:
 
 
 def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array:
-    """What constants, and tolerances as far as a workshop leaves them, do not take away."""
+    """What constants, and tolerances as far as manufacturing leaves them, do not take away."""
     from scipy.optimize import lsq_linear
 
     apart = _without_mean(difference_n, free_constants)
@@ -191,7 +191,7 @@ def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array
         return apart
     # on a triangle of the columns instead of all rows
     rotated, triangle = np.linalg.qr(tolerances.T)
-    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-LEFT_BY_WORKSHOP, LEFT_BY_WORKSHOP))
+    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-TOLERANCE_REACH, TOLERANCE_REACH))
     return np.asarray(apart - (least.x @ tolerances).reshape(apart.shape))
 
 
@@ -216,8 +216,8 @@ def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) 
     first, others = _name(rivals[0]), _listed(rivals[1:] or [{}])
     if floors < HIDDEN_FLOORS:
         return (
-            f"No block of the protocol tells {first} from {others}: with the numbers that were "
-            "fitted, they predict the same readings."
+            f"No block of the protocol distinguishes {first} from {others}: with the numbers that "
+            "were fitted, they predict the same readings."
         )
     by = (
         f"by {_short(parting.rms_n)} N, {_short(floors)} times the noise floor, "
@@ -231,7 +231,7 @@ def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) 
     elif len(rivals) == 1:
         text = f"To confirm it: {does} There {first} must change the readings {by}"
     else:
-        text = f"To tell {first} from {others}: {does} There their predictions part {by}"
+        text = f"To distinguish {first} from {others}: {does} There their predictions part {by}"
     if floors < SEPARATES_FLOORS:
         times = int(np.ceil((SEPARATES_FLOORS / floors) ** 2))
         text += f" Nothing in the protocol shows more: do it {times} times."

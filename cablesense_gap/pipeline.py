@@ -2,7 +2,7 @@
 
 The way of a recording, from here downward: checks (`recordings.checks`), the nominal arm and the
 candidates (`arm_simulator`), screening and fits (`diagnosis.search`), probabilities
-(`diagnosis.probability`), then what the verdict says of places, numbers and the gap.
+(`diagnosis.probability`), then the places, numbers and gap of the verdict.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def diagnose(
     progress("predicting the nominal arm", 0.0)
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
-    if not np.isfinite(nominal).all():  # says which row cannot be borne
+    if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
         nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
     checked = check_recording(recording, arm, nominal)
     checked.raise_if_unusable()

@@ -1,12 +1,8 @@
-"""What a residual looks like, in sentences for someone who seeks the cause at the arm.
+"""Patterns of a residual, in sentences for someone who seeks the cause at the arm.
 
-Whether a residual repeats with the angle of a joint, or with the length of a cable.
-
-Screws, gears and notches do; nothing that is smooth in the pose does. So what is smooth, a
-polynomial of second degree in all commands, is taken out first, and waves of many periods are
-fitted to the rest.
-
-What comes at once: one lasting change of a channel, or jumps while nothing is done.
+Besides its parts (`residuals`): waves along a joint's angle or a cable's length, which screws,
+gears and notches make and nothing that is smooth in the pose does; and what is sudden, one lasting
+step of a channel or jumps while nothing is done.
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ AS_GOOD = 0.7
 """The waves of all cables together can follow that of one joint, which is the simpler."""
 ABOVE_FLOORS = 1.5
 _WAVES = np.arange(2.5, 20.0, 0.2)
-"""Periods that a range of motion may hold; slower waves cannot be told from what is smooth."""
+"""Periods that a range of motion may hold; slower waves count as smooth."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,8 @@ class Wave:
 def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Wave | None:
     """The wave that explains most of a residual (R, M) without load; None where none stands out.
 
-    A wave is sought in the readings of all cables: what one does, the arm passes on to the others.
+    What is smooth, a polynomial of second degree in all commands, is taken out first. A wave is
+    sought in the readings of all cables: what one does, the arm passes on to the others.
     """
     free = recording.load_segment == 0
     command, residual = recording.command_rad[free], residual_n[free]
@@ -124,7 +121,7 @@ STEP_SHARE = 0.6
 """Of a channel's scatter, that one step must explain."""
 STEP_FLOORS = 4.0
 EDGE = 0.05
-"""Share of the rows at either end where a step cannot be told from what a few rows have."""
+"""Share of the rows at either end where a step cannot be distinguished from a few rows."""
 JUMP_FLOORS = 8.0
 FEWEST_JUMPS = 2
 _AFTERMATH = 0.25
@@ -280,7 +277,7 @@ def _goes_with(found: Discrepancy) -> Iterator[str]:
         yield (
             "It does not repeat itself: where a flexible model was not fitted, it predicts "
             f"{max(found.explained_share, 0.0):.0%} of it. Chance events, or a pose or load that "
-            "occurs only once, look like this."
+            "occurs only once, have this pattern."
         )
 
 
@@ -296,7 +293,7 @@ def _loop(parts: Decomposition) -> Iterator[str]:
         if loop.rms_n >= max(LOOP_SHARE * parts.rms_n, WITHIN_FLOORS * parts.floor_n):
             yield (
                 f"Loading and unloading differ, by {2.0 * loop.rms_n:.2g} N RMS at one load: it "
-                "remembers, as friction, play and creep do."
+                "is history-dependent, as friction, play and creep are."
             )
 
 

@@ -155,7 +155,7 @@ LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME, TRIAL = (
     "trial",
 )
 REGIMES = (LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME)
-"""The groups that name a regime; trials only say when."""
+"""The groups that name a regime; trials only name a time."""
 
 BENT_RAD = float(np.deg2rad(1.5))
 """A joint bent by less counts as straight: the small reversals of the protocol stay below."""

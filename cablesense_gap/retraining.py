@@ -1,29 +1,17 @@
 """What a diagnosis does to the force estimator: trained for the nominal arm and for the amended.
 
 Both are the pose-aware closed form with its small correction (`closed-form-corrected`) on a small
-budget of samples, and answer the loads of the recording through the same estimator object. For
-each fold of trials the amended arm is fitted again without them, an estimator is trained for that
-arm, and answers the fold's loads. Which effects were found, and where, stays as the diagnosis had
-it from all trials.
+budget of samples, and estimate the loads of the recording, which are known from outside, from
+tensions less a tare. For each fold of trials the amended arm is fitted again without them, an
+estimator is trained for that arm, and estimates the fold's loads. Which effects were found, and
+where, stays as the diagnosis had it from all trials.
 
-What effects change of the arm itself, the estimator is trained on. What depends on the past, and
-what sensors do, one sample cannot tell: that is taken off the readings by replaying the amended
-arm under what was estimated so far (`past_replayed`), which the nodes do not do. The same network
-trained on samples with friction instead trusts no reading any more, and misses contacts.
-
-What statics cannot carry of an amended arm, taken off its readings by replaying its past.
-
-A sample of an arm with friction, creep or a slow sensor cannot be told without what went before.
-Commands are known, and loads are once they are estimated: so the amended arm is replayed under
-the loads that were estimated so far, with all of its effects and with those on the arm itself
-alone. The difference is taken off the readings, and the loads are estimated again, some times
-over. A reading is corrected by what came before it and itself, never by what came after.
-
-The amended arm as it would have come out without some of the trials.
-
-Errors of a force estimator on the loads of a recording, which are known from outside.
-
-The loads of a recording as a force estimator gets them: what tensions differ by from a tare.
+The estimator is trained on the effects on the arm itself. Friction, creep and sensor effects need
+the past, which one sample does not hold: the amended arm is replayed under the loads that were
+estimated so far, with all of its effects and with those on the arm itself alone, and the
+difference is taken off the readings (`answers_with_past`), which the nodes do not do. A reading is
+corrected by what came before it and itself, never by what came after. The same network trained on
+samples with friction instead trusts no reading any more, and misses contacts.
 """
 
 from __future__ import annotations
@@ -41,8 +29,8 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
-from cablesense_gap.diagnosis.gauss_newton import refine
-from cablesense_gap.diagnosis.problem import Problem, to_scaled
+from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
@@ -175,7 +163,7 @@ _STEPS = 3
 def found_values(nominal: Arm, amended: Arm) -> dict[Term, float]:
     """The numbers of those effects that the amended arm lists beyond the nominal one.
 
-    A workshop's tolerances are left out.
+    Manufacturing tolerances are left out.
     """
     known = known_effects()
     return {
@@ -193,17 +181,8 @@ def without_fold(problem: Problem, fold: int, nominal: Arm, amended: Arm) -> Arm
     it is where the fit finds no rest.
     """
     values = found_values(nominal, amended)
-    parameters = {
-        term: parameter
-        for term in values
-        for candidate in problem.simulator.candidates
-        if candidate.effect == term.effect
-        for parameter in candidate.parameters
-        if parameter.name == term.parameter
-    }
     seen = replace(problem, used=problem.used & (problem.fold[problem.trial] != fold))
-    start = [to_scaled(parameters[term], value) for term, value in values.items()]
-    fitted = refine(seen, parameters, [start], _STEPS)
+    fitted = refit(seen, values, _STEPS)
     if fitted is None:
         return amended
     return amended_arm(nominal, fitted.values, fitted.tolerances)
@@ -262,13 +241,14 @@ EPOCHS = 6
 _BATCH = 256
 _TEST_SAMPLES = 64
 _LEAST_POSE_DEG = 1.0
-_LEAST_FORCE_N = 20.0
+_LEAST_FORCE = 0.4
+"""Of the pretension."""
 _BEYOND = 1.5
 """Samples go up to so many times the recording's highest load."""
 
 
 class RetrainingError(CableSenseError):
-    """A recording on which no estimator can be judged: says what it lacks."""
+    """A recording on which no estimator can be judged: names what it lacks."""
 
 
 def estimator_errors(
@@ -278,10 +258,10 @@ def estimator_errors(
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
 ) -> Errors:
-    """Errors (`estimator_figures`) at the peaks of the recording's loads, before and after.
+    """Errors (`force_errors`) at the peaks of the recording's loads, before and after.
 
-    Where the amended arm lists no effect beyond tolerances, after is as before. `tell` hears what
-    is under way and which share of it is behind. Folds are shared out to `workers` processes.
+    Where the amended arm lists no effect beyond tolerances, both are alike. `progress` is called with
+    what is under way and which share of it is done. Folds are shared out to `workers` processes.
 
     Raises:
         RetrainingError: the recording has no load with a tare before it.
@@ -332,7 +312,7 @@ def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
         "samples": SAMPLES,
         "pose": "random",
         "pose_range_deg": max(pose_deg, _LEAST_POSE_DEG),
-        "force_high_n": max(_BEYOND * force_n, _LEAST_FORCE_N),
+        "force_high_n": max(_BEYOND * force_n, _LEAST_FORCE * arm.cables.pretension_n),
     }
     settings = adjusted(
         recipe_for(NETWORK).settings, seed=0, threads=1, epochs=EPOCHS, batch_size=_BATCH
@@ -350,7 +330,7 @@ def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
         estimator = Estimator.load(path, arm)
 
     def answer(loads: TaredLoads) -> Array:
-        said = estimator.estimate_batch(loads.tension_difference_n, loads.command_rad)
-        return answered_n(mechanism, loads, said)
+        estimates = estimator.estimate_batch(loads.tension_difference_n, loads.command_rad)
+        return answered_n(mechanism, loads, estimates)
 
     return answer

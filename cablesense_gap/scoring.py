@@ -19,7 +19,7 @@ from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, read_verdict
 
 
 class ScoreError(CableSenseError):
-    """Verdicts or answers that cannot be scored: says which, and what is right."""
+    """Verdicts or answers that cannot be scored: names it, and what is right."""
 
 
 COLUMNS = ("recording", "effects", "where")

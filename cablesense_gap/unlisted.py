@@ -1,11 +1,8 @@
-"""What can be said of a gap that no listed effect explains.
+"""A gap that no listed effect explains: its pattern, and what to record to narrow it down.
 
-What the arm was doing in each row of a recording, as features that a residual may go with.
-
-What to record where no listed effect explains the gap: the trial that shows most of it, varied.
-
-How a gap answers to the size of a load, to its duration and to its direction tells elasticity,
-creep, friction and measurement apart, whatever the cause is called.
+A flexible model of what tolerances leave (`diagnosis.discrepancy`) sees features of what the arm
+was doing. How a gap responds to the size of a load, to its duration and to its direction separates
+elasticity, creep, friction and measurement, whatever the cause is called.
 """
 
 from __future__ import annotations
@@ -35,13 +32,13 @@ _PLAYS = (0.05, 0.3)
 _WAITED_S = 10.0
 
 
-def problem_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
+def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
     """Features of the rows, beside the nominal prediction (R, M).
 
     pose: commanded angles. load: by segment and axis, and its magnitude. tension: of each cable in
     the nominal arm. motion: which way each cable is pulled. history: how far each cable's tension
-    lags behind itself in a play, which remembers where it turned. time: since the recording began,
-    since the trial did, and since the arm or its load last changed.
+    lags behind itself in a play, which depends on where it turned. time: since the recording
+    began, and since the arm or its load last changed.
     """
     held_m = held_lengths_m(mechanism_of(arm), recording.command_rad)
     trial = recording.trial
@@ -125,7 +122,7 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
         raise ValueError(f"no trial has {FEWEST_ROWS} rows")
     trial = max(sizes, key=lambda t: sizes[t])
     rms_n = sizes[trial]
-    done, again = _told(recording.rows(recording.trial == trial))
+    done, again = _done_and_again(recording.rows(recording.trial == trial))
     text = (
         f"Repeat what shows most of it, trial {trial}: {done}. There {rms_n:.2g} N are left, "
         f"{_short(rms_n / floor_n)} times the noise floor. {again} Watch and touch the arm "
@@ -134,7 +131,7 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
     return Experiment(text, f"{done[0].upper()}{done[1:]}.", rms_n, rms_n / floor_n)
 
 
-def _told(rows: Recording) -> tuple[str, str]:
+def _done_and_again(rows: Recording) -> tuple[str, str]:
     """What was done in one trial, and how to vary it."""
     size = np.linalg.norm(rows.load_n, axis=1)
     if size.max() > 0.0:
@@ -145,7 +142,7 @@ def _told(rows: Recording) -> tuple[str, str]:
             f"{_pose(rows)}",
             "Then load it half as far, twice as slowly, and from the opposite side: what grows "
             "faster than the load is no spring, what grows with time creeps, and what is not "
-            "opposite on the opposite side rubs, touches or is measured wrong.",
+            "opposite on the opposite side is friction, contact or a wrong measurement.",
         )
     moved = np.ptp(rows.command_rad, axis=0)
     if moved.max() > 0.0:
@@ -155,8 +152,8 @@ def _told(rows: Recording) -> tuple[str, str]:
         return (
             f"move {which} by {np.rad2deg(moved.max()):.2g} degrees in all",
             "Then move one joint at a time, twice as slowly, and once forth and back with stops: "
-            "what stays at a stop belongs to the pose, what depends on the way there rubs or has "
-            "play.",
+            "what stays at a stop belongs to the pose, what depends on the way there is "
+            "friction or play.",
         )
     return (
         f"leave the arm alone, {_pose(rows)}",
@@ -196,7 +193,7 @@ class Unlisted:
     """A gap without a name.
 
     Attributes:
-        reasons: why no listed effect is named, and what the gap looks like.
+        reasons: why no listed effect is named, and the pattern of the gap.
         next_experiment: what to record to learn more.
         held_out_n: (R, M) what a flexible model predicts, each trial without its fold.
     """
@@ -216,7 +213,7 @@ def describe_unlisted(
     none = next(h for h in fitted if not h.effects)
     residual = problem.readings - none.held_out
     found = discrepancy(
-        problem_features(recording, problem.nominal, arm),
+        residual_features(recording, problem.nominal, arm),
         residual,
         problem.trial,
         problem.fold,

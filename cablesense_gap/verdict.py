@@ -131,9 +131,9 @@ class Verdict(_Part):
     Attributes:
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
         probability: that exactly these effects are the cause.
-        ambiguity_group: explanations that this recording cannot tell apart; several effects of
+        ambiguity_group: explanations that this recording cannot distinguish; several effects of
             one explanation are joined by `+`.
-        next_experiment: what to record next, in plain words.
+        next_experiment: what to record next, in plain text.
         where: the places of the gap.
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
         gap: its size before and after.

@@ -1,14 +1,13 @@
 """A flexible model of what is left: how much of it repeats, whatever its cause.
 
-It is fitted to features of the course, and judged on what it was not fitted to. It says that there
-is something to be explained, and what that goes with; it knows no physics and names no cause.
+Ridge regression on a kernel over features of what the arm was doing, judged on folds that it has
+not seen; it knows no physics and names no cause. The kernel adds up, for each group of features, a
+straight line and bumps of two widths, and for each two groups a bump in both: additive models
+learn from fewer trials than one bump in all features would (Duvenaud, Nickisch and Rasmussen,
+Additive Gaussian processes, NIPS 2011). Far from all trials bumps predict nothing.
 
-Ridge regression on a kernel, judged on folds that it has not seen.
-
-The kernel adds up, for each group of features, a straight line and bumps of two widths, and for
-each two groups a bump in both: additive models learn from fewer trials than one bump in all
-features would (Duvenaud, Nickisch and Rasmussen, Additive Gaussian processes, NIPS 2011). Far from
-all trials bumps say nothing.
+scikit-learn's KernelRidge solves anew for each ridge; here one eigendecomposition serves all
+ridges, and each channel has its own, chosen between the other folds.
 """
 
 from __future__ import annotations
@@ -99,9 +98,9 @@ LONG_ROWS = 120
 """Trials longer than this are held out in stretches: no other trial has the poses of a sweep."""
 STRETCH_ROWS = 50
 TOGETHER = 3
-"""Neighbouring rows are averaged: they say the same but for noise."""
+"""Neighbouring rows are averaged: they are the same but for noise."""
 _FAR = 3.0
-"""Standard deviations beyond which a feature says no more; trials may lie far from all others."""
+"""Standard deviations at which a feature is cut off; trials may lie far from all others."""
 _FOREMOST = 5
 
 

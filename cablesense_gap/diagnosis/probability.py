@@ -1,4 +1,4 @@
-"""How probable each hypothesis is, and which of them a recording cannot tell apart.
+"""How probable each hypothesis is, and which of them a recording cannot distinguish.
 
 The weights fall with a power of what is left beyond the sensors' floor on held-out trials, and by
 a factor for every effect that a hypothesis names:
@@ -18,7 +18,7 @@ a share φ of the gap, and γ floors where the gap is small:
     log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
 
 The few numbers are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their mean log
-probability, so that the probabilities mean what they say.
+probability, so that the probabilities are calibrated.
 
 Two effects are alike where one can imitate what the other changes in the readings: its numbers
 are free, and tolerances may help as far as manufacturing leaves them.
@@ -42,7 +42,7 @@ UNKNOWN = ("unknown",)
 LEAST, NEAR_BEST = 0.1, 0.2
 """A rival has at least this probability, and this share of that of the best."""
 PARALLEL = 0.75
-"""What can be imitated to this share is not told apart by its shape."""
+"""What can be imitated to this share is not distinguished by its shape."""
 _SLIGHT = 1e-6
 
 

@@ -16,7 +16,7 @@ from cablesense_gap.simulator import Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 RESOLUTION = 0.2
-"""Residuals below this share of the sensors' floor are not told apart."""
+"""Residuals below this share of the sensors' floor are not distinguished."""
 
 SIZE_PRIOR = 3.0
 """Sizes are expected within this many typical ones of zero (one standard deviation)."""

@@ -78,7 +78,7 @@ def screen_singles(
 def screen_pairs(problem: Problem, offered: Offered, mean_square: float) -> list[Screened]:
     """For every two effects their best places, the most promising first.
 
-    `mean_square` is what the best single one leaves: it tells what a reading weighs before the
+    `mean_square` is what the best single one leaves: it gives the weight of a reading before the
     best pair is known.
     """
     everything = [effect for _, shapes in offered.values() for every in shapes for effect in every]

@@ -1,6 +1,6 @@
 """The search among candidates: what is cheap to simulate first, then what depends on history.
 
-Screening says where a search for numbers begins; the simulator itself fits them (`gauss_newton`).
+Screening gives where a search for numbers begins; the simulator itself fits them (`gauss_newton`).
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
     """The effects as the simulator has them; None where that leads nowhere.
 
     A history-dependent effect is begun with smaller and larger sizes too, and with every
-    combination of the shapes that screening does not tell apart.
+    combination of the shapes that screening does not distinguish.
     """
     candidates = {c.effect: c for c in problem.simulator.candidates}
     with_history = [
@@ -270,7 +270,7 @@ def _varied(
 
 
 def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], float]]:
-    """Combinations of the shapes that screening has not told apart."""
+    """Combinations of the shapes that screening has not distinguished."""
     shapes = [
         (candidate.effect, p)
         for candidate in with_history

@@ -85,7 +85,7 @@ def plain_log_ticks(axis: Any) -> None:
 
 
 class ReportError(CableSenseError):
-    """A report that cannot be written: says where, and why."""
+    """A report that cannot be written: names the place and the reason."""
 
 
 def rendered(

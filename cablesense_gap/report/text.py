@@ -73,12 +73,12 @@ def shrinkage(verdict: Verdict) -> str:
 
 
 def ambiguity(verdict: Verdict) -> str:
-    """What this recording cannot tell from the verdict; empty where there is nothing."""
+    """What this recording cannot distinguish from the verdict; empty where there is nothing."""
     others = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
     if not others:
         return ""
     named = [candidate_name(tuple(name.split("+"))) for name in others]
-    return f"This recording cannot tell it from {listed(named, 'or')}."
+    return f"This recording cannot distinguish it from {listed(named, 'or')}."
 
 
 def cause(verdict: Verdict, effect: str) -> str:

@@ -8,10 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
+from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.scoring import read_answers
 from cablesense_gap.verdict import read_verdict
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import replay_arm
@@ -24,7 +27,7 @@ SHORT = PROBLEM.rows(np.flatnonzero(np.arange(len(PROBLEM)) % 4 == 0))
 
 def run(*arguments, cwd):
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=110
+        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
     )
 
 
@@ -86,3 +89,35 @@ def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(tmp_path, what
     assert line.startswith("cablesense: ")
     assert says in line
     assert not (tmp_path / "found").exists()
+
+
+@pytest.mark.slow  # the full library on twenty cables
+@pytest.mark.timeout(400)
+def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_predicted(tmp_path):
+    description = yaml.safe_load(five_by_four_text())
+    description["cables"]["stiffness_n_m"] = 1e5  # as the laboratory arm: tolerances hide less
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(description))
+    made = run(
+        "withhold", "--count", "1", "--seed", "7", "--only", "payload", "--arm", "arm.yaml",
+        "--out", "cases", cwd=tmp_path,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    arm = load_arm(tmp_path / "arm.yaml")
+    whole = read_csv(tmp_path / "cases" / "case_001.csv", arm)
+    half = whole.rows(whole.trial % 2 == 0)
+    write_csv(tmp_path / "half.csv", half)
+    done = run("diagnose", "half.csv", "--arm", "arm.yaml", "--out", "found", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    verdict = read_verdict(tmp_path / "found" / "verdict.json")
+    (answer,) = read_answers(tmp_path / "cases" / "answers" / "answers.csv")
+    assert verdict.effects == answer.effects == ("payload",)
+    assert verdict.where.places == answer.places
+    assert len(verdict.gap.by_cable_n) == 20
+    predicted = run(
+        "predict", "cases/case_001.csv", "--arm", "found/arm.yaml", "--out", "out.csv",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert predicted.returncode == 0, predicted.stderr
+    unseen = whole.trial % 2 == 1
+    left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[unseen]
+    assert np.sqrt((left_n**2).mean()) < 0.3 * verdict.gap.before_n

@@ -1,4 +1,4 @@
-"""The experiment that tells explanations apart, where physics says which one must."""
+"""The experiment that distinguishes explanations, where physics says which one must."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_what_confirms_either_tells_them_apart():
     found = asked(2, 3)
     assert found.block in (SWEEP.does, LOADED[0].does)
     assert found.over_floor > 5.0
-    assert found.text.startswith("To tell joint elasticity from contact offset: ")
+    assert found.text.startswith("To distinguish joint elasticity from contact offset: ")
 
 
 def test_sizes_are_said_as_they_are():
@@ -84,7 +84,7 @@ def test_creep_shows_in_a_long_hold():
 
 def test_an_effect_with_itself_is_told_by_nothing():
     found = next_experiment(LAB, [PAYLOAD, PAYLOAD], FLOOR_N, LOADED)
-    assert found.text.startswith("No block of the protocol tells payload from payload")
+    assert found.text.startswith("No block of the protocol distinguishes payload from payload")
     assert found.separation_n == pytest.approx(0.0, abs=1e-6)
 
 

@@ -227,7 +227,7 @@ def test_what_cannot_be_told_apart_is_said():
     assert ambiguity(verdict_of("payload", ambiguity_group=("payload",))) == ""
     verdict = verdict_of("payload", ambiguity_group=("base_tilt+payload", "none", "payload"))
     assert ambiguity(verdict) == (
-        "This recording cannot tell it from base tilt + payload or none."
+        "This recording cannot distinguish it from base tilt + payload or none."
     )
 
 

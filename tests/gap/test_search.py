@@ -75,7 +75,7 @@ def test_an_effect_may_be_in_two_places():
 
 @pytest.mark.parametrize("effect", [FADING, TRIED], ids=["one shape", "several shapes"])
 @pytest.mark.parametrize("planted", [0.7, 6.0, 20.0])
-def test_what_remembers_is_found_from_another_shape(effect, planted):
+def test_history_dependent_effects_are_found_from_another_shape(effect, planted):
     """The look is taken with a rate of two."""
     found = fitted({effect: FADES}, {AMOUNT: 6.0, RATE: planted})
     assert found.values[RATE] == pytest.approx(planted, rel=0.15)
@@ -162,7 +162,7 @@ def test_one_effect_is_found_in_its_place():
     assert places_of(found) == ("b",)
 
 
-def test_an_effect_that_remembers_is_found_with_its_shape():
+def test_a_history_dependent_effect_is_found_with_its_shape():
     found = best(searched(FADING_X))
     assert found.effects == ("fading",)
     for term, value in FADING_X.items():

@@ -20,8 +20,8 @@ from cablesense_gap.unlisted import (
     ONE_AT_A_TIME,
     Unlisted,
     describe_unlisted,
-    problem_features,
     repeat_largest_trial,
+    residual_features,
 )
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
@@ -75,7 +75,7 @@ def test_trials_too_short_to_repeat_leave_a_general_word():
 
 SMALL = small_recording()
 TENSION = 40.0 + np.outer(np.linalg.norm(SMALL.load_n, axis=1), np.linspace(-0.5, 0.5, 12))
-FEATURES = problem_features(SMALL, TENSION, LAB)
+FEATURES = residual_features(SMALL, TENSION, LAB)
 
 
 def column(name: str, which: int = 0) -> np.ndarray:
