@@ -260,8 +260,9 @@ def estimator_errors(
 ) -> Errors:
     """Errors (`force_errors`) at the peaks of the recording's loads, before and after.
 
-    Where the amended arm lists no effect beyond tolerances, both are alike. `progress` is called with
-    what is under way and which share of it is done. Folds are shared out to `workers` processes.
+    Where the amended arm lists no effect beyond tolerances, both are alike. `progress` is called
+    with what is under way and which share of it is done. Folds are shared out to `workers`
+    processes.
 
     Raises:
         RetrainingError: the recording has no load with a tare before it.
