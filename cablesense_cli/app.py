@@ -27,7 +27,7 @@ EXIT_INTERRUPTED = 130
 
 app = typer.Typer(
     name="cablesense",
-    help="Tells from cable tensions where a cable-driven arm is touched, "
+    help="Estimates from cable tensions where a cable-driven arm is touched, "
     "in which direction and how hard.",
     epilog="Start with: cablesense demo",
     no_args_is_help=True,
@@ -43,9 +43,9 @@ app.add_typer(sensors)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from cablesense_base.installation import package_version
 
-        print(f"cablesense {version('cablesense_ros')}")
+        print(f"cablesense {package_version()}")
         raise typer.Exit
 
 

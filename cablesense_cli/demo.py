@@ -56,8 +56,7 @@ def demo(
         ),
     ] = Controller.NONE,
     json_output: Annotated[
-        bool,
-        typer.Option("--json", help="With --headless: print the report as JSON."),
+        bool, typer.Option("--json", help="With --headless: print the report as JSON.")
     ] = False,
 ) -> None:
     """Watch an arm being pushed, and the force estimated from its cables beside the true one.

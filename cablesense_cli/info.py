@@ -1,9 +1,4 @@
-"""`cablesense info`: what an arm file or a model file says, and which effects an arm can have.
-
-An arm or a model in words and numbers, for `cablesense info`.
-
-The catalogue of effects, for `cablesense info --effects`.
-"""
+"""`cablesense info`: an arm file, a model file, or the catalogue of effects."""
 
 from __future__ import annotations
 
@@ -14,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from cablesense_cli.options import refuse_given
+from cablesense_cli.options import print_json, refuse_given, titled_table
 from cablesense_sim.arm import find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
@@ -44,8 +39,6 @@ def info(
     Examples: [bold]cablesense info cdsm[/bold], [bold]cablesense info my_arm.yaml --json[/bold],
     [bold]cablesense info config/models/cdsm.onnx[/bold], [bold]cablesense info --effects[/bold]
     """
-    import json
-
     from rich.console import Console
 
     if effects:
@@ -56,7 +49,7 @@ def info(
         description = describe_model(file) if file.endswith(".onnx") else describe_arm(file)
         tables = description_tables(description)
     if json_output:
-        print(json.dumps(description, indent=2))
+        print_json(description)
         return
     console = Console()
     for table in tables:
@@ -139,14 +132,13 @@ def describe_model(path: str) -> Description:
 
     file = find_model(path)
     model, metadata = read_model(file)
-    said = metadata.model_dump(mode="json", exclude={"arm", "units"})
     return {
         "kind": "model",
         "file": str(file),
         "size_bytes": file.stat().st_size,
         "inputs": [_port(port, metadata.units) for port in model.graph.input],
         "outputs": [_port(port, metadata.units) for port in model.graph.output],
-        "metadata": said,
+        "metadata": metadata.model_dump(mode="json", exclude={"arm", "units"}),
     }
 
 
@@ -174,17 +166,15 @@ def _arm_tables(arm: Description) -> list[Table]:
         f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
         f"step {sensors['step_n']:g} N",
     )
-    cables = Table(title="Cables", title_justify="left", header_style="bold")
-    cables.add_column("name")
-    for heading in (
+    numbers = (
         "ends on segment",
         "angle, °",
         "radius, m",
         "length, m",
         "stiffness, N/m",
         "pretension, N",
-    ):
-        cables.add_column(heading, justify="right")
+    )
+    cables = titled_table("Cables", "name", *numbers, right=numbers)
     for cable in arm["cables"]:
         cables.add_row(
             cable["name"],
@@ -202,13 +192,11 @@ def _effect_tables(effects: list[Description]) -> list[Table]:
     """What the arm does beyond the ideal; no table where that is nothing."""
     if not effects:
         return []
-    table = Table(title="Effects", title_justify="left", header_style="bold")
-    for heading in ("effect", "at", "parameters"):
-        table.add_column(heading)
+    table = titled_table("Effects", "effect", "at", "parameters")
     for effect in effects:
         numbers = (
-            f"{name} = {said['value']:g} {'' if said['unit'] == '1' else said['unit']}".strip()
-            for name, said in effect["parameters"].items()
+            f"{name} = {given['value']:g} {'' if given['unit'] == '1' else given['unit']}".strip()
+            for name, given in effect["parameters"].items()
         )
         table.add_row(effect["effect"], effect["at"], "\n".join(numbers))
     return [table]
@@ -249,10 +237,10 @@ def describe_effects() -> Description:
     Raises:
         CableSenseError: another package offers what is no effect.
     """
-    return {"kind": "effects", "effects": [_said(effect) for effect in known_effects().values()]}
+    return {"kind": "effects", "effects": [_effect(effect) for effect in known_effects().values()]}
 
 
-def _said(effect: Effect) -> Description:
+def _effect(effect: Effect) -> Description:
     return {
         "name": effect.name,
         "acts_on": effect.acts_on,
@@ -262,24 +250,16 @@ def _said(effect: Effect) -> Description:
         "places_of_four_segments_and_twelve_cables": list(
             effect.places(_FOUR_SEGMENTS, _TWELVE_CABLES)
         ),
-        "parameters": [_numbers(parameter) for parameter in effect.parameters],
+        "parameters": [_plain(parameter) for parameter in effect.parameters],
         "history_of_four_segments_and_twelve_cables": [
-            _numbers(parameter) for parameter in effect.history(_FOUR_SEGMENTS, _TWELVE_CABLES)
+            _plain(parameter) for parameter in effect.history(_FOUR_SEGMENTS, _TWELVE_CABLES)
         ],
     }
 
 
-def _numbers(parameter: Parameter) -> Description:
-    return {
-        "name": parameter.name,
-        "unit": parameter.unit,
-        "low": parameter.low,
-        "high": parameter.high,
-        "typical": parameter.typical,
-        "default": parameter.default,
-        "role": parameter.role,
-        "about": parameter.about,
-    }
+def _plain(parameter: Parameter) -> Description:
+    keys = ("name", "unit", "low", "high", "typical", "default", "role", "about")
+    return {key: getattr(parameter, key) for key in keys}
 
 
 def effect_tables(catalogue: Description) -> list[Table]:

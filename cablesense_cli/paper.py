@@ -32,16 +32,15 @@ def paper(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME",
-            help=f"Only this study; repeatable. Names: {', '.join(study_names())}.",
+            metavar="NAME", help=f"Only this study; repeatable. Names: {', '.join(study_names())}."
         ),
     ] = None,
 ) -> None:
     """Repeat the paper's experiments here, and show each result beside the paper's.
 
-    Every study runs on this project's own simulation. The report says for each figure that the
+    Every study runs on this project's own simulation. The report states for each number that the
     paper gives whether ours agrees, and why it does or does not. Open DIR/report.html in any
-    browser; it needs nothing beside it. A study that fails is told in the report, the others still
+    browser; it needs nothing beside it. The report lists a study that fails, the others still
     run, and the command ends with 1.
 
     Examples: [bold]cablesense paper --out paper --quick[/bold],

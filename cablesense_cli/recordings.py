@@ -1,7 +1,4 @@
-"""`cablesense record`: everything that running nodes say, into one file.
-
-`cablesense replay`: a recorded run once more.
-"""
+"""`cablesense record` and `cablesense replay`: a run of the nodes in a file, and once more."""
 
 from __future__ import annotations
 
@@ -16,14 +13,13 @@ from cablesense_cli.options import refuse_given
 def record(
     out: Annotated[Path, typer.Option(help="The .mcap file to write.")],
     duration: Annotated[
-        float | None,
-        typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C"),
+        float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
     ] = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the nodes.")] = "",
 ) -> None:
     """Record all topics of the contract from running nodes, as rosbag2 MCAP.
 
-    Tensions, commands and loads, the estimator's answers and its journal, diagnostics, joint
+    Tensions, commands and loads, the estimates and the estimator's journal, diagnostics, joint
     states, the robot description. Opens in Foxglove and PlotJuggler, plays in `ros2 bag play`,
     and `cablesense replay` gives the same estimates again. A recorder that is killed loses half a
     second. Ctrl-C ends it.
@@ -66,7 +62,7 @@ def replay(
     """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
 
     Exit code 1 where one differs. With another arm or model it says how many stay the same, and
-    --estimates writes what that model says.
+    --estimates writes the estimates of that model.
 
     Example: cablesense replay run.mcap
     """

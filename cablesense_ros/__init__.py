@@ -1,1 +1,1 @@
-"""Nodes, launch files, the page and the `cablesense` command: the only room with rclpy."""
+"""Nodes, launch files and the demo: all that needs rclpy or starts nodes."""

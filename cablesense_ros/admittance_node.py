@@ -1,7 +1,4 @@
-"""The `admittance` node: moves the arm away from contacts that the estimator finds.
-
-The admittance node's parameters.
-"""
+"""The `admittance` node: moves the arm away from contacts that the estimator finds."""
 
 from __future__ import annotations
 
@@ -58,7 +55,9 @@ ADMITTANCE_PARAMETERS: Final = (
     NodeParameter(
         "autostart", True, "Configure and activate at start, without a lifecycle manager."
     ),
-    NodeParameter("estimator", "estimator", "Name of the estimator node that is listened to."),
+    NodeParameter(
+        "estimator", "estimator", "Name of the estimator node whose estimates are used."
+    ),
     NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
     NodeParameter(
         "worst_stiffness_n_m",
@@ -67,9 +66,7 @@ ADMITTANCE_PARAMETERS: Final = (
         10.0,
         1e8,
     ),
-    NodeParameter(
-        "deadband_n", 2.0, "Forces up to this one move nothing, N; the aim of all moves.", 0.1, 1e3
-    ),
+    NodeParameter("deadband_n", 2.0, "Contact forces up to this one cause no move, N.", 0.1, 1e3),
     NodeParameter(
         "damping_n_m_s_rad", 5.0, "Damping D of every joint axis, N·m·s/rad.", 0.01, 1e4
     ),
@@ -126,7 +123,7 @@ ADMITTANCE_PARAMETERS: Final = (
     NodeParameter(
         "await_command",
         False,
-        "Send nothing before a command has been heard; else the arm is taken to be straight.",
+        "Send nothing before a command was received; else the arm is assumed to be straight.",
     ),
     NodeParameter(
         "joint_speed_deg_s",
@@ -146,7 +143,7 @@ ADMITTANCE_PARAMETERS: Final = (
 
 
 def controller_settings(values: Mapping[str, Any]) -> ControllerSettings:
-    """The settings that the parameters' values say."""
+    """The settings of the parameters' values."""
     law = AdmittanceSettings(
         damping_n_m_s_rad=values["damping_n_m_s_rad"],
         return_stiffness_n_m_rad=values["return_stiffness_n_m_rad"],
@@ -220,9 +217,7 @@ class AdmittanceNode(ConfiguredNode):
         )
         self._command = JointState(name=list(arm.joint_names))
         self._commands_out = self.create_publisher(
-            JointState,
-            topics.JOINT_COMMANDS,
-            **overridable(PUBLISHER),
+            JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
         )
         self._inputs = [
             self.create_subscription(kind, topic, handle, **overridable(COMMAND))

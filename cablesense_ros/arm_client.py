@@ -1,4 +1,4 @@
-"""What shows or drives a running arm: subscriptions to arm and estimator, commands and loads."""
+"""A client of a running arm: subscriptions to arm and estimator, commands and loads."""
 
 from __future__ import annotations
 

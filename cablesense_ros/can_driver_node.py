@@ -1,7 +1,4 @@
-"""The `can_driver` node: the real arm's tensions from a CAN bus (a lifecycle node).
-
-The CAN driver node's parameters.
-"""
+"""The `can_driver` node: the real arm's tensions from a CAN bus (a lifecycle node)."""
 
 from __future__ import annotations
 
@@ -29,11 +26,7 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
 from cablesense_ros.endpoints import overridable
-from cablesense_ros.node_process import (
-    ConfiguredNode,
-    DiagnosticsPublisher,
-    run_configured_node,
-)
+from cablesense_ros.node_process import ConfiguredNode, DiagnosticsPublisher, run_configured_node
 from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import open_arm
 
@@ -130,9 +123,7 @@ class CanDriverNode(ConfiguredNode):
         self._tensions = JointState(name=list(arm.cable_names))
         self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
         self._tensions_out = self.create_publisher(
-            JointState,
-            topics.CABLE_TENSIONS,
-            **overridable(PUBLISHER),
+            JointState, topics.CABLE_TENSIONS, **overridable(PUBLISHER)
         )
         self._driver = CanDriver(channel_map, database, interface, self._publish)
         self._arm_identity = arm.identity

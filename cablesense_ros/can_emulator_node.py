@@ -1,7 +1,4 @@
-"""The `can_emulator` node: a simulated or recorded arm as CAN frames, with faults on request.
-
-The CAN emulator node's parameters.
-"""
+"""The `can_emulator` node: a simulated or recorded arm as CAN frames, with faults on request."""
 
 from __future__ import annotations
 
@@ -115,10 +112,7 @@ class CanEmulatorNode(Node):
             raise
         if self._player is None:
             self.create_subscription(
-                JointState,
-                topics.SIMULATED_TENSIONS,
-                self._on_tensions,
-                **overridable(SENSOR),
+                JointState, topics.SIMULATED_TENSIONS, self._on_tensions, **overridable(SENSOR)
             )
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)

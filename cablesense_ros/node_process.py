@@ -1,9 +1,4 @@
-"""How every node's process runs: one executor, clean ends, one line for what cannot start.
-
-What all lifecycle nodes have in common: files are read when configured, and faults are said.
-
-The node's health on `/diagnostics`, once a second (REP-107).
-"""
+"""What all nodes share: the process from start to end, lifecycle, diagnostics (REP-107)."""
 
 from __future__ import annotations
 
@@ -168,19 +163,14 @@ class DiagnosticsPublisher:
     """Asks `report` once a second for the node's statuses and publishes them."""
 
     def __init__(
-        self,
-        node: Node,
-        report: Callable[[], Sequence[Status]],
-        hardware_id: Callable[[], str],
+        self, node: Node, report: Callable[[], Sequence[Status]], hardware_id: Callable[[], str]
     ) -> None:
         """`hardware_id` gives the arm's identity, empty while none is loaded."""
         self._node = node
         self._report = report
         self._hardware_id = hardware_id
         self._publisher = node.create_publisher(
-            DiagnosticArray,
-            topics.DIAGNOSTICS,
-            **overridable(PUBLISHER),
+            DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
         )
         node.create_timer(_PERIOD_S, self._publish)
 
@@ -188,10 +178,6 @@ class DiagnosticsPublisher:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = diagnostic_statuses(
-            self._report(),
-            self._node.get_name(),
-            self._hardware_id(),
-            DiagnosticStatus,
-            KeyValue,
+            self._report(), self._node.get_name(), self._hardware_id(), DiagnosticStatus, KeyValue
         )
         self._publisher.publish(message)

@@ -1,7 +1,4 @@
-"""The `obstacle` node: an elastic wall that presses on a segment of the simulated arm.
-
-The obstacle node's parameters; `LIVE_PARAMETERS` may change while it runs.
-"""
+"""The `obstacle` node: an elastic wall that presses on a segment of the simulated arm."""
 
 from __future__ import annotations
 
@@ -98,15 +95,10 @@ class ObstacleNode(Node):
         self._approach = Approach(-self._given["clearance_m"], self._given["speed_m_s"])
         self._since_s = self._look_s = time.monotonic()
         self._loads_out = self.create_publisher(
-            WrenchStamped,
-            topics.APPLIED_WRENCH,
-            **overridable(PUBLISHER),
+            WrenchStamped, topics.APPLIED_WRENCH, **overridable(PUBLISHER)
         )
         self.create_subscription(
-            JointState,
-            topics.JOINT_STATES,
-            self._on_joint_states,
-            **overridable(COMMAND),
+            JointState, topics.JOINT_STATES, self._on_joint_states, **overridable(COMMAND)
         )
         self.add_post_set_parameters_callback(self._on_parameters)
         DiagnosticsPublisher(self, self._statuses, lambda: arm.identity)

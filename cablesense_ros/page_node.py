@@ -67,10 +67,7 @@ class PageNode(Node):
         self._tare = self.create_client(Trigger, of_node(values["estimator"], topics.TARE))
         actions = Actions(self._push, self._client.command, self._ask_for_tare)
         self._page = Page(
-            arm,
-            actions if values["controls"] else None,
-            host=values["host"],
-            port=values["port"],
+            arm, actions if values["controls"] else None, host=values["host"], port=values["port"]
         )
         if self._page.port != values["port"]:
             self.get_logger().warning(

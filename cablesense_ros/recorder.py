@@ -1,7 +1,4 @@
-"""Records topics of running nodes into one MCAP file, as the bytes that were sent.
-
-A recording from start to Ctrl-C: the node, its executor, and what people see meanwhile.
-"""
+"""Records topics of running nodes into one MCAP file, as the bytes that were sent."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ from cablesense_ros.node_process import WARN_EVERY_S
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0
-"""A topic that has said nothing for this long from the start is worth a word."""
+"""A topic without a message for this long from the start gets a hint."""
 
 _HINTS = {
     topics.CABLE_TENSIONS: "is the arm's driver or the sim node running, in this ROS_DOMAIN_ID "
@@ -105,7 +102,7 @@ class Recorder:
         return " · ".join(parts)
 
     def hint_at_silence(self) -> None:
-        """Say once of each topic that nothing has come, and what may help."""
+        """Print once for each silent topic what may help."""
         if time.monotonic() - self._started_s < SILENT_AFTER_S:
             return
         for topic, hint in _HINTS.items():

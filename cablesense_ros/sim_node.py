@@ -1,7 +1,4 @@
-"""The `sim` node: the arm at real time with its effects, as if it were the real one on the bus.
-
-The sim node's parameters.
-"""
+"""The `sim` node: the arm at real time with its effects, as if it were the real one on the bus."""
 
 from __future__ import annotations
 
@@ -74,7 +71,7 @@ SIM_PARAMETERS: Final = (
     NodeParameter(
         "joint_speed_deg_s",
         20.0,
-        "Peak speed at which joints approach a command, deg/s; the estimator must know it too.",
+        "Peak speed at which joints approach a command, deg/s; give the estimator the same.",
         0.1,
         360.0,
     ),
@@ -163,7 +160,7 @@ class SimNode(Node):
     def _refuse(self, topic: str, error: CableSenseError) -> None:
         self._refusals += 1
         self.get_logger().warning(
-            f"{topic}: message refused, the arm keeps what it had: {error}",
+            f"{topic}: message refused, commands and loads stay as they were: {error}",
             throttle_duration_sec=WARN_EVERY_S,
         )
 
@@ -175,7 +172,7 @@ class SimNode(Node):
         if self._simulated.resets:
             level, message = (
                 Level.ERROR,
-                "the arm lost its footing and started afresh, unloaded",
+                "the simulation diverged; it was restarted without loads",
             )
         loads = ", ".join(
             f"segment_{segment}: {force:.1f}" for segment, force in self._simulated.loads_n.items()

@@ -37,10 +37,7 @@ _WAKE_S = 0.1
 
 
 def capture_tensions(
-    cable_names: Sequence[str],
-    rest_s: float,
-    pulled: Sequence[str],
-    say: Callable[[str], object],
+    cable_names: Sequence[str], rest_s: float, pulled: Sequence[str], say: Callable[[str], object]
 ) -> tuple[TensionSeries, list[Pull]]:
     """Readings at rest, then while a person pulls one cable after another as `say` asks.
 

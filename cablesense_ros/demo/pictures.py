@@ -160,12 +160,7 @@ def _label(kind: str, contact: Contact) -> str:
     return f"{kind}: segment {contact.segment}, {force}"
 
 
-def _draw_plates(
-    axes: Any,
-    mechanism: Mechanism,
-    joints: Array,
-    rotations: Array,
-) -> None:
+def _draw_plates(axes: Any, mechanism: Mechanism, joints: Array, rotations: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     turn = np.linspace(0.0, 2 * np.pi, 49)

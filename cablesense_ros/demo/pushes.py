@@ -259,11 +259,7 @@ def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
 
 
 def _plain(push: ScriptedPush | Contact) -> dict[str, float]:
-    return {
-        "segment": push.segment,
-        "angle_deg": push.angle_deg,
-        "magnitude_n": push.magnitude_n,
-    }
+    return {"segment": push.segment, "angle_deg": push.angle_deg, "magnitude_n": push.magnitude_n}
 
 
 def results_table(results: Sequence[PushResult]) -> Table:
