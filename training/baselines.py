@@ -1,11 +1,13 @@
-"""A peer without a network: gradient-boosted trees, one model for each thing asked.
+"""Baselines without a network: gradient-boosted trees, one model for each quantity asked.
 
-The gradient-boosting peer for several contacts: trees per segment for touch and force.
+Trees split on one input at a time and answer in steps, so a force that is linear in twelve inputs
+is the opposite of what suits them: a measure of what "any learner" reaches.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +39,20 @@ class BoostingSettings:
     pose_aware: bool = False
     seed: int = 0
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """The same by scikit-learn's names."""
+        return {
+            "max_iter": self.rounds,
+            "max_leaf_nodes": self.leaves,
+            "learning_rate": self.learning_rate,
+            "early_stopping": False,
+            "random_state": self.seed,
+        }
+
 
 class BoostingBaseline:
-    """Histogram gradient boosting: a classifier for the contact, regressors for the force.
-
-    Trees split on one input at a time and answer in steps, so a force that is linear in twelve
-    inputs is the opposite of what suits them: a yardstick for "any learner will do".
-    """
+    """Single contacts: a classifier for the contact, regressors for direction and magnitude."""
 
     def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
         """Fit to a single-contact dataset.
@@ -51,8 +60,8 @@ class BoostingBaseline:
         Raises:
             TrainingError: the dataset lacks contacts, contact-free samples or enough of both.
         """
-        self.settings = settings or BoostingSettings()
-        order = np.random.default_rng(self.settings.seed).permutation(len(dataset))
+        self._settings = settings or BoostingSettings()
+        order = np.random.default_rng(self._settings.seed).permutation(len(dataset))
         held_out = max(1, round(_HELD_OUT * len(dataset)))
         validation, training = dataset.select(order[:held_out]), dataset.select(order[held_out:])
         touched = training.segment > 0
@@ -61,12 +70,13 @@ class BoostingBaseline:
                 f"{int(touched.sum())} contacts of {len(training)} samples are too few kinds to "
                 "boost on; give samples with and without contact"
             )
-        x = self._inputs(training)
+        x, options = self._inputs(training), self._settings.options
         angle = np.deg2rad(training.angle_deg[touched])
-        self._contact = self._classifier().fit(x, training.segment)
-        self._sine = self._regressor().fit(x[touched], np.sin(angle))
-        self._cosine = self._regressor().fit(x[touched], np.cos(angle))
-        self._magnitude = self._regressor().fit(x[touched], training.magnitude_n[touched])
+        self._contact = HistGradientBoostingClassifier(**options).fit(x, training.segment)
+        self._sine, self._cosine, self._magnitude = (
+            HistGradientBoostingRegressor(**options).fit(x[touched], label)
+            for label in (np.sin(angle), np.cos(angle), training.magnitude_n[touched])
+        )
         self._magnitude_std_n, self._angle_std_deg = 1.0, 1.0
         self._state_deviations(validation)
 
@@ -93,27 +103,9 @@ class BoostingBaseline:
             self._angle_std_deg = float(np.quantile(angle, 0.95)) / NORMAL_95
 
     def _inputs(self, dataset: Dataset) -> Array:
-        if self.settings.pose_aware:
+        if self._settings.pose_aware:
             return np.hstack([dataset.tension_difference_n, dataset.command_rad])
         return dataset.tension_difference_n
-
-    def _classifier(self) -> HistGradientBoostingClassifier:
-        return HistGradientBoostingClassifier(
-            max_iter=self.settings.rounds,
-            max_leaf_nodes=self.settings.leaves,
-            learning_rate=self.settings.learning_rate,
-            early_stopping=False,
-            random_state=self.settings.seed,
-        )
-
-    def _regressor(self) -> HistGradientBoostingRegressor:
-        return HistGradientBoostingRegressor(
-            max_iter=self.settings.rounds,
-            max_leaf_nodes=self.settings.leaves,
-            learning_rate=self.settings.learning_rate,
-            early_stopping=False,
-            random_state=self.settings.seed,
-        )
 
 
 class MultiBoostingBaseline:
@@ -125,14 +117,7 @@ class MultiBoostingBaseline:
         Raises:
             TrainingError: a segment that is always, or never, touched.
         """
-        settings = settings or BoostingSettings()
-        options = {
-            "max_iter": settings.rounds,
-            "max_leaf_nodes": settings.leaves,
-            "learning_rate": settings.learning_rate,
-            "early_stopping": False,
-            "random_state": settings.seed,
-        }
+        options = (settings or BoostingSettings()).options
         self._contacts, self._forces = [], []
         for segment, touched in enumerate(dataset.contacts.T):
             if touched.all() or not touched.any():

@@ -16,8 +16,7 @@ from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
-from cablesense_training.inference.estimator import OUTPUTS as SINGLE_OUTPUTS
-from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
+from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
@@ -61,8 +60,8 @@ def _outputs(network: Network | TemporalNetwork) -> list[str]:
     if isinstance(network, MultiContactNetwork):
         return list(MULTI_OUTPUTS)
     if isinstance(network, CorrectedClosedForm):
-        return [*SINGLE_OUTPUTS, TAUT]
-    return list(SINGLE_OUTPUTS)
+        return [*OUTPUTS, TAUT]
+    return list(OUTPUTS)
 
 
 class _SingleAnswers(nn.Module):

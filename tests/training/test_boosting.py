@@ -1,4 +1,4 @@
-"""The gradient-boosting peer learns, and knows what it cannot."""
+"""The gradient-boosting baseline learns, and knows what it cannot."""
 
 import dataclasses
 
@@ -26,8 +26,8 @@ def data():
 @pytest.mark.parametrize("pose_aware", [False, True])
 def test_finds_most_contacts_and_roughly_their_force(data, pose_aware):
     training, test = data
-    peer = BoostingBaseline(training, dataclasses.replace(SMALL, pose_aware=pose_aware))
-    found = single_contact_metrics(ContactTruth.of(test), peer.answer(test), 4)
+    baseline = BoostingBaseline(training, dataclasses.replace(SMALL, pose_aware=pose_aware))
+    found = single_contact_metrics(ContactTruth.of(test), baseline.answer(test), 4)
     assert found.contact_accuracy > 0.9
     assert found.errors.direction_mae_deg < 20.0
     assert found.errors.magnitude_mae_n < 20.0

@@ -12,7 +12,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_training.data.chunk import Course
+from cablesense_training.data.chunk import LoadHistory
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset, write_dataset
@@ -76,7 +76,7 @@ def test_the_past_shows_in_the_samples(name: str, place: str, values: dict[str, 
 
 
 def test_half_the_samples_come_from_above_their_force() -> None:
-    course = Course.drawn(4000, np.random.default_rng(0))
+    course = LoadHistory.drawn(4000, np.random.default_rng(0))
     loads = course.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
     commands = course.commands_rad(np.ones((4000, 8)))[:, :, 0]
     assert len(course.time_s) == len(loads) == len(commands)

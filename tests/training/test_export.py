@@ -9,8 +9,8 @@ from model_fixtures import metadata_for
 from cablesense_sim.arm import open_arm
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import AGREEMENT, export_model
+from cablesense_training.inference.estimator import MULTI_OUTPUTS as MULTI_OUTPUTS
 from cablesense_training.inference.estimator import OUTPUTS, Estimator
-from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
 from cablesense_training.inference.session import ModelSession
 from cablesense_training.networks import MultiContactNetwork
 from cablesense_training.recipes import RECIPES, build_network

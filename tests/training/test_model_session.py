@@ -15,8 +15,8 @@ from small_models import CDSM, DOUBLE, FLOAT, refused, small_model, value, weigh
 
 from cablesense_base.errors import CableSenseError
 from cablesense_sim.arm import open_arm
+from cablesense_training.inference.estimator import MULTI_OUTPUTS as MULTI_OUTPUTS
 from cablesense_training.inference.estimator import OUTPUTS, Estimator
-from cablesense_training.inference.estimator import OUTPUTS_MULTI_ESTIMATOR as MULTI_OUTPUTS
 from cablesense_training.inference.metadata import ModelFileError, find_model
 from cablesense_training.inference.session import MAX_FILE_BYTES, TAUT, ModelSession, open_session
 

@@ -14,9 +14,9 @@ QUICK = BoostingSettings(rounds=15, leaves=15)
 
 
 def test_it_learns_which_segments_are_touched_and_how_hard():
-    peer = MultiBoostingBaseline(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
+    baseline = MultiBoostingBaseline(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
     test = draw_dataset(ARM, MultiContact(samples=500), seed=2)
-    touched, force = peer.answer(test)
+    touched, force = baseline.answer(test)
     firm = test.magnitudes_n > 10.0
     assert touched.shape == force.shape == (500, 4)
     assert (touched == test.contacts)[firm].mean() > 0.8

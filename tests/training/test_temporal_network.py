@@ -90,10 +90,10 @@ def test_the_two_orders_of_joints_are_inverse(network):
     torch.testing.assert_close(network.in_joint_order(network.pitches_first(joints)), joints)
 
 
-def test_the_peer_without_memory_answers_the_same_in_any_state():
-    peer = TemporalNetwork.for_arm(CDSM, recurrent=False).double().eval()
+def test_the_memoryless_baseline_answers_the_same_in_any_state():
+    baseline = TemporalNetwork.for_arm(CDSM, recurrent=False).double().eval()
     ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=20, pose="random")))
     with torch.no_grad():
-        here, _ = peer(ticks, torch.zeros(20, peer.memory).double())
-        there, _ = peer(ticks, torch.ones(20, peer.memory).double())
+        here, _ = baseline(ticks, torch.zeros(20, baseline.memory).double())
+        there, _ = baseline(ticks, torch.ones(20, baseline.memory).double())
     torch.testing.assert_close(here.magnitude_n, there.magnitude_n)

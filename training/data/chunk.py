@@ -11,14 +11,10 @@ An arm whose file lists effects is sampled with them, and where the protocol say
 together so unluckily that more than `MAX_FAILING_SHARE` of a block finds no rest, another arm is
 drawn for it.
 
-Samples on an arm with effects: each through a short course of its own, so that the past shows.
-
-An arm without effects has no past, and its samples are rests. One with friction or creep reads
-what its history left. So every sample begins at another pose, goes to its command, where the tare
-is taken, and is pushed there: up to its force, or for half of them beyond it and back. What the
-times of the course are is drawn once for a block of samples.
-
-Tensions at rest for many cases at once, also when a few of them have no rest to find.
+An arm without effects has no history, and its samples are static equilibria. One with friction or
+creep reads what its history left. So every sample begins at another pose, goes to its command,
+where the tare is taken, and is loaded there: up to its force, or for half of them beyond it and
+back (`LoadHistory`, whose times are drawn once for a block of samples).
 """
 
 from __future__ import annotations
@@ -100,7 +96,7 @@ _HIGHEST_PEAK = 1.4
 
 
 @dataclass(frozen=True)
-class Course:
+class LoadHistory:
     """What B samples go through in R rests.
 
     Attributes:
@@ -114,8 +110,8 @@ class Course:
     peak_share: Array
 
     @classmethod
-    def drawn(cls, count: int, rng: np.random.Generator) -> Course:
-        """A course for `count` samples."""
+    def drawn(cls, count: int, rng: np.random.Generator) -> LoadHistory:
+        """A history for `count` samples."""
         steps = np.full(len(_ON_THE_WAY) + len(_RISE) + len(_BACK), _STEP_S)
         steps[_TARED] += rng.uniform(0.0, _LONGEST_WAIT_S)
         steps[_TARED + 1] += rng.uniform(0.0, _LONGEST_WAIT_S)
@@ -124,9 +120,9 @@ class Course:
         peak = np.where(beyond, rng.uniform(1.0, _HIGHEST_PEAK, count), 1.0)
         return cls(np.cumsum(steps), rng.uniform(-1.0, 1.0, count), peak)
 
-    def select(self, rows: NDArray[np.int64]) -> Course:
+    def select(self, rows: NDArray[np.int64]) -> LoadHistory:
         """The same for some of the samples."""
-        return Course(self.time_s, self.from_share[rows], self.peak_share[rows])
+        return LoadHistory(self.time_s, self.from_share[rows], self.peak_share[rows])
 
     def commands_rad(self, command_rad: Array) -> Array:
         """(R, B, 2N) for the samples' commands (B, 2N)."""
@@ -143,17 +139,17 @@ class Course:
         return share[..., None, None] * forces_n
 
 
-def course_readings_n(
+def readings_after_n(
     nominal: Mechanism,
     entries: list[EffectEntry],
-    course: Course,
+    history: LoadHistory,
     command_rad: Array,
     forces_n: Array,
     allowed_failures: int,
 ) -> tuple[Array, Array, Array]:
     """Loaded and unloaded readings without noise, and loaded tensions, each (B, M).
 
-    NaN in rows that find no rest somewhere on their course.
+    NaN in rows that find no rest somewhere on their way.
 
     Raises:
         TooManyFailures: more rows than allowed find none.
@@ -163,7 +159,7 @@ def course_readings_n(
     while rows.size:
         try:
             tensions = _tensions_n(
-                nominal, entries, course.select(rows), command_rad[rows], forces_n[rows]
+                nominal, entries, history.select(rows), command_rad[rows], forces_n[rows]
             )
         except EquilibriumError as error:
             allowed_failures -= error.failed.size
@@ -173,7 +169,7 @@ def course_readings_n(
             continue
         readings = tensions
         for sensing in sensings([entries] * len(rows)):
-            read = [sensing.step(t, readings[r]) for r, t in enumerate(course.time_s)]
+            read = [sensing.step(t, readings[r]) for r, t in enumerate(history.time_s)]
             readings = np.stack(read)
         found[:, rows] = readings[-1], readings[_TARED], tensions[-1]
         break
@@ -183,21 +179,21 @@ def course_readings_n(
 def _tensions_n(
     nominal: Mechanism,
     entries: list[EffectEntry],
-    course: Course,
+    history: LoadHistory,
     command_rad: Array,
     forces_n: Array,
 ) -> Array:
-    """True tensions (R, B, M) along the course; zero where no one looks and nothing remembers."""
-    commands, loads = course.commands_rad(command_rad), course.loads_n(forces_n)
+    """True tensions (R, B, M) along the history; zero where they are not needed."""
+    commands, loads = history.commands_rad(command_rad), history.loads_n(forces_n)
     held = held_lengths_m(nominal, commands)
     arms = [entries] * len(command_rad)
     for actuation in actuations(arms):
-        for row, time in enumerate(course.time_s):
+        for row, time in enumerate(history.time_s):
             held[row] = actuation.step(time, held[row])
     mechanism = amended(nominal, entries)
     if transmissions(arms):
         arm = QuasiStaticArm([mechanism] * len(arms), arms)
-        return np.stack([arm.step(t, held[r], loads[r]) for r, t in enumerate(course.time_s)])
+        return np.stack([arm.step(t, held[r], loads[r]) for r, t in enumerate(history.time_s)])
     read = range(len(held)) if sensings(arms) else (_TARED, len(held) - 1)
     tensions = np.zeros_like(held)
     for row in read:
@@ -223,7 +219,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
 
     A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
     `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
-    come at the end of a `course` of their own.
+    come at the end of a `LoadHistory` of their own.
 
     Raises:
         DatasetError: the protocol does not fit the arm.
@@ -291,7 +287,7 @@ class _Resting:
         self._mechanism = mechanism_of(arm)
         self._listed = entries_of(arm)
         self._seed = seed, chunk
-        self._drawn: dict[int, tuple[list[EffectEntry], Course]] = {}
+        self._drawn: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
 
     def __call__(
         self, points: Array, rows: NDArray[np.int64], allowed: int
@@ -333,12 +329,12 @@ class _Resting:
         most = allowed if randomise is None else math.ceil(MAX_FAILING_SHARE * len(rows))
         rng = arm_stream(*self._seed, block)
         for attempt in range(MAX_ARMS_DRAWN):
-            course, entries = Course.drawn(BLOCK_SAMPLES, rng), list(self._listed)
+            history, entries = LoadHistory.drawn(BLOCK_SAMPLES, rng), list(self._listed)
             if randomise is not None:
                 arm = self._arm
                 names = effect_names(randomise)
                 entries += drawn_entries(names, arm.segment_count, arm.cable_count, rng)
-            self._drawn[block] = entries, course
+            self._drawn[block] = entries, history
             try:
                 return self._through(self._drawn[block], rows, command, forces, most)
             except TooManyFailures:
@@ -348,15 +344,15 @@ class _Resting:
 
     def _through(
         self,
-        drawn: tuple[list[EffectEntry], Course],
+        drawn: tuple[list[EffectEntry], LoadHistory],
         rows: NDArray[np.int64],
         command: Array,
         forces: Array,
         allowed: int,
     ) -> tuple[Array, Array, Array]:
-        entries, course = drawn
-        return course_readings_n(
-            self._mechanism, entries, course.select(rows), command, forces, allowed
+        entries, history = drawn
+        return readings_after_n(
+            self._mechanism, entries, history.select(rows), command, forces, allowed
         )
 
 

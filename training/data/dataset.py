@@ -1,8 +1,6 @@
 """A dataset in memory: tension differences of one arm with the contacts that caused them.
 
-The forces that a row of labels stands for.
-
-What a dataset holds, in a few figures.
+`contact_forces_n` gives the forces of rows of labels, `summarise` what a dataset holds.
 """
 
 from __future__ import annotations
@@ -168,7 +166,7 @@ ARRAY_NAMES = tuple(f.name for f in fields(Dataset) if f.name not in ("arm", "pr
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of a dataset.
+    """What a dataset holds.
 
     Attributes:
         rows: number of samples.
@@ -189,7 +187,7 @@ class Summary:
 
 
 def summarise(dataset: Dataset) -> Summary:
-    """The figures of a dataset."""
+    """What a dataset holds."""
     contacts = dataset.contacts
     forces = dataset.magnitudes_n[contacts]
     return Summary(
@@ -204,7 +202,7 @@ def summarise(dataset: Dataset) -> Summary:
 
 
 def combine(summaries: Iterable[Summary]) -> Summary:
-    """The figures of several parts together; there must be at least one."""
+    """What several parts hold together; there must be at least one."""
     parts = list(summaries)
     touched = [p for p in parts if p.rows > p.contact_free]
     per_segment = np.sum([p.contacts_per_segment for p in parts], axis=0)

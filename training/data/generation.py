@@ -7,16 +7,13 @@ differ there).
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
-from typing import Protocol as Interface
 
 from cablesense_base.installation import package_version
+from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_training.data.chunk import generate_chunk
 from cablesense_training.data.dataset import Dataset
@@ -28,13 +25,6 @@ DASK_PATIENCE_S = 10.0
 """How long a Dask scheduler may take to answer, and its first worker to appear."""
 
 _IN_FLIGHT_PER_WORKER = 3
-
-
-class _Pending(Interface):
-    def result(self) -> Dataset: ...
-
-
-_Submit = Callable[[Arm, Protocol, int, int], _Pending]
 
 
 def generate(
@@ -63,10 +53,8 @@ def generate(
         )
     chunks = len(chunk_sizes(protocol.samples))
     if dask_scheduler is not None:
-        return _run(_dask(dask_scheduler), arm, protocol, seed, chunks)
-    if min(workers, chunks) == 1:
-        return (generate_chunk(arm, protocol, seed, chunk) for chunk in range(chunks))
-    return _run(_processes(min(workers, chunks)), arm, protocol, seed, chunks)
+        return _on_dask(dask_scheduler, arm, protocol, seed, chunks)
+    return _on_processes(min(workers, chunks), arm, protocol, seed, chunks)
 
 
 def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1) -> Dataset:
@@ -78,40 +66,32 @@ def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 
     return Dataset.concatenate(list(generate(arm, protocol, seed, workers=workers)))
 
 
-def _run(
-    executor: AbstractContextManager[tuple[_Submit, int]],
-    arm: Arm,
-    protocol: Protocol,
-    seed: int,
-    chunks: int,
+def _on_processes(
+    workers: int, arm: Arm, protocol: Protocol, seed: int, chunks: int
+) -> Iterator[Dataset]:
+    with WorkerPool(workers, arm, protocol, seed, refusal=DatasetError) as pool:
+        most_pending = workers * _IN_FLIGHT_PER_WORKER
+        yield from pool.map(generate_chunk, range(chunks), most_pending=most_pending)
+
+
+def _on_dask(
+    address: str, arm: Arm, protocol: Protocol, seed: int, chunks: int
 ) -> Iterator[Dataset]:
     """Keep every worker busy, hand the parts on in order."""
-    with executor as (submit, width):
-        pending: deque[_Pending] = deque()
+    with _dask(address) as client:
+        most_pending = _check_cluster(client, address) * _IN_FLIGHT_PER_WORKER
+        pending: deque[Any] = deque()
         for chunk in range(chunks):
-            pending.append(submit(arm, protocol, seed, chunk))
-            if len(pending) == width * _IN_FLIGHT_PER_WORKER:
+            pending.append(client.submit(generate_chunk, arm, protocol, seed, chunk, pure=False))
+            if len(pending) == most_pending:
                 yield pending.popleft().result()
         while pending:
             yield pending.popleft().result()
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[tuple[_Submit, int]]:
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context)
-    try:
-        yield lambda *case: pool.submit(generate_chunk, *case), workers
-    except BrokenProcessPool as error:
-        raise DatasetError(
-            "a worker process ended unexpectedly (often for want of memory); try fewer workers"
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _dask(address: str) -> Iterator[tuple[_Submit, int]]:
+def _dask(address: str) -> Iterator[Any]:
+    """A client of the cluster; its errors in this block become errors of the dataset."""
     try:
         import distributed
     except ImportError as error:
@@ -126,9 +106,8 @@ def _dask(address: str) -> Iterator[tuple[_Submit, int]]:
             f"tcp://127.0.0.1:8786): {_line(error)}"
         ) from error
     with client:
-        width = _check_cluster(client, address)
         try:
-            yield lambda *case: client.submit(generate_chunk, *case, pure=False), width
+            yield client
         except (
             distributed.KilledWorker,
             distributed.client.FutureCancelledError,

@@ -6,9 +6,8 @@ lists, the order of the columns), `cablesense.protocol` (JSON, kind and all opti
 `cablesense.seed`, `cablesense.version` (of this package) and `cablesense.command`. Nothing in a
 file depends on when, where or by how many workers it was made.
 
-Datasets from Parquet files: read whole, and believed only after every check.
-
-Datasets to Parquet files: streamed, whole or not at all.
+Files are read whole and every value is checked; they are written as the parts come, and appear
+under their name only when they are whole.
 """
 
 from __future__ import annotations

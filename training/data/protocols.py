@@ -17,7 +17,7 @@ is approached at the same rate.
 In both, contact-free samples belong to the data, by default 1/(N+1) of it, since *nothing
 touches* is an answer.
 
-The points of a dataset in the unit cube: a scrambled Sobol sequence, addressed by chunk.
+Points come from a scrambled Sobol sequence in the unit cube, addressed by chunk.
 
 A grid covers a space exhaustively, but its size is a product of resolutions that somebody has to
 choose, and a random draw of the same size leaves holes. A Sobol sequence covers evenly at any
@@ -29,11 +29,10 @@ Work is cut into chunks of `CHUNK_SAMPLES`, whatever the number of workers. A ch
 its random stream follow from the seed and the chunk's number alone; that is why one worker and
 twenty write the same bytes.
 
-Effects drawn at random, so that a network learns arms that nobody has measured yet.
-
-Sizes are normal with their typical size for a standard deviation (one-sided where they cannot be
-negative), places are any of those that the effect can have. What a careful workshop leaves, the
-tolerances, is everywhere at once.
+With `randomise`, samples are drawn on arms with effects, so that a network learns arms that nobody
+has measured yet (`drawn_entries`). Sizes are normal with their typical size for a standard
+deviation (one-sided where they cannot be negative), places any of those that the effect can have;
+manufacturing tolerances are everywhere at once.
 """
 
 from __future__ import annotations

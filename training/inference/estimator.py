@@ -1,11 +1,14 @@
-"""The estimator: twelve tension differences in, one contact out.
+"""Estimators that answer each sample by itself: one contact, or several, from a model file.
 
-The multi-contact estimator: from tension differences to touched segments and their forces.
+`Estimator` gives one contact with its direction; `MultiEstimator` gives the touched segments with
+their forces. Both take tension differences against the unloaded arm, N, and pose-aware models the
+commanded joint angles, rad.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +24,7 @@ from cablesense_training.inference.session import ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
-
+MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
 
 NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
 
@@ -49,6 +52,20 @@ class Estimate(NamedTuple):
     magnitude_std_n: float
     angle_std_deg: float
 
+    @classmethod
+    def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
+        """From a model's `OUTPUTS` for one sample; what is not finite stays so."""
+        probability, direction, magnitude, std, angle_std = outputs
+        probabilities = probability.tolist()
+        return cls(
+            probabilities=probability.copy(),
+            segment=probabilities.index(max(probabilities)),
+            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
+            magnitude_n=magnitude.item(),
+            magnitude_std_n=std.item(),
+            angle_std_deg=angle_std.item(),
+        )
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -60,6 +77,25 @@ class Estimates:
     magnitude_n: Array
     magnitude_std_n: Array
     angle_std_deg: Array
+
+    @classmethod
+    def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
+        """From a model's `OUTPUTS` with any leading axes.
+
+        Raises:
+            EstimateError: one is not finite.
+        """
+        if not all(np.isfinite(output).all() for output in outputs):
+            raise EstimateError(NO_ANSWER)
+        probability, direction, magnitude, std, angle_std = outputs
+        return cls(
+            probabilities=probability,
+            segment=probability.argmax(axis=-1),
+            angle_deg=np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0,
+            magnitude_n=magnitude,
+            magnitude_std_n=std,
+            angle_std_deg=angle_std,
+        )
 
 
 class Estimator:
@@ -116,17 +152,8 @@ class Estimator:
             self._follow(joint_command_rad)
         single.tension_difference_n[:] = tension_difference_n
         single.run()
-        probability, direction, magnitude, std, angle_std = single.outputs
-        beliefs = probability.tolist()
-        estimate = Estimate(
-            probabilities=probability.copy(),
-            segment=beliefs.index(max(beliefs)),
-            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
-            magnitude_n=magnitude.item(),
-            magnitude_std_n=std.item(),
-            angle_std_deg=angle_std.item(),
-        )
-        if not math.isfinite(sum(beliefs) + sum(estimate[2:])):
+        estimate = Estimate.of_outputs(single.outputs)
+        if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:])):
             self._tensions(tension_difference_n, 1)
             raise EstimateError(NO_ANSWER)
         return estimate
@@ -141,18 +168,7 @@ class Estimator:
         """
         tension = self._tensions(tension_differences_n)
         commands = self._commands(joint_commands_rad, len(tension)) if self.pose_aware else None
-        answers = self._session.run(tension, commands)
-        if not all(np.isfinite(answer).all() for answer in answers):
-            raise EstimateError(NO_ANSWER)
-        probability, direction, magnitude, std, angle_std = answers
-        return Estimates(
-            probabilities=probability,
-            segment=probability.argmax(axis=1),
-            angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0 % 360.0,
-            magnitude_n=magnitude,
-            magnitude_std_n=std,
-            angle_std_deg=angle_std,
-        )
+        return Estimates.of_outputs(self._session.run(tension, commands))
 
     def _fits(self, values: ArrayLike) -> bool:
         """Whether the values can be taken as they are; what is not finite shows in the answer."""
@@ -219,9 +235,6 @@ def finite_table(values: ArrayLike, what: str) -> Array:
     return table
 
 
-OUTPUTS_MULTI_ESTIMATOR = ("contact_probability", "magnitude_n", "magnitude_std_n")
-
-
 @dataclass(frozen=True)
 class MultiEstimates:
     """B estimates of an arm with N segments, all (B, N).
@@ -255,7 +268,7 @@ class MultiEstimator:
         Raises:
             ModelFileError: the file is no multi-contact model, or not one for this arm.
         """
-        return cls(ModelSession.open(path, OUTPUTS_MULTI_ESTIMATOR, arm))
+        return cls(ModelSession.open(path, MULTI_OUTPUTS, arm))
 
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None

@@ -1,7 +1,4 @@
-"""What a model file says about itself, and the error for one that does not fit.
-
-The models that come with CableSense, found by name; any other is found by its path.
-"""
+"""What a model file states about itself, and the bundled model files found by name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""What an ONNX file may hold: plain operators on its own numbers, and nothing beyond itself.
+"""What an ONNX file from outside may hold, checked before any of it is run.
 
-How much memory and work a model asks for a sample, known before any of it is run.
+Plain operators on the numbers in the file and nothing beyond (`require_harmless`), in bounded
+memory and work for a sample (`require_bounded`).
 """
 
 from __future__ import annotations
@@ -13,82 +14,16 @@ from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
 
 from cablesense_training.inference.metadata import ModelFileError
 
-OPERATORS: dict[str, frozenset[str]] = {
-    "": frozenset(
-        (
-            "Abs",
-            "Add",
-            "And",
-            "ArgMax",
-            "ArgMin",
-            "Atan",
-            "Cast",
-            "Clip",
-            "Concat",
-            "Constant",
-            "ConstantOfShape",
-            "Conv",
-            "Cos",
-            "CumSum",
-            "Div",
-            "Elu",
-            "Equal",
-            "Erf",
-            "Exp",
-            "Expand",
-            "Flatten",
-            "Floor",
-            "GRU",
-            "Gather",
-            "GatherElements",
-            "Gemm",
-            "Greater",
-            "GreaterOrEqual",
-            "Identity",
-            "LSTM",
-            "LayerNormalization",
-            "LeakyRelu",
-            "Less",
-            "LessOrEqual",
-            "Log",
-            "LogSoftmax",
-            "MatMul",
-            "Max",
-            "Min",
-            "Mul",
-            "Neg",
-            "Not",
-            "Or",
-            "Pad",
-            "Pow",
-            "Range",
-            "Reciprocal",
-            "ReduceL2",
-            "ReduceMax",
-            "ReduceMean",
-            "ReduceMin",
-            "ReduceProd",
-            "ReduceSum",
-            "Relu",
-            "Reshape",
-            "Shape",
-            "Sigmoid",
-            "Sign",
-            "Sin",
-            "Slice",
-            "Softmax",
-            "Softplus",
-            "Split",
-            "Sqrt",
-            "Squeeze",
-            "Sub",
-            "Tanh",
-            "Tile",
-            "Transpose",
-            "Unsqueeze",
-            "Where",
-        )
-    ),
+_PLAIN_OPERATORS = """
+Abs Add And ArgMax ArgMin Atan Cast Clip Concat Constant ConstantOfShape Conv Cos CumSum Div
+Elu Equal Erf Exp Expand Flatten Floor GRU Gather GatherElements Gemm Greater GreaterOrEqual
+Identity LSTM LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Min Mul
+Neg Not Or Pad Pow Range Reciprocal ReduceL2 ReduceMax ReduceMean ReduceMin ReduceProd
+ReduceSum Relu Reshape Shape Sigmoid Sign Sin Slice Softmax Softplus Split Sqrt Squeeze Sub
+Tanh Tile Transpose Unsqueeze Where
+"""
+OPERATORS = {
+    "": frozenset(_PLAIN_OPERATORS.split()),
     "com.microsoft": frozenset(("Inverse",)),
 }
 """By domain: what networks and the arm's statics are made of. No others run, as there are some
@@ -166,7 +101,7 @@ def _require_size(name: str, dims: Sequence[int], source: str) -> None:
 MAX_NODES = 10_000
 """Ours have at most some hundred."""
 
-MAX_ELEMENTS_MODEL_SIZE = 2**16
+MAX_ELEMENTS_A_SAMPLE = 2**16
 """Largest tensor that a model may make for one sample; ours stay below 4,000."""
 
 MAX_WORK = 2**26
@@ -196,10 +131,10 @@ def require_bounded(model: ModelProto, source: str) -> None:
                     "needed is a graph whose sizes depend on the number of samples alone"
                 )
             elements = math.prod(shape)
-            if elements > MAX_ELEMENTS_MODEL_SIZE:
+            if elements > MAX_ELEMENTS_A_SAMPLE:
                 raise ModelFileError(
                     f"{source}: tensor {name!r} has shape {shape}; a model's tensors hold at "
-                    f"most {MAX_ELEMENTS_MODEL_SIZE} numbers each a sample"
+                    f"most {MAX_ELEMENTS_A_SAMPLE} numbers each a sample"
                 )
             work += elements * _terms(node, shapes)
     if work > MAX_WORK:

@@ -1,8 +1,7 @@
-"""The estimator with memory: samples along a course in, one contact for each out.
+"""The history-dependent estimator: samples along a motion in, one contact for each out.
 
-What a model with memory carries from tick to tick, number by number.
-
-Any single-contact model file, opened as what it is.
+`TemporalState` is the layout of what such a model carries from tick to tick. `open_estimator`
+opens any single-contact model file as what it is.
 """
 
 from __future__ import annotations
@@ -81,7 +80,7 @@ class TemporalState:
         return sum(self.parts)
 
     def tared(self, state: Array) -> Array:
-        """The state (…, size) right after a tare: nothing heard, what was drawn still known."""
+        """The state (…, size) right after a tare: recurrent part empty, past commands kept."""
         _, shares, lengths, set_point, _, _, known = np.split(
             state, np.cumsum(self.parts)[:-1], axis=-1
         )
@@ -95,6 +94,9 @@ TEMPORAL_OUTPUTS = (*OUTPUTS, NEXT_STATE)
 
 LONGEST_GAP_S = 1.0
 """After a longer pause of the samples the past is forgotten."""
+
+_EARLY = 0.25
+"""A tick may come so much early, in ticks: stamps jitter."""
 
 
 class TemporalEstimator:
@@ -124,7 +126,7 @@ class TemporalEstimator:
         """Open a model file, for a certain arm where one is given.
 
         Raises:
-            ModelFileError: the file is no single-contact model with memory, or not for this arm.
+            ModelFileError: no history-dependent single-contact model, or not one for this arm.
         """
         return cls(ModelSession.open(path, TEMPORAL_OUTPUTS, arm))
 
@@ -174,16 +176,7 @@ class TemporalEstimator:
             # from where the tick is due, not from where it came: early ones would add up
             due_s = time_s if self._tick_s is None else self._tick_s + ticks * self.metadata.tick_s
             self._tick_s = due_s
-        probability, direction, magnitude, std, angle_std = (answer[0] for answer in answers[:5])
-        beliefs = probability.tolist()
-        return Estimate(
-            probabilities=probability,
-            segment=beliefs.index(max(beliefs)),
-            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
-            magnitude_n=float(magnitude),
-            magnitude_std_n=float(std),
-            angle_std_deg=float(angle_std),
-        )
+        return Estimate.of_outputs([answer[0] for answer in answers[:5]])
 
     def estimate_sequences(
         self,
@@ -193,7 +186,7 @@ class TemporalEstimator:
         joint_accelerations_rad_s2: Array,
         before_rad: Array,
     ) -> Estimates:
-        """Estimates (S, T) of S courses of T ticks side by side, inputs (S, T, …).
+        """Estimates (S, T) of S sequences of T ticks side by side, inputs (S, T, …).
 
         Set-points (S, W, 2N) went before, ticks of their own; the tare is that of the first tick.
         The estimator's own state is left alone.
@@ -217,18 +210,8 @@ class TemporalEstimator:
             }
             *answers, state = self._session.run_inputs({**now, STATE: state})
             ticks.append(answers)
-        probability, direction, magnitude, std, angle_std = (
-            np.stack(answer, axis=1) for answer in zip(*ticks, strict=True)
-        )
-        if not np.isfinite(magnitude).all():
-            raise EstimateError(NO_ANSWER)
-        return Estimates(
-            probabilities=probability,
-            segment=probability.argmax(axis=-1),
-            angle_deg=np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0,
-            magnitude_n=magnitude,
-            magnitude_std_n=std,
-            angle_std_deg=angle_std,
+        return Estimates.of_outputs(
+            [np.stack(answer, axis=1) for answer in zip(*ticks, strict=True)]
         )
 
     def _drawn_before(self, before_rad: Array, first_rad: Array) -> Array:
@@ -254,10 +237,6 @@ class TemporalEstimator:
         return max(0, math.floor(passed_s / self.metadata.tick_s + _EARLY))
 
 
-_EARLY = 0.25
-"""A tick may come so much early, in ticks: stamps jitter."""
-
-
 def _row(values: ArrayLike, count: int, what: str) -> Array:
     table = finite_table(values, what)
     if table.shape != (1, count):
@@ -266,7 +245,7 @@ def _row(values: ArrayLike, count: int, what: str) -> Array:
 
 
 def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | TemporalEstimator:
-    """The estimator in a model file, with or without memory, for a certain arm where one is given.
+    """The estimator in a model file, history-dependent or not, for an arm where one is given.
 
     Raises:
         ModelFileError: the file is no single-contact model, or not one for this arm.

@@ -1,8 +1,7 @@
 """What sequences of motion and contact are drawn from.
 
-Commands as people and controllers give them: moves from pose to pose, and streams of steps.
-
-Contacts that come and go: where, from which side and how hard, tick by tick.
+`drawn_motion` gives commands as people and controllers do: moves from pose to pose, and streams of
+steps. `drawn_contacts` gives contacts that come and go: segment, direction and force by tick.
 """
 
 from __future__ import annotations

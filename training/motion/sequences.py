@@ -1,8 +1,8 @@
-"""Sequences of samples in memory: tensions along a course, with the contacts that bent them.
+"""Sequences of samples in motion: tensions along trajectories, with the contacts behind them.
 
-Sequences from arm, protocol and seed; the same for any number of worker processes.
-
-True tensions along a course: in time by MuJoCo, or from rest to rest where the past counts.
+`draw_sequences` gives those that arm, protocol and seed determine, the same for any number of
+worker processes. True tensions come from MuJoCo in time, or along a quasi-static path where the
+arm is history-dependent.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ ARRAY_NAMES = tuple(f.name for f in fields(Sequences) if f.name not in ("arm", "
 
 
 def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
-    """(T, M) tensions of an arm without memory under loads (T, N, 3), at rest at the start."""
+    """(T, M) tensions of a memoryless arm under loads (T, N, 3), at rest at the start."""
     dynamics = ArmDynamics(arm, STEP_S)
     dynamics.reset(motion.angle_rad[0])
     found = np.empty((len(forces_n), arm.cable_count))
@@ -116,14 +116,14 @@ def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Ar
     return found
 
 
-def tensions_from_rest_to_rest_n(
+def quasi_static_tensions_n(
     arm: Arm,
     before_rad: Array,
     command_rad: Array,
     forces_n: Array,
     tick_s: float,
 ) -> Array:
-    """(S, T, M) tensions of arms that remember, side by side, under loads (S, T, N, 3).
+    """(S, T, M) tensions of history-dependent arms, side by side, under loads (S, T, N, 3).
 
     Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
     sequences in which an arm finds no rest.
@@ -204,7 +204,7 @@ def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count:
     )
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if transmissions([entries]):
-        true = tensions_from_rest_to_rest_n(arm, before, command, forces, protocol.tick_s)
+        true = quasi_static_tensions_n(arm, before, command, forces, protocol.tick_s)
     else:
         pairs = zip(motions, forces, strict=True)
         true = np.stack([tensions_in_time_n(arm, motion, loads) for motion, loads in pairs])

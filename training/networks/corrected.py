@@ -5,8 +5,6 @@ strongly to believe it, what speaks for "no contact", where many slack cables be
 and how wide the error really is. Corrections are counted in standard deviations of the closed form
 and bounded, so that an arm unlike the training data still gets an answer by statics.
 
-The closed form of an arm file, effects included as far as statics can carry them.
-
 What effects change of the arm itself is in the closed form: masses, stiffness, holes, springs,
 contact points, while the actuators hold the lengths of the arm without them. What depends on the
 past, and what sensors and actuators do, no closed form knows; it counts as spread of the readings.

@@ -1,10 +1,7 @@
-"""Building blocks that the networks share.
+"""Building blocks that the networks share, and what they answer in physical units.
 
-What the networks answer, in physical units.
-
-The stated uncertainty: a small head beside the answers that cannot disturb them.
-
-Standardisation of inputs and labels, inside the networks: they take and give physical units.
+Inputs and labels are standardised inside the networks. The stated uncertainty is a small head
+beside the answers that cannot disturb them.
 """
 
 from __future__ import annotations

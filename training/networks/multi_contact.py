@@ -1,6 +1,6 @@
 """Several contacts at once: which segments are touched, and how hard, without directions.
 
-Several contacts at once by statics: all segments' forces in one fit, then of those touched.
+By a learnt network, or by statics: all segments' forces in one fit, then of those touched.
 
 N segments with two force components each are 2N unknowns for 2N joint torques: solvable, without
 redundancy. A segment is touched where its force is too large for its own uncertainty. Leaving the

@@ -1,12 +1,6 @@
-"""What all single-contact networks have in common.
+"""Single-contact networks: their common base, the paper's three designs and a scale-aware one.
 
-The two-stage network of the paper, with no contact as a class of its own.
-
-The decoupled baseline: one network for each of contact, direction and magnitude.
-
-One backbone for all three tasks, with a linear head for each.
-
-A network for the twelve tensions alone that knows how tensions scale with force.
+No contact is a class of its own in all of them.
 """
 
 from __future__ import annotations

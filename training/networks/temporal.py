@@ -2,14 +2,12 @@
 
 Statics turns tensions into torques of the environment on the joints. In motion these hold inertia
 too, and with friction each cable carries another tension along the arm than at its actuator, by a
-factor that its past left on guides and pulleys (equation (2) of the paper). `DrawnCables` tells
-what the commands of the past say of it. A gated recurrent unit (Cho et al., Learning phrase
+factor that its past left on guides and pulleys (equation (2) of the paper). `DrawnCables` follows
+what the commands of the past determine of it. A gated recurrent unit (Cho et al., Learning phrase
 representations using RNN encoder-decoder, 2014) sees that with every tick's torques, tensions and
-set-points, remembers the rest, and says these factors, what tensions and torques are off beside,
-and how sure that is. The contact is then sought by statics as in `physics.corrected`, on torques
-so corrected.
-
-What the commands of the past have left in cables that rub, told by the commands alone.
+set-points, keeps the rest in its state, and estimates these factors, what tensions and torques are
+off beside, and their deviations. The contact is then sought by statics as in `networks.corrected`,
+on torques so corrected.
 
 A stop operator follows the cable that is drawn, in units of its give, and stops at -1 and 1
 (Visintin, Differential Models of Hysteresis, 1994, chapter III): the share of its largest friction
@@ -141,8 +139,8 @@ class TemporalNetwork(nn.Module):
         pose_aware: it needs the set-point.
         drawn: follows the commands.
         memory: size of the state that is carried from tick to tick.
-        recurrent: where false, every tick is answered as the first: the peer that shows what
-            memory is worth.
+        recurrent: where false, every tick is answered as the first: the baseline that shows what
+            the history is worth.
     """
 
     pose_aware: ClassVar[bool] = True
@@ -203,10 +201,10 @@ class TemporalNetwork(nn.Module):
 
     def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
         """(…, hidden) of torques (…, 2N), the commands' past (…, `drawn.size`) and ticks alike."""
-        told = self.drawn.seen(past)
+        shown = self.drawn.seen(past)
         seen = [
             self.torque(torque_n_m),
-            told if self.recurrent else torch.zeros_like(told),
+            shown if self.recurrent else torch.zeros_like(shown),
             self.tension(ticks.tension_difference_n),
             self.course(torch.cat(ticks[1:], dim=-1)),
         ]
