@@ -63,7 +63,7 @@ class Balance(NamedTuple):
 
     Attributes:
         torque_nm: (2J,) left on the joint angles.
-        torque_slope: (2J, 2J) its derivative with the cables' tensions held.
+        torque_slope: (2J, 2J) its derivative at constant tensions of the cables.
         misfit_n: (M, P) of each cable: its stretch, then the slip law at every guide.
         by_tension: (M, P, P) its derivative by the cable's tensions.
         by_angle: (M, P, 2J) its derivative by the angles.

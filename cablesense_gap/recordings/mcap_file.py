@@ -202,7 +202,7 @@ def write_mcap(path: str | Path, recording: Recording, arm: Arm) -> None:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like what `read_mcap` reads."""
+    """Whether `read_mcap` reads a path, by its ending or its metadata."""
     return path.suffix.lower() == ".mcap" or (path / "metadata.yaml").is_file()
 
 

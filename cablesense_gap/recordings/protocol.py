@@ -6,7 +6,7 @@ What each part is for:
   sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
   loading and unloading;
 - slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
-  how the others share pretension and weight; no taut cable tells these apart as well;
+  how the others share pretension and weight; taut cables distinguish these less well;
 - pose sweeps: weight and level of the base against springs and friction of joints, and of guides;
   each joint alone, and all at once so that every joint's response is in several trials;
 - small reversals: the lost motion of actuators, which larger motion hides;

@@ -144,7 +144,7 @@ def test_a_folder_with_metadata_is_read_too(tmp_path):
         ),
     ],
 )
-def test_a_bag_that_cannot_be_used_is_one_line_that_says_why(calls, said, tmp_path):
+def test_a_bag_that_cannot_be_used_is_refused_in_one_line(calls, said, tmp_path):
     path = bag(tmp_path / "a.mcap", *calls)
     with pytest.raises(RecordingError, match=said) as caught:
         read_mcap(path, LAB)
@@ -186,7 +186,7 @@ def test_nothing_is_left_of_a_file_that_failed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recording_that_breaks_off_is_read_up_to_there_and_said(tmp_path, caplog):
+def test_a_recording_that_breaks_off_is_read_up_to_there_with_a_warning(tmp_path, caplog):
     path = tmp_path / "cut.mcap"
     write_mcap(path, recording(rows=60), LAB)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
@@ -195,7 +195,7 @@ def test_a_recording_that_breaks_off_is_read_up_to_there_and_said(tmp_path, capl
     assert "cut.mcap: breaks off at byte" in caplog.text
 
 
-def test_a_type_of_any_name_is_told_in_one_line(tmp_path, monkeypatch):
+def test_a_type_of_any_name_is_refused_in_one_line(tmp_path, monkeypatch):
     class OfAnotherType:
         cut = ""
 

@@ -132,12 +132,12 @@ def test_a_damaged_byte_is_refused_or_read_and_never_raises_another_error(
     try:
         count = len(list(McapMessages(path)))
     except RecordingError as error:
-        said = str(error)
+        text = str(error)
     else:
-        said = "damaged.mcap"
+        text = "damaged.mcap"
         assert count <= 2000
-    assert "damaged.mcap" in said
-    assert "\n" not in said
+    assert "damaged.mcap" in text
+    assert "\n" not in text
 
 
 HEAD = b"\x89MCAP0\r\n"
@@ -164,7 +164,7 @@ def bomb():
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "text"),
     [
         (b"", "no MCAP file"),
         (b"PK" * 100, "no MCAP file"),
@@ -179,11 +179,11 @@ def bomb():
     ],
     ids=range(10),
 )
-def test_what_cannot_be_is_refused_unread(content, said, tmp_path):
+def test_rubbish_is_refused_unread(content, text, tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     started = time.monotonic()
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=text):
         list(McapMessages(path))
     assert time.monotonic() - started < 5.0
 
@@ -230,18 +230,18 @@ def test_a_killed_process_loses_no_more_than_its_last_chunk(after_s, tmp_path):
         time.sleep(after_s)
         killed_ns = time.time_ns()
         process.send_signal(signal.SIGKILL)
-        said = process.stdout.read().split()
+        text = process.stdout.read().split()
     messages = McapMessages(path)
     got = list(messages)
     assert "breaks off" in messages.cut
     assert [int.from_bytes(m.data[:8], "little") for m in got] == list(range(len(got)))
-    assert len(got) < int(said[-1])
+    assert len(got) < int(text[-1])
     assert killed_ns - got[-1].log_ns < (CHUNK_S + 0.3) * 1e9
     assert [path.name for path in tmp_path.iterdir()] == ["killed.mcap"]
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_said_and_what_was_written_stays(tmp_path):
+def test_a_full_disk_is_reported_and_what_was_written_stays(tmp_path):
     path = tmp_path / "full.mcap"
     done = subprocess.run(
         [sys.executable, "-c", ENDLESS, path],

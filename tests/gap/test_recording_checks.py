@@ -92,7 +92,7 @@ def test_nor_are_gains_and_offsets(gain):
         (SOUND.rows(slice(0, 8)), "amount", "in 1 trials"),
     ],
 )
-def test_what_rules_a_recording_out_is_said_with_its_place(broken, kind, said):
+def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, said):
     report = check_recording(broken, LAB)
     assert report.of_kind(kind), report.findings
     assert not report.usable
@@ -176,7 +176,7 @@ def test_another_arm_and_other_units_are_refused():
         assert report.of_kind(kind), report.findings
 
 
-def test_a_recording_at_rest_says_nothing_of_channels():
+def test_a_recording_at_rest_has_no_findings_of_channels():
     rest = SOUND.rows(SOUND.trial == 0)
     nominal = NOMINAL[SOUND.trial == 0]
     assert {finding.kind for finding in check_recording(rest, LAB, nominal).findings} == {"amount"}
