@@ -20,8 +20,8 @@ turn it into one line and a node into one log message::
     ├── PlantError          a plant that cannot be built or run    cablesense_gap.plant
     ├── PaperError          what cannot be reproduced              cablesense_paper
     ├── ParameterError      a node parameter out of place          cablesense_ros
-    ├── SampleError         a sample that is of no use             cablesense_ros
-    ├── TareError           a tare that cannot be taken            cablesense_ros
+    ├── SampleError         a sample that cannot be used           cablesense_online
+    ├── TareError           a tare that cannot be taken            cablesense_online
     ├── ChannelMapError     a channel map or DBC that cannot be    cablesense_online.can
     ├── CanInterfaceError   a CAN interface that cannot be opened  cablesense_online.can
     ├── FaultRequestError   a fault that cannot be shown           cablesense_online.can.emulation

@@ -16,7 +16,6 @@ from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
-from cablesense_online.health import InputHealth
 from cablesense_online.models import (
     ContactModel,
     HistoryDependentEstimator,
@@ -25,7 +24,13 @@ from cablesense_online.models import (
     decide,
 )
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.samples import ProblemKind, SampleCheck, SampleClock, SampleError
+from cablesense_online.samples import (
+    InputHealth,
+    ProblemKind,
+    SampleCheck,
+    SampleClock,
+    SampleError,
+)
 from cablesense_online.state import (
     LIVE_SETTINGS,
     EstimationSettings,

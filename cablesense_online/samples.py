@@ -1,11 +1,11 @@
-"""Which tension samples can be used: their stamps and their values are checked.
+"""Which tension samples can be used: stamps and values are checked, and what came is counted.
 
 No force is ever estimated from a sample that is refused here.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from enum import Enum
 from math import isfinite
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.diagnostics import Level, Status
 
 
 class ProblemKind(Enum):
@@ -175,3 +176,79 @@ class SampleClock:
         if self._periods_ns:
             return float(np.median(self._periods_ns))
         return float(stamps_ns[-1] - stamps_ns[0]) / (len(stamps_ns) - 1)
+
+
+class InputHealth:
+    """Counts samples between reports; totals go on."""
+
+    def __init__(self, clock: SampleClock, now_s: float) -> None:
+        """From monotonic time `now_s` on; ages and missing samples are those of `clock`."""
+        self._clock = clock
+        clock.largest_age_s = 0.0
+        self._report_s = now_s
+        self._arrived = 0
+        self._refused: Counter[ProblemKind] = Counter()
+        self._last_problem = ""
+        self._total_missing = 0
+        self._total_refused = 0
+        self._last_arrival_s = now_s
+        self._received = False
+
+    def arrived(self, now_s: float) -> None:
+        """A message came, whatever is in it."""
+        self._arrived += 1
+        self._received = True
+        self._last_arrival_s = now_s
+
+    def refused(self, problem: SampleError) -> None:
+        """A sample could not be used."""
+        self._refused[problem.kind] += 1
+        self._last_problem = str(problem)
+        self._total_refused += 1
+
+    def silence_s(self, now_s: float) -> float:
+        """Time since the last message, or since the start before the first."""
+        return now_s - self._last_arrival_s
+
+    def status(self, now_s: float, lost: int, publisher_count: int) -> Status:
+        """The report of the time since the last one.
+
+        Args:
+            now_s: monotonic time.
+            lost: samples that the middleware reported as lost since the last report.
+            publisher_count: publishers on the topic.
+        """
+        missing = max(lost, self._clock.missing_since_last_report())
+        self._total_missing += missing
+        rate = self._arrived / max(now_s - self._report_s, 1e-9)
+        level, message = self._verdict(now_s, missing, publisher_count)
+        values = {
+            "rate (Hz)": f"{rate:.1f}",
+            "largest age (s)": f"{self._clock.largest_age_s:.4f}",
+            "dropped": str(missing),
+            "dropped in all": str(self._total_missing),
+            "refused": str(sum(self._refused.values())),
+            "refused in all": str(self._total_refused),
+            "publishers": str(publisher_count),
+        }
+        values |= {f"refused: {kind.value}": str(count) for kind, count in self._refused.items()}
+        if self._last_problem:
+            values["last refusal"] = self._last_problem
+        self._report_s, self._arrived, self._clock.largest_age_s = now_s, 0, 0.0
+        self._refused.clear()
+        return Status("cable_tensions", level, message, values)
+
+    def _verdict(self, now_s: float, missing: int, publisher_count: int) -> tuple[Level, str]:
+        silence = self.silence_s(now_s)
+        if not self._received:
+            return Level.STALE, "no sample received yet"
+        if silence > self._clock.stale_after_s:
+            return Level.STALE, f"no sample for {silence:.1f} s"
+        if self._refused:
+            kinds = ", ".join(f"{count} {kind.value}" for kind, count in self._refused.items())
+            return Level.ERROR, f"samples refused: {kinds}"
+        if publisher_count > 1:
+            return Level.WARN, f"{publisher_count} publishers; one arm has one"
+        if missing:
+            return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
+        return Level.OK, "receiving"

@@ -1,8 +1,7 @@
 """The estimator's diagnostics of its input and its tare."""
 
 from cablesense_msgs_py.diagnostics import Level
-from cablesense_online.health import InputHealth
-from cablesense_online.samples import ProblemKind, SampleClock, SampleError
+from cablesense_online.samples import InputHealth, ProblemKind, SampleClock, SampleError
 
 
 def status(health, now_s, missing=0, publishers=1):
