@@ -1,28 +1,24 @@
-"""The arm that the sim node shows: dynamics at real time, smooth commands, loads that may end.
-
-Keeping a simulation at real time: how much is due, and what is let go when it falls behind.
-"""
+"""The arm of the sim node: dynamics at real time, smooth commands, loads that may end."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablesense_base.arrays import Array
 from cablesense_msgs_py.wrenches import Load
 from cablesense_sim.arm import Sensors
+from cablesense_sim.dynamics import ArmDynamics, RestToRestArm
 from cablesense_sim.effects.effect import Sensing
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.sensors import read_tensions_n
 
 
 class RealTimePacer:
-    """Says how many time steps are due; never more than `longest_lag_s` of them at once.
+    """How many time steps are due; never more than `longest_lag_s` of them at once.
 
-    What lies further behind is let go and counted: catching up on it would make the simulation
+    What lies further behind is skipped and counted: catching up on it would make the simulation
     fall behind further. Times are of one monotonic clock, s.
     """
 
@@ -48,7 +44,7 @@ class RealTimePacer:
         return due
 
     def real_time_factor(self, now_s: float) -> float:
-        """Simulated time over real time since this was last asked."""
+        """Simulated time over real time since the last call."""
         real_s = now_s - self._report_s
         simulated_s = (self._steps - self._report_steps) * self._timestep_s
         self._report_s, self._report_steps = now_s, self._steps
@@ -59,47 +55,16 @@ LONGEST_LAG_S = 0.1
 """A process that was held up longer than this goes on from there instead of catching up."""
 
 
-class Dynamics(Protocol):
-    """What is needed of an arm of `cablesense_sim.dynamics`."""
-
-    def command(self, joint_angles_rad: ArrayLike) -> None:
-        """Hold the cable lengths of these angles (2N,)."""
-
-    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
-        """The angles, if they can be commanded; changes nothing."""
-
-    def load(self, segment: int, force_base_n: ArrayLike) -> None:
-        """Push a segment with a force (3,), base axes, N."""
-
-    def advance(self, duration_s: float) -> None:
-        """Step time."""
-
-    def reset(self, command_rad: ArrayLike | None = None) -> None:
-        """Rest, unloaded, at a command."""
-
-    @property
-    def command_rad(self) -> Array:
-        """(2N,) commanded joint angles."""
-
-    @property
-    def tensions_n(self) -> Array:
-        """(M,) true tensions."""
-
-    @property
-    def joint_angles_rad(self) -> Array:
-        """(2N,) true joint angles."""
-
-
 class SimulatedArm:
     """One arm in real time; times are of one monotonic clock, s.
 
     Attributes:
-        resets: how often the dynamics had to start afresh because they lost their footing.
+        resets: how often the dynamics were started afresh because they diverged.
     """
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: ArmDynamics | RestToRestArm,
         timestep_s: float,
         joint_speed_rad_s: float,
         load_timeout_s: float,
@@ -111,7 +76,7 @@ class SimulatedArm:
         """`load_timeout_s` of 0 lets loads hold until they are changed.
 
         `sensings` are the effects of the sensors, in their order; `longest_lag_s` must be longer
-        than the time from one look at the arm to the next.
+        than the time from one `advance_to` to the next.
         """
         self._dynamics = dynamics
         self._timestep_s = timestep_s
@@ -124,7 +89,7 @@ class SimulatedArm:
         self.resets = 0
 
     def go_to(self, joint_angles_rad: Array) -> None:
-        """Head for commanded joint angles (2N,).
+        """Begin to move to commanded joint angles (2N,).
 
         Raises:
             CableSenseError: the arm cannot take such a command; it keeps the one it has.
@@ -139,7 +104,7 @@ class SimulatedArm:
             del self._loads[load.segment]
 
     def advance_to(self, now_s: float) -> None:
-        """Let the time that has passed pass in the simulation as well."""
+        """Advance the simulation to `now_s`."""
         self._now_s = now_s
         self._drop_old_loads(now_s)
         due = self._pacer.steps_due(now_s)
@@ -174,11 +139,11 @@ class SimulatedArm:
 
     @property
     def skipped_s(self) -> float:
-        """Time let go because the process was held up, s."""
+        """Time skipped because the process was held up, s."""
         return self._pacer.skipped_s
 
     def real_time_factor(self, now_s: float) -> float:
-        """Simulated over real time since this was last asked; 1 when it keeps pace."""
+        """Simulated over real time since the last call; 1 when it keeps pace."""
         return self._pacer.real_time_factor(now_s)
 
     def _drop_old_loads(self, now_s: float) -> None:
