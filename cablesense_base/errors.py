@@ -24,8 +24,8 @@ turn it into one line and a node into one log message::
     ├── TareError           a tare that cannot be taken            cablesense_online
     ├── ChannelMapError     a channel map or DBC that cannot be    cablesense_online.can
     ├── CanInterfaceError   a CAN interface that cannot be opened  cablesense_online.can
-    ├── FaultRequestError   a fault that cannot be shown           cablesense_online.can.emulation
-    ├── SlcanPortError      a pseudo-terminal that cannot be had   cablesense_online.can.emulation
+    ├── FaultRequestError   a fault that cannot be shown           cablesense_online.can
+    ├── SlcanPortError      a pseudo-terminal that cannot be had   cablesense_online.can
     ├── PageError           a page that cannot be served           cablesense_online.page
     └── DemoError, ChildError, ScriptError   the demo's own        cablesense_ros.demo
 """

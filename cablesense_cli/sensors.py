@@ -1,10 +1,7 @@
 """`cablesense sensors …`: tension sensors of a real arm taken into use.
 
-`cablesense sensors calibrate`: known weights to scale and zero, with uncertainty.
-
-`cablesense sensors check`: whether tension sensors can be used, from a recording or live.
-
-The figures of a sensor check as a table, with what would be right above each column.
+`check` shows whether they can be used, from a recording or live; `calibrate` finds scale and zero
+with uncertainty from known loads.
 """
 
 from __future__ import annotations
@@ -37,7 +34,8 @@ def calibrate(
         str, typer.Option("--map", help="Channel map of the driver: a bundled name, or a path.")
     ] = "twelve_channel_amplifier",
     recording: Annotated[
-        Path | None, typer.Option(help="Where the windows of the loads lie: .csv or .mcap.")
+        Path | None,
+        typer.Option(help="Recording that the windows of the loads refer to: .csv or .mcap."),
     ] = None,
     recorded_with: Annotated[
         Path | None,
@@ -51,7 +49,7 @@ def calibrate(
         typer.Option(
             min=9.7,
             max=9.9,
-            help="Local gravity, m/s²; without it 9.80665, and its spread over the Earth counts.",
+            help="Local gravity, m/s²; without it 9.80665, and its variation over the Earth counts as uncertainty.",
         ),
     ] = None,
     reference_uncertainty: Annotated[
@@ -64,7 +62,7 @@ def calibrate(
     ] = 0.0,
     json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Find scale and zero of tension sensors from known loads, and how sure they are.
+    """Find scale and zero of tension sensors from known loads, with uncertainty.
 
     Writes the file that can_driver takes as its parameter calibration. At least five loads of
     three sizes a cable, from the bare cable on, up and down again.
@@ -161,8 +159,8 @@ def _table(
     return table
 
 
-def _newtons(value: float | None) -> str:
-    return "not shown" if value is None else f"{value:.3f}"
+def _newtons(value: float | None, form: str = ".3f", missing: str = "not shown") -> str:
+    return missing if value is None else f"{value:{form}}"
 
 
 EXIT_UNUSABLE = 1
@@ -178,15 +176,17 @@ def check(
         ),
     ] = None,
     arm: Annotated[
-        str, typer.Option(help="Arm, which says what is right: a path, or a bundled one's name.")
+        str,
+        typer.Option(help="Arm, whose file gives the expected values: a path, or a bundled name."),
     ] = "cdsm",
     seconds: Annotated[
-        float, typer.Option(min=2.0, max=3600.0, help="Live: how long the arm is left alone.")
+        float,
+        typer.Option(min=2.0, max=3600.0, help="Live: time for which the arm is left alone, s."),
     ] = 10.0,
     pull: Annotated[
         str | None,
         typer.Option(
-            help="Live: cables that you pull by hand when told, joined by commas, or all; shows "
+            help="Live: cables that you pull by hand when asked, joined by commas, or all; shows "
             "exchanged plugs.",
         ),
     ] = None,
@@ -204,7 +204,7 @@ def check(
             min=0.001,
             max=1000.0,
             help="Most drift at rest that is right, N.",
-            show_default="four times what a reading varies by",
+            show_default="four standard deviations of a reading",
         ),
     ] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
@@ -245,8 +245,8 @@ def check(
             raise CommissioningError(
                 f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
             )
-        said = Console(stderr=True)
-        series, made = capture_tensions(names, seconds, pulled, said.print)
+        prompts = Console(stderr=True)
+        series, made = capture_tensions(names, seconds, pulled, prompts.print)
         report = check_sensors(series, expected, made)
     else:
         if pull is not None:
@@ -284,7 +284,7 @@ for verb in (check, calibrate):
 
 
 def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
-    """One row a sensor; what is wrong is red."""
+    """One row a sensor; wrong values are red."""
     timing = report.timing
     title = (
         f"{timing.samples:,} samples at {timing.rate_hz:.1f} Hz (right: {expected.rate_hz:g} "
@@ -310,9 +310,9 @@ def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
         cells = [
             cell(channel.cable, "stuck"),
             cell(f"{channel.mean_n:.2f}", "range"),
-            cell(_newtons_check_table(channel.noise_n, ".3f", "not told"), "noise"),
-            cell(_newtons_check_table(channel.step_n, ".3f", "none seen"), "step"),
-            cell(_newtons_check_table(channel.drift_n, "+.2f", "not told"), "drift"),
+            cell(_newtons(channel.noise_n, ".3f", "unknown"), "noise"),
+            cell(_newtons(channel.step_n, ".3f", "none seen"), "step"),
+            cell(_newtons(channel.drift_n, "+.2f", "unknown"), "drift"),
         ]
         if pulled:
             result = pulled.get(channel.cable)
@@ -320,7 +320,3 @@ def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
             cells.append(cell(text, "swapped"))
         table.add_row(*cells)
     return table
-
-
-def _newtons_check_table(value: float | None, form: str, missing: str) -> str:
-    return missing if value is None else f"{value:{form}}"

@@ -12,9 +12,8 @@ from std_srvs.srv import Trigger
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_online.page.exposure import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.page.page import Page
+from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions, Push
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.endpoints import of_node

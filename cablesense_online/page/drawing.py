@@ -1,11 +1,8 @@
-"""Where the cables, the arrows and the parts of the arm lie: plain arrays in, plain arrays out.
+"""Geometry and colours of the drawn arm: arrays in, arrays or meshes out.
 
-The page's colours: safe for colour-blind eyes, readable on a dark ground.
-
-Tensions use the viridis map without its darkest tenth; the two forces and the segments use the
-palette of Okabe and Ito (*Color Universal Design*, 2008).
-
-Meshes of the arm's rigid parts and of arrows, made once when the page starts.
+Colours are safe for colour-blind eyes and readable on a dark ground. Tensions use the viridis map
+without its darkest tenth; the two forces and the segments use the palette of Okabe and Ito
+(*Color Universal Design*, 2008).
 """
 
 from __future__ import annotations

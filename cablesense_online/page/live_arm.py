@@ -1,6 +1,7 @@
-"""What is known of a running arm, put together from the contract's messages as they come.
+"""The state of a running arm as the page shows it, and the estimator's errors so far.
 
-Messages are duck-typed: no ROS is needed here.
+`LiveArm` collects the contract's messages (duck-typed: no ROS is needed here) and gives a
+`Snapshot` of the present; `Score` compares true and estimated contacts while the arm stands still.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -16,12 +18,157 @@ from cablesense_base.arrays import Array
 from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import Load, read_load
-from cablesense_online.page.snapshot import Contact, Level, Snapshot, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A single force on the arm, true or estimated.
+
+    Attributes:
+        segment: 1 … N.
+        angle_deg: contact angle at the commanded pose, from the segment's +z towards its +y.
+        magnitude_n: newtons.
+        force_base_n: (3,) the same force in base axes.
+    """
+
+    segment: int
+    angle_deg: float
+    magnitude_n: float
+    force_base_n: Array
+
+
+class Level(Enum):
+    """How far the estimate can be trusted."""
+
+    OK = "ok"
+    WARNING = "warning"
+    ERROR = "error"
+    STALE = "stale"
+
+
+@dataclass(frozen=True)
+class Status:
+    """The estimator's state: level, headline, and notes for a person."""
+
+    level: Level
+    headline: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One moment of the arm.
+
+    Attributes:
+        time_s: of the newest tensions, any steady clock.
+        joint_angles_rad: (2N,) measured or commanded.
+        tensions_n: (M,) or None before the first arrives.
+        true: the load that is really applied, where it is known.
+        estimate: the estimated contact; None when nothing touches or nothing is known.
+        probabilities: (N + 1,) of no contact and of each segment, or None.
+        status: of the estimator.
+    """
+
+    time_s: float
+    joint_angles_rad: Array
+    tensions_n: Array | None
+    true: Contact | None
+    estimate: Contact | None
+    probabilities: Array | None
+    status: Status
+
+
+SETTLING_S = 1.0
+"""A comparison waits this long after a change: the arm swings and the estimate follows."""
+STILL_N = 0.01
+STILL_RAD = 0.003
+"""Load and pose that change by less stand still."""
+
+
+def angle_error_deg(a_deg: float, b_deg: float) -> float:
+    """The smaller turn between two angles, 0 … 180 degrees."""
+    return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Mean errors over the moments compared so far.
+
+    Attributes:
+        count: moments compared.
+        segment_right: share of them, 0 … 1, with the right segment (or rightly none).
+        angle_mae_deg: over those with the right segment; None before the first.
+        magnitude_mae_n: likewise.
+    """
+
+    count: int
+    segment_right: float | None
+    angle_mae_deg: float | None
+    magnitude_mae_n: float | None
+
+
+class Score:
+    """Adds up errors while the true load stays put."""
+
+    def __init__(self, settling_s: float = SETTLING_S) -> None:
+        self._settling_s = settling_s
+        self._still: Snapshot | None = None
+        self._still_since_s = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Discards every comparison."""
+        self._count = self._right = self._contacts = 0
+        self._angle_sum_deg = self._magnitude_sum_n = 0.0
+
+    def add(self, snapshot: Snapshot) -> bool:
+        """Compares one moment; gives whether it counted: load and pose must have stood still."""
+        if snapshot.status.level is Level.STALE:
+            return False
+        if self._changed(snapshot):
+            self._still_since_s = snapshot.time_s
+        if snapshot.time_s - self._still_since_s < self._settling_s:
+            return False
+        true, estimate = snapshot.true, snapshot.estimate
+        self._count += 1
+        true_segment = true.segment if true is not None else 0
+        estimated_segment = estimate.segment if estimate is not None else 0
+        if true_segment == estimated_segment:
+            self._right += 1
+            if true is not None and estimate is not None:
+                self._contacts += 1
+                self._angle_sum_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
+                self._magnitude_sum_n += abs(true.magnitude_n - estimate.magnitude_n)
+        return True
+
+    def _changed(self, snapshot: Snapshot) -> bool:
+        """Whether load or pose differ from those since which the arm has stood still."""
+        still, true = self._still, snapshot.true
+        if still is not None and (still.true is None) == (true is None):
+            force_moved = 0.0
+            if still.true is not None and true is not None:
+                force_moved = float(np.abs(still.true.force_base_n - true.force_base_n).max())
+            pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
+            if force_moved < STILL_N and pose_moved < STILL_RAD:
+                return False
+        self._still = snapshot
+        return True
+
+    @property
+    def errors(self) -> Errors:
+        """The errors so far."""
+        return Errors(
+            self._count,
+            self._right / self._count if self._count else None,
+            self._angle_sum_deg / self._contacts if self._contacts else None,
+            self._magnitude_sum_n / self._contacts if self._contacts else None,
+        )
+
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
@@ -30,8 +177,8 @@ _LEVELS = (Level.OK, Level.WARNING, Level.ERROR, Level.STALE)
 
 
 @dataclass
-class _Heard:
-    """The newest of everything, with the time it came."""
+class _Latest:
+    """The latest of each message, with the time it came."""
 
     tensions_s: float = -np.inf
     tensions_n: Array | None = None
@@ -65,20 +212,20 @@ class LiveArm:
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._motion = JointMotion(np.zeros(arm.joint_count), joint_speed_rad_s)
         self._motion_s: float | None = None
-        self._heard = _Heard()
+        self._latest = _Latest()
         self._lock = threading.Lock()
 
     def on_tensions(self, message: Any, now_s: float) -> None:
         """Takes a `cable_tensions` message."""
         tensions = self._cables.arrange(message.name, message.effort, "effort")
         with self._lock:
-            self._heard.tensions_n, self._heard.tensions_s = tensions, now_s
+            self._latest.tensions_n, self._latest.tensions_s = tensions, now_s
 
     def on_joint_states(self, message: Any) -> None:
         """Takes a `joint_states` message."""
         angles = self._joints.arrange(message.name, message.position, "position")
         with self._lock:
-            self._heard.joint_angles_rad = angles
+            self._latest.joint_angles_rad = angles
 
     def on_joint_commands(self, message: Any) -> None:
         """Takes a `joint_commands` message: contact angles are counted at the commanded pose."""
@@ -90,7 +237,7 @@ class LiveArm:
         """Takes an `applied_wrench` message; it replaces the load on its segment."""
         load = read_load(message, self.frames)
         with self._lock:
-            self._heard.loads[load.segment] = load.force_base_n
+            self._latest.loads[load.segment] = load.force_base_n
 
     def on_wrench(self, message: Any, now_s: float) -> None:
         """Takes the estimator's `wrench`: a force in the axes of its segment, or zero."""
@@ -100,62 +247,62 @@ class LiveArm:
         if local_n.any():
             estimate = (self.frames.segment_number(message.header.frame_id), local_n)
         with self._lock:
-            self._heard.estimate, self._heard.estimate_s = estimate, now_s
+            self._latest.estimate, self._latest.estimate_s = estimate, now_s
 
     def on_probabilities(self, message: Any) -> None:
         """Takes the estimator's `contact_probabilities`; another length is not this arm's."""
         probabilities = np.asarray(message.data, dtype=float)
         if probabilities.shape == (self.mechanism.segment_count + 1,):
             with self._lock:
-                self._heard.probabilities = probabilities
+                self._latest.probabilities = probabilities
 
     def on_diagnostics(self, message: Any, now_s: float) -> None:
-        """Takes a `/diagnostics` message and keeps what the estimator says of itself."""
+        """Takes a `/diagnostics` message and keeps the estimator's own statuses."""
         with self._lock:
             for status in message.status:
                 node, _, part = status.name.partition(": ")
                 if node.strip("/") == self._estimator and part:
                     level = min(int.from_bytes(status.level, "little"), len(_LEVELS) - 1)
-                    self._heard.health[part] = (now_s, level, status.message)
+                    self._latest.health[part] = (now_s, level, status.message)
 
     def content_with(self, part: str) -> bool:
-        """Whether the estimator's last word on a part of itself, such as `tare`, was OK."""
+        """Whether the estimator's latest status of a part, such as `tare`, is OK."""
         with self._lock:
-            heard = self._heard.health.get(part)
-        return heard is not None and heard[1] == 0
+            latest = self._latest.health.get(part)
+        return latest is not None and latest[1] == 0
 
     def loads_of(self, segment: int, angle_deg: float, magnitude_n: float) -> list[Load]:
         """The loads that make this push, and no other, the only one on the arm.
 
         Raises:
-            LoadError: no such segment, or figures that are not finite.
+            LoadError: no such segment, or numbers that are not finite.
         """
         with self._lock:
             command = self._command_rad()
-            pushed = {number for number, force in self._heard.loads.items() if force.any()}
+            pushed = {number for number, force in self._latest.loads.items() if force.any()}
         forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
         return [*released, Load(segment, forces[segment - 1])] if segment else released
 
     def snapshot(self, now_s: float) -> Snapshot:
-        """The present, as far as it is known."""
+        """The present state, as far as it is known."""
         with self._lock:
             self._advance(now_s)
-            heard, command = self._heard, self._command_rad()
+            latest, command = self._latest, self._command_rad()
             rotations = segment_rotations(self.mechanism, command)
-            fresh = now_s - heard.estimate_s <= STALE_S
-            estimate = self._estimated(heard.estimate, command, rotations) if fresh else None
-            tensions_age_s = now_s - heard.tensions_s
+            fresh = now_s - latest.estimate_s <= STALE_S
+            estimate = self._estimated(latest.estimate, command, rotations) if fresh else None
+            tensions_age_s = now_s - latest.tensions_s
             return Snapshot(
-                time_s=heard.tensions_s if heard.tensions_n is not None else now_s,
+                time_s=latest.tensions_s if latest.tensions_n is not None else now_s,
                 joint_angles_rad=(
-                    command if heard.joint_angles_rad is None else heard.joint_angles_rad
+                    command if latest.joint_angles_rad is None else latest.joint_angles_rad
                 ),
-                tensions_n=heard.tensions_n,
-                true=self._true(heard.loads, command),
+                tensions_n=latest.tensions_n,
+                true=self._true(latest.loads, command),
                 estimate=estimate,
-                probabilities=heard.probabilities if fresh else None,
-                status=_status(heard, estimate, tensions_age_s, now_s),
+                probabilities=latest.probabilities if fresh else None,
+                status=_status(latest, estimate, tensions_age_s, now_s),
             )
 
     def _advance(self, now_s: float) -> None:
@@ -187,28 +334,28 @@ class LiveArm:
 
 
 def _status(
-    heard: _Heard, estimate: Contact | None, tensions_age_s: float, now_s: float
+    latest: _Latest, estimate: Contact | None, tensions_age_s: float, now_s: float
 ) -> Status:
-    if heard.tensions_n is None:
+    if latest.tensions_n is None:
         return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
     if tensions_age_s > STALE_S:
         return Status(Level.STALE, f"Tensions are stale, {tensions_age_s:.1f} s old")
-    if not np.isfinite(heard.estimate_s):
+    if not np.isfinite(latest.estimate_s):
         return Status(Level.STALE, "Waiting for the estimator", ("no estimate has come yet",))
-    if now_s - heard.estimate_s > STALE_S:
-        age = now_s - heard.estimate_s
-        return Status(Level.STALE, f"No estimate for {age:.1f} s", _notes(heard, now_s))
-    level = _LEVELS[max((h[1] for h in _present(heard, now_s)), default=0)]
+    if now_s - latest.estimate_s > STALE_S:
+        age = now_s - latest.estimate_s
+        return Status(Level.STALE, f"No estimate for {age:.1f} s", _notes(latest, now_s))
+    level = _LEVELS[max((h[1] for h in _present(latest, now_s)), default=0)]
     headline = "No contact" if estimate is None else f"Contact on segment {estimate.segment}"
-    return Status(level, headline, _notes(heard, now_s))
+    return Status(level, headline, _notes(latest, now_s))
 
 
-def _present(heard: _Heard, now_s: float) -> Iterable[tuple[float, int, str]]:
-    return [h for h in heard.health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
+def _present(latest: _Latest, now_s: float) -> Iterable[tuple[float, int, str]]:
+    return [h for h in latest.health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
 
 
-def _notes(heard: _Heard, now_s: float) -> tuple[str, ...]:
-    """What the estimator complains of; when it is content, what it says first."""
-    lines = sorted(_present(heard, now_s), key=lambda h: -h[1])
-    complaints = tuple(message for _, level, message in lines if level > 0)
-    return complaints[:3] or tuple(message for _, _, message in lines[:1])
+def _notes(latest: _Latest, now_s: float) -> tuple[str, ...]:
+    """The estimator's warnings; where there are none, its first status."""
+    lines = sorted(_present(latest, now_s), key=lambda h: -h[1])
+    warnings = tuple(message for _, level, message in lines if level > 0)
+    return warnings[:3] or tuple(message for _, _, message in lines[:1])

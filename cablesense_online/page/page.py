@@ -1,12 +1,10 @@
-"""The page as a whole: one web server with the scene, the figures, the traces and the controls.
-
-Whether an address to serve on is of this machine alone, and what is said where it is not.
-"""
+"""The page as a whole: one web server with the scene, the numbers, the traces and the controls."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import ipaddress
 import socket
 import threading
 import time
@@ -16,14 +14,14 @@ import viser
 from cablesense_base.errors import CableSenseError
 from cablesense_online.page import panel
 from cablesense_online.page.drawing import full_scale_n
+from cablesense_online.page.live_arm import Score, Snapshot
 from cablesense_online.page.panel import Actions, Controls, TracePlot
 from cablesense_online.page.scene import ArmScene
-from cablesense_online.page.snapshot import Score, Snapshot
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 
-FIGURES_EVERY_S = 0.15
+NUMBERS_EVERY_S = 0.15
 PORT_TRIES = 20
 
 
@@ -49,7 +47,7 @@ class Page:
         self._host = host
         self._score = Score()
         self._lock = threading.Lock()
-        self._figures_due_s = 0.0
+        self._numbers_due_s = 0.0
         self._segment_count = arm.segment_count
         server = self._server
         server.gui.configure_theme(
@@ -90,7 +88,7 @@ class Page:
         return f"http://{host}:{self._port}"
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draws one moment: the scene every time, figures and traces a few times a second."""
+        """Draws one moment: the scene every time, numbers and traces a few times a second."""
         with self._lock:
             self._score.add(snapshot)
         if snapshot.tensions_n is not None:
@@ -103,9 +101,9 @@ class Page:
             if snapshot.tensions_n is not None:
                 self._scene.tensions(snapshot.tensions_n, scale_n)
             self._scene.forces(snapshot.true, snapshot.estimate)
-        if time.monotonic() >= self._figures_due_s:
-            self._figures_due_s = time.monotonic() + FIGURES_EVERY_S
-            self._show_figures(snapshot, scale_n)
+        if time.monotonic() >= self._numbers_due_s:
+            self._numbers_due_s = time.monotonic() + NUMBERS_EVERY_S
+            self._show_numbers(snapshot, scale_n)
 
     def reset_errors(self) -> None:
         """Starts the error so far anew."""
@@ -122,7 +120,7 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
-    def _show_figures(self, snapshot: Snapshot, scale_n: float) -> None:
+    def _show_numbers(self, snapshot: Snapshot, scale_n: float) -> None:
         with self._lock:
             errors = self._score.errors
         for handle, content in (
@@ -165,3 +163,24 @@ def _place_camera(server: viser.ViserServer, mechanism: Mechanism) -> None:
     server.initial_camera.look_at = (0.5 * reach, 0.0, -0.04 * reach)
     server.initial_camera.fov = 0.75
     server.initial_camera.near = 0.01
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches `host`; a name other than localhost may lead anywhere."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def exposure_warning(host: str, port: int, controls: bool) -> str:
+    """A warning that others reach a page served on `host`; empty if this machine alone does."""
+    if is_loopback(host):
+        return ""
+    what = "see and move the arm" if controls else "see the arm"
+    return (
+        f"the page is served on {host}, port {port}, without a password: everyone who reaches "
+        f"this machine can {what}"
+    )

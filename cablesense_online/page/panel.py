@@ -1,9 +1,4 @@
-"""The controls of the page: push the arm, move its joints, tare.
-
-The figures beside the scene, as HTML: status, forces, probabilities, errors, legends.
-
-The tension traces: the last seconds of every cable, as one plot.
-"""
+"""The page's panels: controls, status and numbers as HTML, and the tension traces."""
 
 from __future__ import annotations
 
@@ -23,7 +18,7 @@ from cablesense_online.page.drawing import (
     segment_rgb,
     tension_gradient_css,
 )
-from cablesense_online.page.snapshot import Contact, Errors, Level, Status
+from cablesense_online.page.live_arm import Contact, Errors, Level, Status
 from cablesense_sim.mechanism import Mechanism
 
 FORCE_LIMIT_N = 200.0
@@ -32,7 +27,7 @@ JOINT_LIMIT_DEG = 20.0
 
 @dataclass(frozen=True)
 class Push:
-    """A push that a person asks for, normal to the segment at the commanded pose.
+    """A push on request, normal to the segment at the commanded pose.
 
     Attributes:
         segment: 1 … N.
@@ -47,7 +42,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Actions:
-    """What the page asks of the world outside; each may be called from any thread.
+    """Requests of the page to the nodes; each may be called from any thread.
 
     Attributes:
         push: takes a Push.
@@ -78,7 +73,7 @@ class Controls:
                 initial_value=str(segment_count),
             )
             self._angle = gui.add_slider(
-                "angle, °", 0, 355, 5, 215, hint="way of the force: 0° up, 90° to +y"
+                "angle, °", 0, 355, 5, 215, hint="direction of the force: 0° up, 90° to +y"
             )
             self._newtons = gui.add_slider("force, N", 0, int(FORCE_LIMIT_N), 1, 60)
             self._button = gui.add_button("Push", color="orange", icon=viser.Icon.HAND_FINGER)
@@ -93,7 +88,7 @@ class Controls:
             tare = gui.add_button(
                 "Tare",
                 icon=viser.Icon.SCALE,
-                hint="takes the present tensions as those of the unloaded arm",
+                hint="takes the present tensions as the unloaded state",
             )
         self._button.on_click(lambda _: self._toggle())
         for handle in (self._segment, self._angle, self._newtons):
@@ -188,7 +183,7 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
         share = 0.0 if probabilities is None else float(probabilities[segment])
         name = f"segment {segment}" if segment else "no contact"
         colour = css(segment_rgb(segment)) if segment else "#8a93a3"
-        figure = "–" if probabilities is None else f"{100 * share:.1f} %"
+        percent = "–" if probabilities is None else f"{100 * share:.1f} %"
         bars.append(
             f"<div style='display:flex;align-items:center;gap:8px;font-size:12px'>"
             f"<span style='width:74px'>{name}</span>"
@@ -196,14 +191,14 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
             "overflow:hidden'>"
             f"<span style='display:block;height:100%;width:{100 * share:.1f}%;"
             f"background:{colour}'>"
-            f"</span></span><span style='width:52px;text-align:right'>{figure}</span></div>"
+            f"</span></span><span style='width:52px;text-align:right'>{percent}</span></div>"
         )
     title = f"<div style='{_DIM};font-size:11px'>contact probability</div>"
     return f"<div style='{_BOX}'>{title}{''.join(bars)}</div>"
 
 
 def errors_html(errors: Errors) -> str:
-    """Error so far."""
+    """Mean errors so far."""
     right = "–" if errors.segment_right is None else f"{100 * errors.segment_right:.1f} %"
     angle = "–" if errors.angle_mae_deg is None else f"{errors.angle_mae_deg:.2f}°"
     newtons = "–" if errors.magnitude_mae_n is None else f"{errors.magnitude_mae_n:.2f} N"
@@ -218,7 +213,7 @@ def errors_html(errors: Errors) -> str:
     )
     return (
         f"<div style='{_BOX}'><div style='display:flex;gap:6px'>{cells}</div>"
-        f"<div style='{_DIM};font-size:11px'>mean so far, over {errors.count} steady moments</div>"
+        f"<div style='{_DIM};font-size:11px'>mean over {errors.count} steady moments</div>"
         "</div>"
     )
 
@@ -240,7 +235,7 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
 
 
 def traces_legend_html(segment_count: int) -> str:
-    """Which line is which: a colour for each segment that a cable ends on."""
+    """The legend of the traces: a colour for each segment that a cable ends on."""
     marks = " ".join(
         "<span style='white-space:nowrap;margin-right:10px'>"
         f"<b style='color:{css(segment_rgb(n))}'>━</b> "
@@ -285,20 +280,20 @@ class TraceBuffer:
 
     @property
     def peak_n(self) -> float:
-        """The largest tension held, 0 before the first."""
-        held = self._tensions_n[np.isfinite(self._times_s)]
-        return float(held.max()) if held.size else 0.0
+        """The largest tension kept, 0 before the first."""
+        known = self._tensions_n[np.isfinite(self._times_s)]
+        return float(known.max()) if known.size else 0.0
 
     @property
     def columns(self) -> tuple[Array, ...]:
         """Seconds before the newest sample, then N of each cable; at least two samples long."""
-        held = np.isfinite(self._times_s)
-        if held.sum() < 2:
+        known = np.isfinite(self._times_s)
+        if known.sum() < 2:
             empty = np.array([-self._window_s, 0.0])
             return (empty, *(np.full(2, np.nan) for _ in range(self._tensions_n.shape[1])))
-        times = self._times_s[held] - self._newest_s
+        times = self._times_s[known] - self._newest_s
         inside = times >= -self._window_s
-        return (times[inside], *np.ascontiguousarray(self._tensions_n[held][inside].T))
+        return (times[inside], *np.ascontiguousarray(self._tensions_n[known][inside].T))
 
 
 class TracePlot:
@@ -326,7 +321,7 @@ class TracePlot:
         return self._buffer.peak_n
 
     def add(self, time_s: float, tensions_n: Array) -> None:
-        """Remembers a sample; `draw` shows it."""
+        """Keeps a sample; `draw` shows it."""
         self._buffer.add(time_s, tensions_n)
 
     def draw(self) -> None:

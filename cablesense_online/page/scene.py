@@ -1,7 +1,4 @@
-"""The 3D scene: the arm with its cables coloured by tension, both forces as arrows.
-
-A force in the scene: an arrow that points at the arm, with a label at its tail.
-"""
+"""The 3D scene: the arm with its cables coloured by tension, both forces as arrows."""
 
 from __future__ import annotations
 
@@ -26,14 +23,15 @@ from cablesense_online.page.drawing import (
     quaternion_z_to,
     tension_rgb,
 )
-from cablesense_online.page.snapshot import Contact
+from cablesense_online.page.live_arm import Contact
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
 HEAD_LENGTH_M = 0.034
+SHAFT_RADIUS_M = 0.0055
 
 
-class ForceArrow:
+class _ForceArrow:
     """One arrow of the scene, moved rather than made anew, so that nothing flickers."""
 
     def __init__(
@@ -41,28 +39,22 @@ class ForceArrow:
         scene: viser.SceneApi,
         name: str,
         rgb: Rgb,
-        *,
-        shaft_radius_m: float,
         label_anchor: Literal["bottom-left", "bottom-right"],
     ) -> None:
-        self._radius_m = shaft_radius_m
         self._root = scene.add_frame(name, show_axes=False, visible=False)
-        shaft, head = drawing.unit_cylinder(), drawing.unit_cone()
-        self._shaft = scene.add_mesh_simple(
-            f"{name}/shaft",
-            shaft.vertices,
-            shaft.faces,
-            color=rgb,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-        self._head = scene.add_mesh_simple(
-            f"{name}/head",
-            head.vertices,
-            head.faces,
-            color=rgb,
-            cast_shadow=False,
-            receive_shadow=False,
+        self._shaft, self._head = (
+            scene.add_mesh_simple(
+                f"{name}/{part}",
+                mesh.vertices,
+                mesh.faces,
+                color=rgb,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for part, mesh in (
+                ("shaft", drawing.unit_cylinder()),
+                ("head", drawing.unit_cone()),
+            )
         )
         self._label = scene.add_label(
             f"{name}/label", "", anchor=label_anchor, font_screen_scale=1.05, visible=True
@@ -85,9 +77,9 @@ class ForceArrow:
         head = min(HEAD_LENGTH_M, 0.6 * length)
         self._root.position = tail
         self._root.wxyz = quaternion_z_to(np.asarray(force_n, dtype=float))
-        self._shaft.scale = (self._radius_m, self._radius_m, length - head)
+        self._shaft.scale = (SHAFT_RADIUS_M, SHAFT_RADIUS_M, length - head)
         self._head.position = np.array([0.0, 0.0, length - head])
-        self._head.scale = (2.3 * self._radius_m, 2.3 * self._radius_m, head)
+        self._head.scale = (2.3 * SHAFT_RADIUS_M, 2.3 * SHAFT_RADIUS_M, head)
         self._label.text = label
         self._root.visible = True
         self._shown = shown
@@ -124,20 +116,8 @@ class ArmScene:
         self._cables = scene.add_line_segments(
             "/cables", pieces.ends_m, self._colours, thickness=CABLE_WIDTH_M
         )
-        self._true = ForceArrow(
-            scene,
-            "/forces/true",
-            TRUE_RGB,
-            shaft_radius_m=0.0055,
-            label_anchor="bottom-right",
-        )
-        self._estimate = ForceArrow(
-            scene,
-            "/forces/estimate",
-            ESTIMATE_RGB,
-            shaft_radius_m=0.0055,
-            label_anchor="bottom-left",
-        )
+        self._true = _ForceArrow(scene, "/forces/true", TRUE_RGB, "bottom-right")
+        self._estimate = _ForceArrow(scene, "/forces/estimate", ESTIMATE_RGB, "bottom-left")
         self.pose(straight)
 
     def pose(self, joint_angles_rad: Array) -> None:
@@ -164,7 +144,7 @@ class ArmScene:
 
     def forces(self, true: Contact | None, estimate: Contact | None) -> None:
         """Shows the true and the estimated force, or hides what is None."""
-        for arrow, contact, word, aside_m in (
+        for arrow, contact, label, aside_m in (
             (self._true, true, "true", -ARROWS_APART_M / 2),
             (self._estimate, estimate, "estimated", ARROWS_APART_M / 2),
         ):
@@ -176,7 +156,7 @@ class ArmScene:
                     self._contacts_m[contact.segment - 1] + aside_m * along,
                     contact.force_base_n,
                     self._clearance_m,
-                    f"{word} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
+                    f"{label} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
                 )
 
     def _pieces(self, joint_angles_rad: Array) -> CablePieces:

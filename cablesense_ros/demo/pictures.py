@@ -28,7 +28,7 @@ from cablesense_online.page.drawing import (
     tension_rgb,
     unit,
 )
-from cablesense_online.page.snapshot import Contact, Snapshot
+from cablesense_online.page.live_arm import Contact, Snapshot
 from cablesense_ros.demo.pushes import PushRecord, PushResult, summary
 from cablesense_ros.demo.wall import DEADBAND_N, WallRecord, pressed_segment
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations

@@ -17,7 +17,6 @@ from rich.table import Table
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_online.page.exposure import exposure_warning
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
@@ -89,6 +88,8 @@ def run_live(options: DemoOptions) -> None:
         print(f"Starting {_listed([*commands])} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
         busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
+        from cablesense_online.page.page import exposure_warning
+
         warning = exposure_warning(options.host, int(url.rpartition(":")[2]), controls=True)
         if warning:
             print(f"Warning: {warning}.", flush=True)
@@ -141,7 +142,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 
 def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
-    from cablesense_online.page.snapshot import Level
+    from cablesense_online.page.live_arm import Level
     from cablesense_ros.demo import pushes
     from cablesense_ros.demo.pictures import draw_pushes
 

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
-
-from cablesense_online.page.snapshot import Contact, Level, Snapshot, Status
+from cablesense_online.page.live_arm import Contact, Level, Snapshot, Status
 from cablesense_ros.demo.pushes import (
     PushRecord,
     PushResult,
@@ -20,6 +18,8 @@ from cablesense_ros.demo.pushes import (
     results_table,
     summary,
 )
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
 
 def recorded(script, estimate_of, level=Level.OK):

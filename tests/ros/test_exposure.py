@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_online.page.exposure import exposure_warning, is_loopback
+from cablesense_online.page.page import exposure_warning, is_loopback
 from cablesense_ros.discovery import PROFILES, own_graph
 from cablesense_ros.processes import Process, node_command, wait_until
 
