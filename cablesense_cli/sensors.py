@@ -49,7 +49,7 @@ def calibrate(
         typer.Option(
             min=9.7,
             max=9.9,
-            help="Local gravity, m/s²; without it 9.80665, and its variation over the Earth counts as uncertainty.",
+            help="Local gravity, m/s²; without it 9.80665, with its variation over the Earth.",
         ),
     ] = None,
     reference_uncertainty: Annotated[
