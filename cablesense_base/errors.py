@@ -32,4 +32,4 @@ turn it into one line and a node into one log message::
 
 
 class CableSenseError(Exception):
-    """Base of all errors raised on purpose: says what was wrong, where, and what is right."""
+    """Base of all errors raised on purpose: names what was wrong, where, and what is right."""

@@ -1,10 +1,8 @@
-"""YAML as data: a mapping of plain values, and nothing else that YAML can say.
+"""YAML as data: a mapping of plain values, and what is wrong with one in a single line.
 
 No tags, so nothing is ever constructed but text, numbers, booleans, dates, lists and mappings; no
 aliases and no merging, which nest without end; no key twice, where PyYAML would take the last; no
-scalar or nesting so large that reading it takes longer than the file's size says.
-
-What is wrong with an arm file, in one line: the key, its value and what would be valid.
+scalar or nesting so large that reading it takes longer than the file's size suggests.
 """
 
 from __future__ import annotations
@@ -116,7 +114,7 @@ _UNITS = (
 )
 """Units by the end of a key; the first that fits counts."""
 
-_WORDS = {
+_MESSAGES = {
     "greater_than": "must be greater than {gt}",
     "greater_than_equal": "must be at least {ge}",
     "less_than": "must be less than {lt}",
@@ -133,10 +131,10 @@ _WORDS = {
     "string_type": "must be text",
     "string_pattern_mismatch": "must be 1 to 64 letters, digits, _ or -",
 }
-_NUMBER_WORDS = ("must be a number", "must be a finite number")
+_NUMBER_MESSAGES = ("must be a number", "must be a finite number")
 
-_short_arm_problem = reprlib.Repr()
-_short_arm_problem.maxlevel, _short_arm_problem.maxlist, _short_arm_problem.maxdict = 2, 4, 4
+_shorten = reprlib.Repr()
+_shorten.maxlevel, _shorten.maxlist, _shorten.maxdict = 2, 4, 4
 
 
 def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
@@ -146,13 +144,13 @@ def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
         if _is_of_the_branch_meant(problem):
             problems.setdefault(_key(problem), problem)
     key, problem = next(iter(problems.items()))
-    line = f"{key} {_words(key, problem, root)}".strip()
+    line = f"{key} {_message(key, problem, root)}".strip()
     if len(problems) > 1:
         line += f" (and {len(problems) - 1} more)"
     return " ".join(line.split())
 
 
-def _words(key: str, problem: Any, root: type[BaseModel]) -> str:
+def _message(key: str, problem: Any, root: type[BaseModel]) -> str:
     kind, location = problem["type"], problem["loc"]
     if kind == "extra_forbidden":
         return f"is no known key; valid keys here: {', '.join(_keys_of(root, location[:-1]))}"
@@ -163,20 +161,20 @@ def _words(key: str, problem: Any, root: type[BaseModel]) -> str:
         return f"is missing; keys here: {', '.join(keys)}"
     if kind == "value_error":
         return str(problem["ctx"]["error"])
-    value = _short_arm_problem.repr(
+    value = _shorten.repr(
         problem["input"]
     )  # short, also for a text or a nest of lists without end
     if kind == "model_type":
         return f"= {value}: must be a mapping with the keys {', '.join(_keys_of(root, location))}"
-    if kind in _WORDS:
-        words = _WORDS[kind].format(**problem.get("ctx", {}))
+    if kind in _MESSAGES:
+        text = _MESSAGES[kind].format(**problem.get("ctx", {}))
     else:
-        words = problem["msg"][0].lower() + problem["msg"][1:]
+        text = problem["msg"][0].lower() + problem["msg"][1:]
     written = re.sub(r"\.\d+$", "", key)  # without the position in a list
     unit = next((unit for end, unit in _UNITS if written.endswith(end)), None)
-    if unit and (kind.startswith(("greater", "less")) or words in _NUMBER_WORDS):
-        words += f", in {unit}"
-    return f"= {value}: {words}"
+    if unit and (kind.startswith(("greater", "less")) or text in _NUMBER_MESSAGES):
+        text += f", in {unit}"
+    return f"= {value}: {text}"
 
 
 def _key(problem: Any) -> str:
@@ -188,7 +186,7 @@ def _key(problem: Any) -> str:
         or (problem["type"] == "extra_forbidden" and i + 1 == len(location))
     ]
     return ".".join(
-        part if isinstance(part, str) and part.isidentifier() else _short_arm_problem.repr(part)
+        part if isinstance(part, str) and part.isidentifier() else _shorten.repr(part)
         for part in written
     )
 

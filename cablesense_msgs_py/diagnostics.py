@@ -1,4 +1,4 @@
-"""What a node says of itself, and its way into `diagnostic_msgs/DiagnosticArray`."""
+"""The health that a node states, and its way into `diagnostic_msgs/DiagnosticArray`."""
 
 from __future__ import annotations
 

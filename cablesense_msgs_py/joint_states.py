@@ -1,6 +1,6 @@
-"""Arrays to and from `sensor_msgs/JointState`: tensions as efforts, joint angles as positions.
+"""Arrays to and from `sensor_msgs/JointState`, whatever the order of its names.
 
-Values that come with names, brought into the arm's own order.
+Tensions are efforts, joint angles positions.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ PUBLISHER: Final = Qos(depth=10, reliable=True)
 
 WRENCH: Final = Qos(depth=10, reliable=True, lease_s=0.05)
 """The estimator's answer: as every output, and a subscriber that asks for a liveliness lease of
-0.05 s or more is told by its own middleware when the estimator's process has died."""
+0.05 s or more is notified by its own middleware when the estimator's process has died."""
 
 SENSOR: Final = Qos(depth=500, reliable=False)
 """High-rate input: sensor data, best effort. Half a second at 1 kHz, so that no pause of a

@@ -1,8 +1,7 @@
-"""Topic and service names; those with `~` are relative to the estimator's own name.
+"""Names of topics and services, names of frames, and the error of a message that breaks them.
 
-Frame names: `base_link` and `segment_1` … `segment_N`, each with an optional prefix.
-
-The error of a message that breaks the contract.
+Topics with `~` are relative to the estimator's own name. Frames are `base_link` and `segment_1` …
+`segment_N`, each with an optional prefix.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ TARE_UNDO: Final = "~/tare_undo"
 
 
 class ContractError(CableSenseError):
-    """A message that breaks the contract: says which field, its content, what would be right."""
+    """A message that breaks the contract: names the field, its content, what would be right."""
 
 
 _SHOWN_CHARACTERS = 40

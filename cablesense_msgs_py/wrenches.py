@@ -1,9 +1,4 @@
-"""A contact as the estimator publishes it: wrench, contact point and force direction.
-
-A known load from `geometry_msgs/WrenchStamped`, as `applied_wrench` carries it.
-
-A contact as markers for RViz and Foxglove: a sphere where it is, an arrow along the force.
-"""
+"""A contact as the estimator publishes it, with its markers, and a known load as it receives it."""
 
 from __future__ import annotations
 
@@ -75,7 +70,7 @@ def put_probabilities(message: Any, probabilities: Sequence[float]) -> None:
 
 
 def describe_probabilities(dimension: Any, segment_count: int) -> None:
-    """Fill the `MultiArrayDimension` that says what the probabilities belong to."""
+    """Fill the `MultiArrayDimension` that states what the probabilities belong to."""
     dimension.label = "none," + ",".join(f"segment_{n + 1}" for n in range(segment_count))
     dimension.size = dimension.stride = segment_count + 1
 

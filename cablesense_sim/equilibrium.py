@@ -27,7 +27,7 @@ from cablesense_sim.rest_search import hessian_n_m, rounding_n_m, search_rest
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
 
-On arms so large and stiff that double precision cannot tell, what rounding leaves counts instead.
+On arms so large and stiff that double precision cannot resolve that, what rounding leaves counts instead.
 """
 
 MAX_FORCE_N = 1e6
@@ -79,7 +79,7 @@ def solve_equilibrium(
 
     `held_m` (..., M) are the cable lengths that the actuators hold, relative to the straight arm;
     by default those that this very mechanism has at the commanded angles. An arm that differs
-    from the one that its controller believes in holds the lengths of the latter. `start_rad`
+    from the one that its controller assumes holds the lengths of the latter. `start_rad`
     (..., 2N) is where the search begins, by default at the command.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Loads that act elsewhere along the segment than believed."""
+"""Loads that act elsewhere along the segment than stated."""
 
 from __future__ import annotations
 

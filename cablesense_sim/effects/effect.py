@@ -31,7 +31,7 @@ class Parameter:
         typical: what one expects to meet; for a tolerance, one standard deviation.
         default: what holds where nothing is said.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
-            says how the effect behaves where it is present.
+            determines how the effect behaves where it is present.
         starts: values of a shape to screen with.
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.

@@ -67,7 +67,7 @@ class Transmission:
     """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
 
     The search for the next rest asks for everything but `settle` at trial poses, as often as it
-    needs; `settle` then says what came of it, and only there may the state change.
+    needs; `settle` then gives what came of it, and only there may the state change.
     """
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
