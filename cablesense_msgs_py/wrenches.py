@@ -1,4 +1,4 @@
-"""A contact as the estimator publishes it, with its markers, and a known load as it receives it."""
+"""A contact as the estimator publishes it, with its markers, and a known load as received."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from cablesense_sim.rest_search import hessian_n_m, rounding_n_m, search_rest
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
 
-On arms so large and stiff that double precision cannot resolve that, what rounding leaves counts instead.
+On arms too large and stiff for double precision, what rounding leaves counts instead.
 """
 
 MAX_FORCE_N = 1e6
