@@ -18,6 +18,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from cablesense_base.errors import CableSenseError
+from cablesense_base.files import write_atomically
+
 RESULTS = Path(__file__).parent / "results"
 CABLESENSE = [
     *(sys.executable, "-c"),
@@ -57,9 +60,7 @@ def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Pa
     text = result if isinstance(result, str) else json.dumps(result, indent=indent) + "\n"
     path = RESULTS / name
     path.parent.mkdir(exist_ok=True)
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_atomically(path, text, CableSenseError)
     return path
 
 

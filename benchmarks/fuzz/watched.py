@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
+from harness import cpu_s, rss_mb
+
 from cablesense_base.errors import CableSenseError
 
 LONGEST_LINE = 1_200
@@ -174,11 +176,11 @@ def _run_child(
             told = item
         if not child.is_alive():
             break
-        if item >= 0 and _hangs(child.pid, shared, target.limit_s):
+        if item >= 0 and _hangs(child.pid or 0, shared, target.limit_s):
             stopped = "hangs"
         elif item < 0 and time.monotonic() - since_s > START_LIMIT_S:
             raise RuntimeError(f"{target.name}: its child does not start")
-        elif shared[_BASE_MB] and _memory_mb(child.pid) - shared[_BASE_MB] > target.growth_mb:
+        elif shared[_BASE_MB] and rss_mb(child.pid or 0) - shared[_BASE_MB] > target.growth_mb:
             stopped = "memory"
     if stopped:
         child.kill()
@@ -198,11 +200,11 @@ def _run_child(
     return following
 
 
-def _hangs(pid: int | None, shared: Any, limit_s: float) -> bool:
+def _hangs(pid: int, shared: Any, limit_s: float) -> bool:
     """Whether an item works for too long, or waits: on a busy machine all wait a while."""
     waited_s = time.monotonic() - shared[_SINCE_S]
     return waited_s > limit_s and (
-        _worked_s(pid) - shared[_WORKED_S] > limit_s or waited_s > WAITS * limit_s
+        cpu_s(pid) - shared[_WORKED_S] > limit_s or waited_s > WAITS * limit_s
     )
 
 
@@ -226,7 +228,7 @@ def _child(
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     run = target.make(seed)
-    shared[_BASE_MB] = base_mb = _memory_mb(os.getpid())
+    shared[_BASE_MB] = base_mb = rss_mb(os.getpid())
     for item in range(first, end):
         shared[_WORKED_S] = time.process_time()
         started_s = shared[_SINCE_S] = time.monotonic()
@@ -248,22 +250,5 @@ def _child(
         shared[_INPUTS] += outcome.inputs
         shared[_REFUSED] += outcome.refused
         shared[_TAKEN] += outcome.taken
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     shared[_GROWTH_MB] = max(0.0, peak_mb - base_mb)
-
-
-def _worked_s(pid: int | None) -> float:
-    try:
-        with open(f"/proc/{pid}/stat", encoding="ascii") as file:  # noqa: PTH123
-            fields = file.read().rpartition(")")[2].split()
-    except OSError:  # it has just ended
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _memory_mb(pid: int | None) -> float:
-    try:
-        with open(f"/proc/{pid}/statm", encoding="ascii") as file:  # noqa: PTH123
-            return int(file.read().split()[1]) * resource.getpagesize() / 2**20
-    except (OSError, IndexError):  # it has just ended
-        return 0.0
