@@ -17,7 +17,8 @@ from cablesense_base.arrays import Array
 from cablesense_gap.arm_simulator import ArmSimulator, entries_from, has_one_equilibrium
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.simulator import Term
+from cablesense_gap.simulator import Term, parameters_of
+from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.registry import known_effects
@@ -144,9 +145,9 @@ def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tr
     """None where an explanation cannot be simulated, or the arm has more than one rest."""
     recorded = _recorded(arm, block, rate_hz)
     replay = Replay(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
-    listed = entries_of(arm)
+    known = entries_of(arm)
     try:
-        predicted = [replay.readings_n([[*listed, *entries_from(r)]])[0] for r in rivals]
+        predicted = [replay.readings_n([[*known, *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
         return None
     used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
@@ -173,11 +174,9 @@ def _tolerances(trial: _Tried, free_constants: bool) -> Array:
     simulator = trial.simulator
     nominal = simulator.predict([{}])[0]
     columns = []
-    for candidate in simulator.tolerances:
-        for place in candidate.places:
-            for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True):
-                change = simulator.predict([{term: parameter.typical}])[0] - nominal
-                columns.append(_without_mean(change[trial.used], free_constants).ravel())
+    for term, parameter in parameters_of(simulator.tolerances).items():
+        change = simulator.predict([{term: parameter.typical}])[0] - nominal
+        columns.append(_without_mean(change[trial.used], free_constants).ravel())
     found = np.array(columns)
     return found[np.isfinite(found).all(1)]
 
@@ -213,14 +212,14 @@ def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
 
 def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) -> str:
     does, floors = parting.trial.block.does, parting.rms_n / floor_n
-    first, others = _name(rivals[0]), _listed(rivals[1:] or [{}])
+    first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
     if floors < HIDDEN_FLOORS:
         return (
             f"No block of the protocol distinguishes {first} from {others}: with the numbers that "
             "were fitted, they predict the same readings."
         )
     by = (
-        f"by {_short(parting.rms_n)} N, {_short(floors)} times the noise floor, "
+        f"by {short(parting.rms_n)} N, {short(floors)} times the noise floor, "
         f"most at {_cables(arm, parting.by_cable_n)}."
     )
     if not rivals[0]:
@@ -242,15 +241,6 @@ def _cables(arm: Arm, by_cable_n: Array) -> str:
     most = [k for k in np.argsort(-by_cable_n)[:2] if by_cable_n[k] > 0.5 * by_cable_n.max()]
     numbers = [arm.cable_names[k].removeprefix("cable_") for k in sorted(most)]
     return f"cable {numbers[0]}" if len(numbers) == 1 else f"cables {' and '.join(numbers)}"
-
-
-def _short(value: float) -> str:
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
-
-
-def _listed(rivals: Sequence[Rival]) -> str:
-    names = [_name(rival) for rival in rivals]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _name(rival: Rival) -> str:

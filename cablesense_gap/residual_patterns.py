@@ -17,6 +17,7 @@ from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.discrepancy import Discrepancy
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import CABLE, LEVEL, LOOP, MODES, SET, Decomposition, decompose
+from cablesense_gap.verdict import listed
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
@@ -239,7 +240,7 @@ def _cables(parts: Decomposition) -> str:
         )
     numbers = [f"{_plain(p.member)} ({p.rms_n:.2g} N RMS)" for p in ranked[:few]]
     share = square[:few].sum() / square.sum()
-    return f"{share:.0%} of its square is in {_and(numbers)}."
+    return f"{share:.0%} of its square is in {listed(numbers)}."
 
 
 def _modes(parts: Decomposition, cable_count: int) -> Iterator[str]:
@@ -284,8 +285,8 @@ def _goes_with(found: Discrepancy) -> Iterator[str]:
 def _grows(parts: Decomposition) -> Iterator[str]:
     levels = parts.of_group(LEVEL)
     if len(levels) > 1 and levels[-1].rms_n >= GROWS * levels[0].rms_n:
-        listed = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
-        yield f"It grows with the load: {_and(listed)}."
+        items = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
+        yield f"It grows with the load: {listed(items)}."
 
 
 def _loop(parts: Decomposition) -> Iterator[str]:
@@ -317,26 +318,19 @@ def _sudden(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -
     names = [_plain(name) for name in arm.cable_names]
     found = steps(recording, residual_n, floor_n)
     if found:
-        listed = [
-            f"{names[s.channel]} by {s.size_n:+.2g} N at {s.time_s:.0f} s" for s in found[:3]
-        ]
+        items = [f"{names[s.channel]} by {s.size_n:+.2g} N at {s.time_s:.0f} s" for s in found[:3]]
         yield (
-            f"It comes at once and stays: {_and(listed)}. Look for what slipped or was moved then."
+            f"It comes at once and stays: {listed(items)}. Look for what slipped or was moved "
+            "then."
         )
     often = jumps(recording, residual_n, floor_n)
     if often:
-        listed = [
-            f"{j.count} times in {names[j.channel]} (by {j.size_n:.2g} N)" for j in often[:3]
-        ]
+        items = [f"{j.count} times in {names[j.channel]} (by {j.size_n:.2g} N)" for j in often[:3]]
         yield (
-            f"It jumps while nothing moves: {_and(listed)}. Look at sensors, their wiring and "
+            f"It jumps while nothing moves: {listed(items)}. Look at sensors, their wiring and "
             "their electronics, and for what snaps or sticks."
         )
 
 
 def _plain(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _and(items: list[str]) -> str:
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

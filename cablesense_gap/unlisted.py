@@ -20,6 +20,7 @@ from cablesense_gap.experiments import Experiment
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import residual_patterns
+from cablesense_gap.verdict import short
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
@@ -125,7 +126,7 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
     done, again = _done_and_again(recording.rows(recording.trial == trial))
     text = (
         f"Repeat what shows most of it, trial {trial}: {done}. There {rms_n:.2g} N are left, "
-        f"{_short(rms_n / floor_n)} times the noise floor. {again} Watch and touch the arm "
+        f"{short(rms_n / floor_n)} times the noise floor. {again} Watch and touch the arm "
         "meanwhile."
     )
     return Experiment(text, f"{done[0].upper()}{done[1:]}.", rms_n, rms_n / floor_n)
@@ -176,10 +177,6 @@ def _pose(rows: Recording) -> str:
     if bent <= _BENT_RAD:
         return "arm straight"
     return f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
-
-
-def _short(value: float) -> str:
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 ONE_AT_A_TIME = (

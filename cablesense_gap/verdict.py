@@ -183,6 +183,18 @@ def joined(effects: tuple[str, ...] | list[str]) -> str:
     return "+".join(sorted(effects))
 
 
+def listed(items: list[str], last: str = "and") -> str:
+    """Text `a, b and c`."""
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def short(value: float) -> str:
+    """A number with two digits, and no decimals from 10 on."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
 def removed_fraction(before_n: float, after_n: float, floor_n: float) -> float:
     """Share of the removable gap that is removed; 0 where the gap before is within the floor."""
     removable_n = before_n - floor_n

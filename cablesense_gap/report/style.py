@@ -16,6 +16,7 @@ from typing import Any
 
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.verdict import Estimate
+from cablesense_gap.verdict import listed as listed
 
 BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
@@ -135,10 +136,3 @@ def with_interval(estimate: Estimate) -> tuple[str, str]:
     elif estimate.value:
         decimals = min(9, max(0, 3 - math.floor(math.log10(abs(estimate.value)))))
     return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f} to {high:.{decimals}f}"
-
-
-def listed(items: list[str], last: str = "and") -> str:
-    """`a, b and c`."""
-    if len(items) < 2:
-        return "".join(items)
-    return f"{', '.join(items[:-1])} {last} {items[-1]}"

@@ -1,11 +1,4 @@
-"""From a recording of the arm to a verdict: the whole way, on a short course.
-
-Folds: whole trials, and some of every kind left to fit to.
-
-Sizes of the gap before and after, and intervals that whole trials give them.
-
-Places and numbers as the verdict names them.
-"""
+"""From a recording of the arm to a verdict: the whole way, and its folds, sizes and places."""
 
 from __future__ import annotations
 
@@ -286,3 +279,13 @@ def test_numbers_have_units_and_intervals_and_the_place_where_there_are_several(
     assert list(found) == ["heavy.a.amount", "leak.a.amount", "leak.b.amount"]
     assert found["heavy.a.amount"].ci95 == pytest.approx((1.5, 2.5))
     assert found["leak.b.amount"].unit == "1"
+
+
+def test_the_package_offers_the_diagnosis_by_short_names():
+    """Whatever was imported before: no module takes the place of the function."""
+    import cablesense_gap
+
+    assert cablesense_gap.diagnose is diagnose
+    assert all(getattr(cablesense_gap, name) is not None for name in cablesense_gap.__all__)
+    with pytest.raises(AttributeError, match="nonsense"):
+        cablesense_gap.nonsense  # noqa: B018

@@ -1,13 +1,4 @@
-"""A recording beside its simulator.
-
-Parameters in units of what is typical.
-
-What an explanation leaves, and how that is measured.
-
-Planted numbers are recovered, within their ranges, and with intervals that hold.
-
-A fit goes on from numbers that are known, or stays with them.
-"""
+"""Planted numbers are recovered, within their ranges, and with intervals that hold."""
 
 from __future__ import annotations
 

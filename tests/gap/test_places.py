@@ -1,7 +1,4 @@
-"""Columns of a first look are what each number changes, place by place.
-
-Planted places are found, and no others.
-"""
+"""Columns are what each number changes, place by place; planted places are found, and no others."""
 
 from __future__ import annotations
 

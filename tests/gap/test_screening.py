@@ -1,7 +1,4 @@
-"""First looks: which come first, and what they see beside what is there already.
-
-Two effects looked at together are each found in their places.
-"""
+"""Screening of one effect and of two: what comes first, and where each is found."""
 
 from __future__ import annotations
 
