@@ -1,7 +1,4 @@
-"""The diagnosis of a mechanism that is no arm: what was planted is found, with right numbers.
-
-What a diagnosis knows of a mechanism.
-"""
+"""The diagnosis of a mechanism that is no arm: planted effects are found."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The flexible model: it explains what repeats, and only on what it has not seen.
-
-Kernel ridge regression on folds that it has not seen.
-"""
+"""The flexible model: it explains what repeats, and only on what it has not seen."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Held-out trials by sums of products, against fits that are really made without them.
-
-Eliminating the base once gives what fits of all columns together give.
-"""
+"""Held-out trials by sums of products, against fits that are really made without them."""
 
 from __future__ import annotations
 

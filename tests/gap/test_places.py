@@ -1,4 +1,4 @@
-"""Columns are what each number changes, place by place; planted places are found, and no others."""
+"""Columns are what each number changes, place by place; planted places are found."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Probabilities of explanations, whatever the calibrated numbers are.
-
-What cannot be told apart, on explanations whose likeness is known.
-"""
+"""Probabilities of explanations, and which of them a recording cannot distinguish."""
 
 from __future__ import annotations
 

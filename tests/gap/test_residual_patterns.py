@@ -1,9 +1,4 @@
-"""What a residual looks like: the sentence fits what was planted, and no other is said.
-
-What repeats with an angle or a length is found with its period, and nothing else is.
-
-Steps that last, and jumps while nothing is done.
-"""
+"""Patterns of a residual: the sentence fits what was planted, and no other is given."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""Loads against their tare: the unloaded rows just before, at the same command.
-
-Errors of estimated forces, on answers whose errors are known.
-
-Estimates with the past known, by the shipped model on readings of arms with planted effects.
-
-Amended arms fitted again without some of the trials.
-
-The estimator before and after a diagnosis, on recordings with planted effects.
-"""
+"""The estimator before and after a diagnosis, on recordings with planted effects."""
 
 from __future__ import annotations
 

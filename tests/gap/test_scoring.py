@@ -1,13 +1,4 @@
-"""Answers and folders of verdicts as files.
-
-Reliability: none to find where outcomes are drawn as stated, the planted one where not.
-
-Proportions and their intervals, against SciPy and against draws.
-
-The score sheet, against counts done by hand.
-
-The folder that a diagnosis leaves.
-"""
+"""Answers, folders of verdicts and the score sheet, against counts done by hand."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""From a first look, a fit comes to the planted numbers.
-
-The search over candidates: what is fitted, and in which order.
-
-What was fitted in a wrong place is put right, and what does nothing is left out.
-
-A last fit beside tolerances as they act on the amended mechanism.
-
-Work that is shared among processes is done as one process does it.
-"""
+"""The search: starts, fits, places chosen again, the final refinement, and their order."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""What is said of a gap without a name: how much, what it looks like, and what to record.
-
-Features of a recording, against what was commanded.
-
-What to record about a gap without a name: the trial that shows most, and how to vary it.
-"""
+"""A gap without a name: its features, its pattern, and what to record."""
 
 from __future__ import annotations
 
