@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).parents[2]
-ROOMS = (
+PACKAGES = (
     "cablesense_msgs_py",
     "cablesense_sim",
     "training",
@@ -14,7 +14,7 @@ ROOMS = (
     "cablesense_paper",
     "cablesense_ros",
 )
-SOURCES = sorted(path for room in ROOMS for path in (CHECKOUT / room).rglob("*.py"))
+SOURCES = sorted(path for package in PACKAGES for path in (CHECKOUT / package).rglob("*.py"))
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "code"}
 BUILTINS = {"eval", "exec", "compile", "__import__"}
 CALLS = {
@@ -54,9 +54,9 @@ def sins(path):
                     yield where
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_no_room_makes_code_of_data(room):
-    own = [path for path in SOURCES if path.is_relative_to(CHECKOUT / room)]
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_package_makes_code_of_data(package):
+    own = [path for path in SOURCES if path.is_relative_to(CHECKOUT / package)]
     assert own
     assert [sin for path in own for sin in sins(path)] == []
 

@@ -78,9 +78,9 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source.mkdir()
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "resource", "config"):
         (source / name).symlink_to(CHECKOUT / name)
-    for room in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
-        if (room / "__init__.py").is_file():
-            (source / room.name).symlink_to(room)
+    for package in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
+        if (package / "__init__.py").is_file():
+            (source / package.name).symlink_to(package)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run(
         [*pip, "--wheel-dir", str(tmp_path), str(source)],
@@ -90,8 +90,8 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     )
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    for room in ("msgs_py", "sim", "training", "gap", "paper", "ros"):
-        assert f"cablesense_{room}/__init__.py" in names
+    for package in ("msgs_py", "sim", "training", "gap", "paper", "ros"):
+        assert f"cablesense_{package}/__init__.py" in names
     for data in ("diagnosis/calibration.json", "report/report.html", "report/page.css"):
         assert f"cablesense_gap/{data}" in names
     assert "cablesense_paper/paper.html" in names

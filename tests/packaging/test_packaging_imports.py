@@ -1,4 +1,4 @@
-"""What the rooms import is what setup.py declares: nothing by luck, nothing for nothing."""
+"""What the packages import is what setup.py declares: nothing by luck, nothing for nothing."""
 
 import ast
 import sys
@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-ROOMS = [
+PACKAGES = [
     "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
     "cablesense_paper", "cablesense_online", "cablesense_ros", "cablesense_cli",
 ]  # fmt: skip
@@ -76,7 +76,7 @@ def test_every_import_is_declared(
 
 
 def test_every_declared_distribution_is_imported() -> None:
-    used = {name for module in imported(*ROOMS) for name in distributions_of(module)}
+    used = {name for module in imported(*PACKAGES) for name in distributions_of(module)}
     by_others = {"onnxscript", "ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}
     assert declared("", "page", "can", "train", "gap") - by_others <= used
 
