@@ -1,4 +1,9 @@
-"""What every single-contact and multi-contact network keeps to."""
+"""What every single-contact and multi-contact network keeps to.
+
+Layers that the networks share.
+
+Standardisation there and back.
+"""
 
 import pytest
 import torch
@@ -7,6 +12,12 @@ from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
 from cablesense_training.errors import TrainingError
 from cablesense_training.networks import MultiContactNetwork
+from cablesense_training.networks.layers import (
+    GatedLayer,
+    Standardiser,
+    gated_perceptron,
+    tension_norm_n,
+)
 from cablesense_training.recipes import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
@@ -72,3 +83,52 @@ def test_a_committed_model_stays_below_two_megabytes(name):
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(TrainingError, match="two-stage"):
         build_network("three-stage", ARM)
+
+
+def test_a_gated_layer_can_multiply_its_inputs():
+    layer = GatedLayer(2, 1)
+    with torch.no_grad():
+        # silu(x) is close to x for large x, so a gate on the first input times the second
+        layer.gate.weight.copy_(torch.tensor([[1.0, 0.0]]))
+        layer.value.weight.copy_(torch.tensor([[0.0, 1.0]]))
+        layer.gate.bias.zero_()
+        layer.value.bias.zero_()
+        found = layer(torch.tensor([[30.0, 7.0], [40.0, -2.0]]))
+    assert found[:, 0].tolist() == pytest.approx([210.0, -80.0])
+
+
+def test_gated_layers_are_as_wide_as_asked():
+    layers = gated_perceptron(5, (7, 3))
+    assert layers(torch.zeros(2, 5)).shape == (2, 3)
+    assert layers[0](torch.zeros(2, 5)).shape == (2, 7)
+
+
+def test_the_length_of_nothing_is_a_millinewton():
+    lengths = tension_norm_n(torch.tensor([[3.0, 4.0], [0.0, 0.0]]))
+    assert lengths[:, 0].tolist() == pytest.approx([5.0, 1e-3])
+
+
+def test_adapted_rows_have_mean_zero_and_deviation_one():
+    generator = torch.Generator().manual_seed(3)
+    values = torch.randn(500, 3, generator=generator) * torch.tensor([0.1, 5.0, 200.0]) + 40.0
+    scaling = Standardiser(3)
+    scaling.adapt(values)
+    scaled = scaling(values)
+    torch.testing.assert_close(scaled.mean(0), torch.zeros(3), atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(scaled.std(0, correction=0), torch.ones(3), atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(scaling.undo(scaled), values, atol=1e-3, rtol=0.0)
+
+
+def test_a_constant_column_stays_finite():
+    scaling = Standardiser(1)
+    scaling.adapt(torch.full((10, 1), 7.0))
+    torch.testing.assert_close(scaling(torch.tensor([[8.0]])), torch.tensor([[1.0]]))
+
+
+def test_scaling_is_saved_with_the_weights():
+    scaling = Standardiser(2)
+    scaling.adapt(torch.tensor([[1.0, 2.0], [3.0, 6.0]]))
+    other = Standardiser(2)
+    other.load_state_dict(scaling.state_dict())
+    torch.testing.assert_close(other.mean, torch.tensor([2.0, 4.0]))
+    torch.testing.assert_close(other.std, torch.tensor([1.0, 2.0]))

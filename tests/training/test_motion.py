@@ -1,8 +1,12 @@
-"""Courses of set-points: within reach, smooth, and the same for the same seed."""
+"""Courses of set-points: within reach, smooth, and the same for the same seed.
+
+A motion protocol that cannot be is refused, naming what would be right.
+"""
 
 import numpy as np
 import pytest
 
+from cablesense_training.errors import DatasetError
 from cablesense_training.motion.motion_protocol import STEP_S, MotionProtocol, drawn_motion
 
 PROTOCOL = MotionProtocol(duration_s=12.0)
@@ -36,3 +40,24 @@ def test_a_seed_is_a_course():
     again = [drawn_motion(PROTOCOL, 8, np.random.default_rng(s)).angle_rad for s in (5, 5, 6)]
     np.testing.assert_array_equal(again[0], again[1])
     assert not np.array_equal(again[0], again[2])
+
+
+def test_ticks_fill_the_duration():
+    assert MotionProtocol(duration_s=3.0, tick_s=0.02).ticks == 150
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sequences", 0),
+        ("duration_s", float("nan")),
+        ("tick_s", 0.0),
+        ("pose_range_deg", 90.0),
+        ("joint_speed_deg_s", float("inf")),
+        ("force_high_n", -1.0),
+        ("tare_samples", 0),
+    ],
+)
+def test_a_value_out_of_range_is_refused(name, value):
+    with pytest.raises(DatasetError, match=rf"{name} = .*: must be a number from"):
+        MotionProtocol(**{name: value})
