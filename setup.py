@@ -12,6 +12,7 @@ NAME = "cablesense_ros"
 
 REQUIRES = [
     "array-api-compat",  # one kinematics for numpy and torch
+    "lazy-loader",  # public names of a package, imported when first used
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnx",  # checks a model file before it is run, and splits its graph
@@ -107,7 +108,7 @@ setup(
     python_requires=">=3.11,<3.13",
     packages=packages(),
     package_dir={"cablesense_training": "training"},
-    package_data={"": ["*.html", "*.css", "*.js", "*.json", "*.yaml"]},
+    package_data={"": ["*.pyi", "*.html", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
     install_requires=REQUIRES,
     extras_require=EXTRAS,

@@ -1,0 +1,12 @@
+"""Public names; `__init__.py` imports each when it is first used."""
+
+from .pipeline import Diagnosis as Diagnosis
+from .pipeline import diagnose as diagnose
+from .recordings.checks import read_recording as read_recording
+from .recordings.recording import Recording as Recording
+from .report.page import write_diagnosis as write_diagnosis
+from .simulator import Candidate as Candidate
+from .simulator import Simulator as Simulator
+from .simulator import Term as Term
+from .verdict import Verdict as Verdict
+from .verdict import read_verdict as read_verdict

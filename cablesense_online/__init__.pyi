@@ -1,0 +1,11 @@
+"""Public names; `__init__.py` imports each when it is first used."""
+
+from .estimation import Answer as Answer
+from .estimation import Estimation as Estimation
+from .models import LoadedModel as LoadedModel
+from .models import load_model as load_model
+from .recorded_run import RecordedRun as RecordedRun
+from .replay import Comparison as Comparison
+from .replay import replay_in_process as replay_in_process
+from .state import EstimationSettings as EstimationSettings
+from .state import EstimatorState as EstimatorState

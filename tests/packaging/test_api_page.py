@@ -1,0 +1,47 @@
+"""The example of the public surface runs, and every name of its table can be imported."""
+
+import re
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_recordings import LAB, small_recording
+
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_gap.simulator import Term
+from cablesense_sim.sensors import read_tensions_n
+
+PAGE = (Path(__file__).parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow  # one diagnosis
+def test_the_example_estimates_the_push_and_finds_the_payload(tmp_path, monkeypatch):
+    rows = small_recording(peak_n=25.0)
+    truth = {Term("payload", "segment_3", "mass_kg"): 0.5}
+    ideal_n = ArmSimulator(LAB, rows).predict([truth])[0]
+    read_n = read_tensions_n(ideal_n, LAB.sensors, np.random.default_rng(0))
+    write_csv(tmp_path / "recording.csv", replace(rows, tensions_n=read_n))
+    monkeypatch.chdir(tmp_path)
+    (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    values: dict = {}
+    exec(compile(example, "docs/api.md", "exec"), values)
+    contact, verdict = values["contact"], values["found"].verdict
+    assert contact.segment == 3
+    assert contact.angle_deg == pytest.approx(215.0, abs=0.5)
+    assert contact.magnitude_n == pytest.approx(40.0, abs=0.2)
+    assert verdict.effects == ("payload",)
+    assert verdict.gap.removed_fraction > 0.9
+
+
+@pytest.mark.parametrize(
+    ("package", "names"), re.findall(r"^\| `(cablesense_\w+)` \| (.*) \|$", PAGE, re.MULTILINE)
+)
+def test_every_name_of_the_table_can_be_imported(package, names):
+    public = import_module(package)
+    listed = re.findall(r"`(\w+)`", names)
+    assert set(listed) <= set(dir(public))
+    for name in listed:
+        assert getattr(public, name) is not None
