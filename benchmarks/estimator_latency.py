@@ -35,8 +35,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.endpoints import qos_profile
-from cablesense_ros.node_process import run_node
+from cablesense_ros.node_process import qos_profile, run_node
 from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of

@@ -39,7 +39,7 @@ from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_online.recorded_run import RecordedRun
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.node_process import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import open_arm
 

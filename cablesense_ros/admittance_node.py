@@ -37,14 +37,17 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.law import AdmittanceSettings
-from cablesense_ros.endpoints import of_node, overridable
 from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
     DiagnosticsPublisher,
+    NodeParameter,
+    declare_parameters,
+    of_node,
+    overridable,
+    parameter_values,
     run_configured_node,
 )
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import checked_command

@@ -25,9 +25,15 @@ from cablesense_online.can.calibration import (
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
-from cablesense_ros.endpoints import overridable
-from cablesense_ros.node_process import ConfiguredNode, DiagnosticsPublisher, run_configured_node
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.node_process import (
+    ConfiguredNode,
+    DiagnosticsPublisher,
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
+    run_configured_node,
+)
 from cablesense_sim.arm import open_arm
 
 CAN_DRIVER_PARAMETERS: Final = (

@@ -22,13 +22,16 @@ from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer
 from cablesense_online.can.slcan import SlcanPort
-from cablesense_ros.endpoints import overridable, qos_profile
-from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
-from cablesense_ros.parameters import (
+from cablesense_ros.node_process import (
+    WARN_EVERY_S,
+    DiagnosticsPublisher,
     NodeParameter,
     ParameterError,
     declare_parameters,
+    overridable,
     parameter_values,
+    qos_profile,
+    run_node,
 )
 from cablesense_sim.arm import Arm, open_arm
 

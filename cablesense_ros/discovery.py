@@ -76,21 +76,18 @@ def free_domain() -> int:
     folder = Path(tempfile.gettempdir())
     start = os.getpid() % len(_DOMAINS)
     for domain in (*_DOMAINS[start:], *_DOMAINS[:start]):
+        path = folder / f"cablesense_ros_domain_{domain}.lock"
         try:
-            lock = (folder / f"cablesense_ros_domain_{domain}.lock").open("w")
+            lock = os.open(path, os.O_WRONLY | os.O_CREAT)  # stays open until the process ends
         except OSError:  # another user's
             continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            lock.close()
+            os.close(lock)
             continue
-        _locks.append(lock)
         return domain
     raise CableSenseError(f"all ROS domains are in use; set {DOMAIN} to one that may be shared")
-
-
-_locks: list[object] = []
 
 
 def _on_this_machine_alone(environment: Mapping[str, str]) -> bool:

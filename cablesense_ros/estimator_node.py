@@ -27,15 +27,17 @@ from cablesense_online.health import cable_status, model_status, pose_status, ta
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
 from cablesense_online.tare import Tare, TareError, tare_taken_line, tare_undone_line
-from cablesense_ros.endpoints import overridable
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
     DiagnosticsPublisher,
+    NodeParameter,
+    declare_parameters,
+    overridable,
+    parameter_values,
     run_configured_node,
 )
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
 
 ESTIMATOR_PARAMETERS: Final = (
     NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),

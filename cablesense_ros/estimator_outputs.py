@@ -23,7 +23,7 @@ from cablesense_msgs_py.wrenches import (
 )
 from cablesense_online.estimation import Answer
 from cablesense_online.state import EstimatorState, put_state
-from cablesense_ros.endpoints import overridable
+from cablesense_ros.node_process import overridable
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""

@@ -26,13 +26,15 @@ from cablesense_online.admittance.wall import (
     contact_point_m,
     wall_beside,
 )
-from cablesense_ros.endpoints import overridable
-from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
-from cablesense_ros.parameters import (
+from cablesense_ros.node_process import (
+    WARN_EVERY_S,
+    DiagnosticsPublisher,
     NodeParameter,
     ParameterError,
     declare_parameters,
+    overridable,
     parameter_values,
+    run_node,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of

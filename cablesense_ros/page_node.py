@@ -16,9 +16,13 @@ from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions, Push
 from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.endpoints import of_node
-from cablesense_ros.node_process import run_node
-from cablesense_ros.parameters import NodeParameter, declare_parameters, parameter_values
+from cablesense_ros.node_process import (
+    NodeParameter,
+    declare_parameters,
+    of_node,
+    parameter_values,
+    run_node,
+)
 from cablesense_sim.arm import open_arm
 
 PAGE_PARAMETERS: Final = (
@@ -103,7 +107,7 @@ class PageNode(Node):
         future = self._tare.call_async(Trigger.Request())
         future.add_done_callback(self._show_answer)
 
-    def _tell_tare(self, future: Any) -> None:
+    def _show_answer(self, future: Any) -> None:
         answer = future.result()
         if answer is not None:
             self._page.notify("Tared" if answer.success else "Not tared", answer.message)

@@ -27,8 +27,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import message_class, overridable
-from cablesense_ros.node_process import WARN_EVERY_S
+from cablesense_ros.node_process import WARN_EVERY_S, message_class, overridable
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0

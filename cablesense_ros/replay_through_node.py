@@ -36,7 +36,7 @@ from cablesense_online.state import (
     EventKind,
 )
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import message_class, qos_profile
+from cablesense_ros.node_process import message_class, qos_profile
 
 PATIENCE_S = 10.0
 _LOOK_S = 0.0005

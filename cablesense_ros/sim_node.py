@@ -29,13 +29,15 @@ from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER, Qos
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.endpoints import overridable
-from cablesense_ros.node_process import WARN_EVERY_S, DiagnosticsPublisher, run_node
-from cablesense_ros.parameters import (
+from cablesense_ros.node_process import (
+    WARN_EVERY_S,
+    DiagnosticsPublisher,
     NodeParameter,
     ParameterError,
     declare_parameters,
+    overridable,
     parameter_values,
+    run_node,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of

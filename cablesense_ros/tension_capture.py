@@ -20,7 +20,7 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.sensor_statistics import TensionSeries
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.node_process import qos_profile
 
 
 def of_node(node_name: str, topic: str) -> str:

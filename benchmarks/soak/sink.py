@@ -16,7 +16,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import Qos
-from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.node_process import qos_profile
 
 SINK_QOS = Qos(depth=5000, reliable=True)
 _STAMP = struct.Struct("<iI")

@@ -30,7 +30,7 @@ from cablesense_online.admittance.estimate_watch import (
 )
 from cablesense_online.admittance.wall import Approach, compliance_m_n
 from cablesense_ros.demo.observer import Observer, record
-from cablesense_ros.endpoints import of_node, qos_profile
+from cablesense_ros.node_process import of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 

@@ -119,6 +119,13 @@ def test_a_graph_of_its_own_has_a_domain_that_no_other_process_has():
     assert own_graph()["ROS_DOMAIN_ID"] == os.environ["ROS_DOMAIN_ID"]
 
 
+def test_the_domains_lock_file_causes_no_warning_at_exit():
+    code = "from cablesense_ros.discovery import free_domain; free_domain()"
+    command = [sys.executable, "-W", "always::ResourceWarning", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "ResourceWarning" not in done.stderr
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize(("asker", "replier"), [("prefers", "plain"), ("plain", "prefers")])
 @pytest.mark.parametrize("given", [{RANGE: "LOCALHOST"}, {}])

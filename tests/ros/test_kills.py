@@ -9,7 +9,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from ros_graph import Graph, NodeProcess, force
 
 from cablesense_msgs_py.qos import Qos
-from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.node_process import qos_profile
 
 rclpy = pytest.importorskip("rclpy")
 

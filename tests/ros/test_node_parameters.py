@@ -1,4 +1,4 @@
-"""Parameters are declared with descriptions and ranges, and never become NaN."""
+"""What all nodes share: tables of parameters, never NaN, and the log of refused messages."""
 
 import math
 
@@ -7,11 +7,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import LIVE_SETTINGS
 from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS
-from cablesense_ros.parameters import (
+from cablesense_ros.node_process import (
     NodeParameter,
     ParameterError,
+    RefusalLog,
     declare_parameters,
     parameter_values,
 )
@@ -78,3 +81,20 @@ def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(tabl
 
 def test_what_may_change_while_running_is_declared():
     assert set(LIVE_SETTINGS) <= {parameter.name for parameter in ESTIMATOR_PARAMETERS}
+
+
+def test_a_refusal_of_one_kind_does_not_hide_another_in_the_same_second():
+    class Log(list):
+        get_logger = lambda self: self  # noqa: E731
+        warning = list.append
+
+    log = Log()
+    refuse = RefusalLog(log)
+    for topic in ("joint_commands", "applied_wrench"):
+        for error in (ContractError("no name"), ContractError("no name"), CableSenseError("far")):
+            refuse(topic, error)
+    assert log == [
+        f"{topic}: message refused: {why}"
+        for topic in ("joint_commands", "applied_wrench")
+        for why in ("no name", "far")
+    ]
