@@ -3,12 +3,12 @@
     python benchmarks/fuzz.py [--quick] [--only frames,models] [--seed 0] [--workers 2] [--write]
 
 More than 1,000,000 CAN frames, 100,000 messages to the estimator and 10,000 files; with `--write`
-the figures go to benchmarks/results/fuzz.json, with `--only` those of the targets named. Every
-target (`fuzz/targets.py`) runs in child processes that are watched (`fuzz/watched.py`): a crash of
-native code, an item beyond its time, memory beyond measure, an error outside CableSense's family,
-a refusal that is no line and an answer that the target's oracle calls false are findings, each
-with its item, which `--seed` makes again. Some thousand messages also go over real Fast DDS
-to a live node (`fuzz/live_node.py`).
+the counts go to benchmarks/results/fuzz.json, with `--only` those of the targets named. Every
+target runs in child processes that are watched (`fuzz_watched.py`): a crash of native code, an
+item beyond its time, memory beyond measure, an error outside CableSense's family, a refusal of
+more than one line and an answer that the target's oracle calls false are findings, each with its
+item, which `--seed` makes again. Some thousand messages also go over real Fast DDS to a live
+node.
 """
 
 from __future__ import annotations
@@ -18,37 +18,34 @@ import itertools
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
 import harness
+from fuzz_watched import Result, Target, run_watched
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fuzz.watched import Result, Target, run_watched
-
 RESULT = harness.RESULTS / "fuzz.json"
 SHARES = 3
-"""Into so many parts a full target is cut, which go to the workers."""
+"""Parts of a full target, which go to the workers."""
 LIVE = "live node"
 BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
 _LIBRARIES = ("onnx", "onnxruntime", "cantools", "PyYAML", "pydantic", "pyarrow", "pandas")
 
 
 def main() -> int:
-    """Fuzz, tell, and write; 1 where anything was found."""
-    from fuzz.targets import TARGETS  # not in the children, which import this file too
-
-    options = _options([target.name for target in TARGETS])
-    chosen = [t for t in TARGETS if not options.only or t.name in options.only]
-    live = LIVE in options.only or (not options.only and not options.quick)
+    """Fuzz, print, and write; 1 where anything was found."""
+    targets = _targets()
+    options = _options([target.name for target in targets])
+    chosen = [target for target in targets if not options.only or target.name in options.only]
     started_s = time.monotonic()
     results = _run_all(chosen, options)
-    if live:
-        from fuzz.live_node import fuzz_live_node
+    if LIVE in options.only or not (options.only or options.quick):
+        from fuzz_messages import fuzz_live_node
 
         results[LIVE] = fuzz_live_node(options.seed, options.live_messages)
     report = _report(chosen, results, options, time.monotonic() - started_s)
@@ -61,14 +58,36 @@ def main() -> int:
     return 0 if all(result.clean for result in results.values()) else 1
 
 
-def _options(names: Sequence[str]) -> argparse.Namespace:
+def _targets() -> list[Target]:
+    """All readers of what comes from outside: name, unit, maker, items, those of a quick run."""
+    import fuzz_files as files  # not in the children, which import this file too
+    from fuzz_frames import make_frames
+    from fuzz_messages import make_commands, make_messages
+
+    return [
+        Target("frames", "CAN frames", make_frames, 4_000, 12),
+        Target("messages", "messages", make_messages, 1_050, 3),
+        Target("commands", "messages", make_commands, 400, 3),
+        Target("arms", "files", files.make_arms, 3_000, 12),
+        Target("models", "files", files.make_models, 3_000, 12, limit_s=20.0),
+        Target("csv", "files", files.make_csv, 1_500, 8),
+        Target("mcap", "files", files.make_mcap, 2_000, 8),
+        Target("parquet", "files", files.make_parquet, 1_500, 8),
+        Target("dbc", "files", files.make_dbc, 2_000, 8),
+        Target("maps", "files", files.make_maps, 1_000, 8),
+        Target("calibrations", "files", files.make_calibrations, 1_000, 8),
+        Target("states", "files", files.make_states, 1_000, 8),
+    ]
+
+
+def _options(names: list[str]) -> argparse.Namespace:
     parser = harness.parser(__doc__, f"results/{RESULT.name}")
     parser.add_argument("--quick", action="store_true", help="some seconds instead of minutes")
     parser.add_argument("--only", default="", help=f"names with commas between, also '{LIVE}'")
     parser.add_argument("--seed", type=int, default=0, help="other seeds make other items")
     parser.add_argument("--workers", type=int, default=2, help="child processes at a time")
     parser.add_argument("--live-messages", type=int, default=4_000, help="over Fast DDS")
-    parser.add_argument("--json", action="store_true", help="print every figure")
+    parser.add_argument("--json", action="store_true", help="print every count")
     options = parser.parse_args()
     options.only = [name for name in options.only.split(",") if name]
     unknown = set(options.only) - {*names, LIVE}
@@ -81,15 +100,15 @@ def _options(names: Sequence[str]) -> argparse.Namespace:
 
 def _run_all(chosen: list[Target], options: argparse.Namespace) -> dict[str, Result]:
     results = {target.name: Result() for target in chosen}
+    columns = (
+        TextColumn("{task.description:>14}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
     with (
-        Progress(
-            TextColumn("{task.description:>14}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            disable=not sys.stderr.isatty(),
-        ) as progress,
+        Progress(*columns, console=console, disable=not sys.stderr.isatty()) as progress,
         ThreadPoolExecutor(options.workers) as workers,
     ):
         running = []
@@ -99,8 +118,8 @@ def _run_all(chosen: list[Target], options: argparse.Namespace) -> dict[str, Res
             shares = 1 if options.quick else SHARES
             cuts = [count * i // shares for i in range(shares + 1)]
             for first, end in itertools.pairwise(cuts):
-                hear: Callable[[int], None] = lambda n, task=task: progress.advance(task, n)  # type: ignore[misc]  # noqa: E731
-                share = workers.submit(run_watched, target, options.seed, first, end, hear)
+                advance: Callable[[int], None] = lambda n, task=task: progress.advance(task, n)  # noqa: E731
+                share = workers.submit(run_watched, target, options.seed, first, end, advance)
                 running.append((target.name, share))
         for name, share in running:
             results[name].add(share.result())
@@ -121,14 +140,14 @@ def _report(
     inputs = dict.fromkeys(BARS, 0)
     for target in by_target.values():
         inputs[target["unit"]] += target["inputs"]
-    found = ("crashes", "hangs", "memory", "escaped", "false_answers")
+    kinds = ("crashes", "hangs", "memory", "escaped", "false_answers")
     return {
         **harness.origin("python benchmarks/fuzz.py --write", _LIBRARIES),
         "run_s": round(run_s, 1),
         "bars": BARS,
         "in all": {
             **inputs,
-            **{n: sum(one[n] for one in by_target.values()) for n in found},
+            **{kind: sum(one[kind] for one in by_target.values()) for kind in kinds},
         },
         "targets": by_target,
     }

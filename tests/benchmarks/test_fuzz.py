@@ -15,7 +15,7 @@ from cablesense_base.errors import CableSenseError
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
-from fuzz.watched import (  # noqa: E402
+from fuzz_watched import (  # noqa: E402
     FalseAnswerError,
     Outcome,
     Target,

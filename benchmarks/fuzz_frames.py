@@ -1,10 +1,9 @@
-"""Sequences of CAN frames into the driver's reading path, and what may come out of it.
+"""Sequences of mutated CAN frames into the driver's reading path, with an oracle of its own.
 
-What the oracle knows does not come from the reader: values are read off the frames' bytes by
-`struct`, as the amplifiers' manuals say, and beside it by cantools. A sample is right if each of
-its tensions was carried, in the range, by a well-formed frame of that channel since the cycle was
-opened, and no frame served two samples. That bytes which say another plausible value are wrong
-nobody can tell.
+The oracle reads values off the frames' bytes by `struct`, as the amplifiers' manuals define them,
+and beside it by cantools. A sample is right if each of its tensions was carried, in the range, by
+a well-formed frame of that channel since the cycle was opened, and no frame served two samples.
+Bytes that spell another plausible value cannot be recognised as wrong.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 
 import can
+from fuzz_mutation import mutated_bytes
+from fuzz_watched import FalseAnswerError, Outcome, Run, item_random
 
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
@@ -22,8 +23,6 @@ from cablesense_online.can.decoder import Sample
 from cablesense_online.can.faults import FaultLedger
 from cablesense_online.can.slcan import frame_line, line_frame
 from cablesense_online.can.tension_reader import SCATTER_OF_READING_S, TensionReader
-from fuzz.mutation import mutated_bytes
-from fuzz.watched import FalseAnswerError, Outcome, Run, item_random
 
 CYCLES = 60
 START_S = 1.7e9
@@ -39,7 +38,7 @@ class _Amplifier:
         self.ids = {m.frame_id: m for m in self.database.messages}
 
     def cycle(self, rng: random.Random, number: int, start_s: float) -> list[can.Message]:
-        """Frames of a cycle of the real amplifier, tensions as drawn."""
+        """Frames of a cycle of the real amplifier with random tensions."""
         step_s = 1e-4
         if self.packed:
             frames = [_frame(0x120, bytes([number % 256]), start_s)]
@@ -82,20 +81,20 @@ class _Amplifier:
                 found = [(frame.arbitration_id - 0x181, 1e-3 * raw)]
         for channel, tension_n in found:
             if low < tension_n < high:
-                self._agrees(frame, channel, tension_n)
+                cable = self.map.channels[self.map.cable_names[channel]]
+                message = self.ids[frame.arbitration_id]
+                value = float(
+                    message.decode(bytes(frame.data), decode_choices=False)[cable.signal]
+                )
+                if not math.isclose(cable.tension_n(value), tension_n, rel_tol=1e-9, abs_tol=1e-9):
+                    raise FalseAnswerError(f"cantools reads {value} where {tension_n} N are sent")
                 yield channel, tension_n
-
-    def _agrees(self, frame: can.Message, channel: int, tension_n: float) -> None:
-        cable = self.map.channels[self.map.cable_names[channel]]
-        decoded = self.ids[frame.arbitration_id].decode(bytes(frame.data), decode_choices=False)
-        value = float(decoded[cable.signal])  # type: ignore[index,arg-type]
-        if not math.isclose(cable.tension_n(value), tension_n, rel_tol=1e-9, abs_tol=1e-9):
-            raise FalseAnswerError(f"cantools says {value} where the bytes say {tension_n} N")
 
 
 def _plain(frame: can.Message) -> bool:
-    odd = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or frame.is_extended_id
-    return not odd
+    return not (
+        frame.is_error_frame or frame.is_remote_frame or frame.is_fd or frame.is_extended_id
+    )
 
 
 def _frame(number: int, data: bytes, stamp_s: float) -> can.Message:
@@ -103,7 +102,7 @@ def _frame(number: int, data: bytes, stamp_s: float) -> can.Message:
 
 
 class _Witness:
-    """Hears every frame beside the reader, and says whether a sample may be."""
+    """Gets every frame beside the reader, and judges each sample."""
 
     def __init__(self, amplifier: _Amplifier, skew_limit_s: float) -> None:
         self._amplifier = amplifier
@@ -111,7 +110,7 @@ class _Witness:
         self._carried: list[list[float]] = []
         self._forget()
 
-    def hear(self, frame: can.Message) -> None:
+    def take(self, frame: can.Message) -> None:
         if self._amplifier.opens(frame):
             self._forget()
         for channel, tension_n in self._amplifier.values(frame):
@@ -120,7 +119,7 @@ class _Witness:
     def judge(self, sample: Sample, now_s: float) -> None:
         low, high = self._amplifier.map.range_n
         for channel, tension_n in enumerate(sample.tensions_n.tolist()):
-            carried = any(abs(tension_n - said) < 1e-9 for said in self._carried[channel])
+            carried = any(abs(tension_n - sent_n) < 1e-9 for sent_n in self._carried[channel])
             if not (low < tension_n < high and carried):
                 raise FalseAnswerError(
                     f"channel {channel} reads {tension_n} N; the frames of its cycle carried "
@@ -147,14 +146,17 @@ def make_frames(seed: int) -> Run:
         rng = item_random("frames", seed, item)
         amplifier = amplifiers[item % 2]
         interface = rng.choice(("virtual", "slcan"))
-        reader, skew_s = _reader(amplifier, interface)
-        witness = _Witness(amplifier, skew_s)
+        reader = TensionReader(
+            amplifier.map, amplifier.database, CanInterface(interface, "fuzz"), FaultLedger()
+        )
+        skew_s = SCATTER_OF_READING_S if interface == "slcan" else 0.0
+        witness = _Witness(amplifier, max(amplifier.map.skew_limit_s, skew_s))
         sent = taken = 0
         arrival_s = START_S
         for frame, gap_s in _SEQUENCES[rng.randrange(len(_SEQUENCES))](rng, amplifier):
             arrival_s += gap_s
             sent += 1
-            witness.hear(frame)
+            witness.take(frame)
             sample = reader.take(frame, arrival_s, arrival_s - START_S + 100.0)
             if sample is not None:
                 witness.judge(sample, arrival_s)
@@ -166,16 +168,6 @@ def make_frames(seed: int) -> Run:
         return Outcome(inputs=sent, taken=taken, refused=reader.withheld)
 
     return run
-
-
-def _reader(amplifier: _Amplifier, interface: str) -> tuple[TensionReader, float]:
-    skew_s = amplifier.map.skew_limit_s
-    if interface == "slcan":
-        skew_s = max(skew_s, SCATTER_OF_READING_S)
-    reader = TensionReader(
-        amplifier.map, amplifier.database, CanInterface(interface, "fuzz"), FaultLedger()
-    )
-    return reader, skew_s
 
 
 Timed = tuple[can.Message, float]

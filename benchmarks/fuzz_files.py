@@ -1,20 +1,12 @@
-"""Arm files, changed as text, as bytes and as trees.
+"""Mutated files: arms, channel maps, their DBC files, calibrations, models, recordings, states.
 
-Channel maps, their DBC files, and calibrations of them.
-
-An item that is one file: written, read, and refused in one line or found to be usable.
-
-Model files, changed as bytes, in their metadata and in their graphs.
-
-Recordings as CSV and MCAP, and datasets as Parquet.
-
-State files of an estimator, and whether one goes on from what they say.
+An item is one file: written, read, and either refused in one line or found to be usable.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
-import math
 import random
 import shutil
 import struct
@@ -25,6 +17,9 @@ from pathlib import Path
 import can
 import numpy as np
 import onnx
+from fuzz_messages import SETTINGS
+from fuzz_mutation import VALUES, mutated_bytes, mutated_text, mutated_yaml
+from fuzz_watched import FalseAnswerError, Outcome, Run, item_random, require_one_line
 from onnx import AttributeProto, ModelProto, helper
 
 from cablesense_base.errors import CableSenseError
@@ -34,11 +29,11 @@ from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import calibrated, load_calibration
-from cablesense_online.can.channel_map import ChannelMap, open_channel_map
+from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import FrameDecoder
 from cablesense_online.can.faults import FaultLedger
 from cablesense_online.estimation import Estimation
-from cablesense_online.state import EstimationSettings, EstimatorState, StateFile
+from cablesense_online.state import EstimatorState, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, open_arm, parse_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -47,14 +42,40 @@ from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
-from fuzz.mutation import VALUES, mutated_bytes, mutated_text, mutated_yaml
-from fuzz.watched import FalseAnswerError, Outcome, Run, item_random, require_one_line
+
+ARM = open_arm("cdsm")
+_MAPS = tuple(
+    config_path(f"can/{name}.yaml") for name in ("twelve_channel_amplifier", "cia404_amplifier")
+)
+_MODELS = ("cdsm_tensions_only", "peers/cdsm_straight_two_stage", "peers/cdsm_closed_form", "cdsm")
+_MODEL_WEIGHTS = (4, 4, 2, 1)
+_ROWS = 24
+
+_EFFECTS = """
+effects:
+  - {effect: payload, at: segment_2, parameters: {mass_kg: 0.3}}
+  - {effect: sensor_gain, at: cable_3, parameters: {gain: 1.02}}
+"""
+_DBC_WORDS = """BO_ 1 A: 8 X\nBO_ 289 TENSIONS_1_TO_4: 1 X\n SG_ s : 0|64@1- (1,0) [0|0] "" X
+ SG_ m M : 7|3@0+ (1e9,-1) [0|0] "" X\n SG_ f m0 : 0|32@1- (1,0) [0|0] "" X
+SIG_VALTYPE_ 289 TENSION_1 : 1;\nVAL_ 289 TENSION_1 1 "a" 2 "b" ;\nBA_ "VFrameFormat" BO_ 289 14;
+CM_ "a" ;\nBO_TX_BU_ 289 : X;\nSIG_GROUP_ 289 g 1 : TENSION_1;\nVAL_TABLE_ t 1 "x" ;
+"""
+_MCAP_WORDS = (
+    b"sensor_msgs", b"JointState", b"cdr", b"zstd", b"lz4", b"ros2msg", b"/cable_tensions",
+)  # fmt: skip
+_OPERATORS = (
+    "Loop", "If", "Scan", "NonZero", "Identity", "MatMul", "Reshape", "Gather", "Slice", "Pad",
+    "Expand", "Tile", "Split", "Concat", "Transpose", "Softmax", "GRU", "Conv", "Range", "ArgMax",
+    "Einsum", "Resize", "ConstantOfShape", "ScatterND", "StringSplit", "",
+)  # fmt: skip
+_INTEGERS = (0, 1, -1, 2, 7, 100, 2**20, 2**31, -(2**31), 2**40, 2**62, -(2**63), 2**63 - 1)
 
 Make = Callable[[random.Random, int], tuple[bytes, str]]
 Use = Callable[[Path], None]
 
 
-def file_run(name: str, seed: int, make: Make, use: Use) -> Run:
+def _file_run(name: str, seed: int, make: Make, use: Use) -> Run:
     """Items are files: `make` gives bytes and suffix of one, `use` reads it and judges the answer.
 
     `use` raises `CableSenseError` for what is refused.
@@ -75,15 +96,8 @@ def file_run(name: str, seed: int, make: Make, use: Use) -> Run:
     return run
 
 
-_EFFECTS = """
-effects:
-  - {effect: payload, at: segment_2, parameters: {mass_kg: 0.3}}
-  - {effect: sensor_gain, at: cable_3, parameters: {gain: 1.02}}
-"""
-
-
 def make_arms(seed: int) -> Run:
-    """Of the bundled arms, and of one with effects."""
+    """The bundled arms, and one with effects."""
     texts = [find_arm(name).read_text(encoding="utf-8") for name in bundled_arms()]
     texts.append(texts[0] + _EFFECTS)
 
@@ -92,51 +106,41 @@ def make_arms(seed: int) -> Run:
         changed = mutated_yaml(rng, text) if item % 2 else mutated_text(rng, text, texts)
         return changed, ".yaml"
 
-    return file_run("arms", seed, make, _use)
+    def use(path: Path) -> None:
+        arm = load_arm(path)
+        if parse_arm(path.read_text(encoding="utf-8-sig")).identity != arm.identity:
+            raise FalseAnswerError("the same text gives two arms")
+        mechanism_of(arm)
+        numbers = [arm.cables.pretension_n, arm.segments.plate_offset_m, *arm.gravity_m_s2]
+        if not np.isfinite(numbers).all():
+            raise FalseAnswerError(f"an arm with {numbers}")
 
-
-def _use(path: Path) -> None:
-    arm = load_arm(path)
-    if parse_arm(path.read_text(encoding="utf-8-sig")).identity != arm.identity:
-        raise FalseAnswerError("the same text is two arms")
-    mechanism_of(arm)
-    numbers = [arm.cables.pretension_n, arm.segments.plate_offset_m, *arm.gravity_m_s2]
-    if not all(math.isfinite(number) for number in numbers):
-        raise FalseAnswerError(f"an arm with {numbers}")
-
-
-_NAMES = ("twelve_channel_amplifier", "cia404_amplifier")
-_WORDS = """BO_ 1 A: 8 X\nBO_ 289 TENSIONS_1_TO_4: 1 X\n SG_ s : 0|64@1- (1,0) [0|0] "" X
- SG_ m M : 7|3@0+ (1e9,-1) [0|0] "" X\n SG_ f m0 : 0|32@1- (1,0) [0|0] "" X
-SIG_VALTYPE_ 289 TENSION_1 : 1;\nVAL_ 289 TENSION_1 1 "a" 2 "b" ;\nBA_ "VFrameFormat" BO_ 289 14;
-CM_ "a" ;\nBO_TX_BU_ 289 : X;\nSIG_GROUP_ 289 g 1 : TENSION_1;\nVAL_TABLE_ t 1 "x" ;
-"""
+    return _file_run("arms", seed, make, use)
 
 
 def make_dbc(seed: int) -> Run:
     """A bundled map, read beside a DBC file that was changed; what opens must decode any frame."""
-    maps = [config_path(f"can/{name}.yaml") for name in _NAMES]
-    texts = [path.with_suffix(".dbc").read_text(encoding="utf-8") for path in maps]
+    texts = [path.with_suffix(".dbc").read_text(encoding="utf-8") for path in _MAPS]
     folder = tempfile.TemporaryDirectory(prefix="fuzz_dbc_")
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
-        return mutated_text(rng, texts[item % 2], [texts[item % 2], _WORDS]), f".{item % 2}"
+        return mutated_text(rng, texts[item % 2], [texts[item % 2], _DBC_WORDS]), f".{item % 2}"
 
     def use(path: Path) -> None:
-        channel_map = Path(folder.name) / maps[int(path.suffix[1:])].name
-        shutil.copyfile(maps[int(path.suffix[1:])], channel_map)
+        bundled = _MAPS[int(path.suffix[1:])]
+        channel_map = Path(folder.name) / bundled.name
+        shutil.copyfile(bundled, channel_map)
         shutil.copyfile(path, channel_map.with_suffix(".dbc"))
         _open_and_decode(channel_map)
 
-    return file_run("dbc", seed, make, use)
+    return _file_run("dbc", seed, make, use)
 
 
 def make_maps(seed: int) -> Run:
     """A channel map that was changed, beside its DBC file."""
-    maps = [config_path(f"can/{name}.yaml") for name in _NAMES]
-    texts = [path.read_text(encoding="utf-8") for path in maps]
+    texts = [path.read_text(encoding="utf-8") for path in _MAPS]
     folder = tempfile.TemporaryDirectory(prefix="fuzz_map_")
-    for path in maps:
+    for path in _MAPS:
         shutil.copyfile(path.with_suffix(".dbc"), Path(folder.name) / f"{path.stem}.dbc")
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
@@ -144,17 +148,40 @@ def make_maps(seed: int) -> Run:
         return (mutated_yaml(rng, text) if item % 3 else mutated_text(rng, text)), ".yaml"
 
     def use(path: Path) -> None:
-        channel_map = Path(folder.name) / "map.yaml"
-        shutil.copyfile(path, channel_map)
-        _open_and_decode(channel_map)
+        _open_and_decode(Path(shutil.copyfile(path, Path(folder.name) / "map.yaml")))
 
-    return file_run("maps", seed, make, use)
+    return _file_run("maps", seed, make, use)
+
+
+def _open_and_decode(path: Path) -> None:
+    channel_map, database = open_channel_map(path)
+    decoder = FrameDecoder(channel_map, database, FaultLedger())
+    low, high = channel_map.range_n
+    short = [message for message in database.messages if message.length <= 8]
+    for message, fill in itertools.product(short, (b"\x00", b"\xff", b"\x7f", b"\x80")):
+        frame = can.Message(
+            arbitration_id=message.frame_id,
+            is_extended_id=message.is_extended_frame,
+            data=fill * message.length,
+        )
+        decoded = decoder.decode(frame)
+        for _, tension_n in decoded.readings if decoded is not None and decoded.valid else ():
+            if not low < tension_n < high:
+                raise FalseAnswerError(f"a reading of {tension_n} N outside {low} … {high}")
 
 
 def make_calibrations(seed: int) -> Run:
     """A calibration that was changed."""
-    channel_map, database = open_channel_map(_NAMES[0])
-    text = _calibration(channel_map)
+    channel_map, database = open_channel_map(_MAPS[0].stem)
+    lines = [f"map: {_MAPS[0].stem}", "made: 2026-01-02T03:04:05Z", "gravity_m_s2: 9.81"]
+    lines.append("cables:")
+    lines += [
+        f"  {cable}: {{message: {channel.message}, signal: {channel.signal}, "
+        "signal_unit: N, signal_factor: 0.1, signal_offset: 0.0, scale_n_per_unit: 1.01, "
+        "zero: 0.2, points: 5}"
+        for cable, channel in channel_map.channels.items()
+    ]
+    text = "\n".join(lines) + "\n"
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
         return (mutated_yaml(rng, text) if item % 2 else mutated_text(rng, text)), ".yaml"
@@ -165,83 +192,33 @@ def make_calibrations(seed: int) -> Run:
             if not np.isfinite([channel.scale_n_per_unit, channel.zero]).all():
                 raise FalseAnswerError(f"a calibration of {channel}")
 
-    return file_run("calibrations", seed, make, use)
-
-
-def _open_and_decode(path: Path) -> None:
-    channel_map, database = open_channel_map(path)
-    ledger = FaultLedger()
-    decoder = FrameDecoder(channel_map, database, ledger)
-    low, high = channel_map.range_n
-    for message in database.messages:
-        for fill in (b"\x00", b"\xff", b"\x7f", b"\x80"):
-            if message.length > 8:
-                continue
-            frame = can.Message(
-                arbitration_id=message.frame_id,
-                is_extended_id=message.is_extended_frame,
-                data=fill * message.length,
-            )
-            decoded = decoder.decode(frame)
-            if decoded is None or not decoded.valid:
-                continue
-            for _, tension_n in decoded.readings:
-                if not low < tension_n < high:
-                    raise FalseAnswerError(f"a reading of {tension_n} N outside {low} … {high}")
-
-
-def _calibration(channel_map: ChannelMap) -> str:
-    lines = ["map: twelve_channel_amplifier", "made: 2026-01-02T03:04:05Z", "gravity_m_s2: 9.81"]
-    lines.append("cables:")
-    for cable, channel in channel_map.channels.items():
-        lines.append(
-            f"  {cable}: {{message: {channel.message}, signal: {channel.signal}, "
-            "signal_unit: N, signal_factor: 0.1, signal_offset: 0.0, scale_n_per_unit: 1.01, "
-            "zero: 0.2, points: 5}"
-        )
-    return "\n".join(lines) + "\n"
-
-
-_NAMES_MODEL_FILES = (
-    "cdsm_tensions_only",
-    "peers/cdsm_straight_two_stage",
-    "peers/cdsm_closed_form",
-    "cdsm",
-)
-_WEIGHTS = (4, 4, 2, 1)
-_OPERATORS = (
-    "Loop", "If", "Scan", "NonZero", "Identity", "MatMul", "Reshape", "Gather", "Slice", "Pad",
-    "Expand", "Tile", "Split", "Concat", "Transpose", "Softmax", "GRU", "Conv", "Range", "ArgMax",
-    "Einsum", "Resize", "ConstantOfShape", "ScatterND", "StringSplit", "",
-)  # fmt: skip
-_INTEGERS = (0, 1, -1, 2, 7, 100, 2**20, 2**31, -(2**31), 2**40, 2**62, -(2**63), 2**63 - 1)
+    return _file_run("calibrations", seed, make, use)
 
 
 def make_models(seed: int) -> Run:
-    """Of four bundled models; the smaller ones more often."""
-    contents = [find_model(name).read_bytes() for name in _NAMES_MODEL_FILES]
+    """Four bundled models, the smaller ones more often, as bytes, metadata and graphs."""
+    contents = [find_model(name).read_bytes() for name in _MODELS]
+    changes = (_node, _node, _attribute, _tensor, _tensor, _metadata, _edges)
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
-        content = rng.choices(contents, _WEIGHTS)[0]
+        content = rng.choices(contents, _MODEL_WEIGHTS)[0]
         if item % 3 == 0:
             return mutated_bytes(rng, content, contents), ".onnx"
         model = onnx.load_model_from_string(content)
         for _ in range(rng.choice((1, 1, 2, 3))):
-            rng.choice(_CHANGES)(rng, model)
+            rng.choice(changes)(rng, model)
         return model.SerializeToString(), ".onnx"
 
-    return file_run("models", seed, make, _use_model_files)
+    def use(path: Path) -> None:
+        estimator = Estimator.load(path)
+        command = np.zeros(estimator.metadata.arm.joint_count)
+        for scale in (0.0, 1.0, 50.0):
+            row = np.linspace(-scale, scale, len(estimator.cable_names))
+            estimate = estimator.estimate(row, command)
+            if not np.isfinite([*estimate.probabilities, *estimate[2:]]).all():
+                raise FalseAnswerError(f"a model estimates {estimate}")
 
-
-def _use_model_files(path: Path) -> None:
-    estimator = Estimator.load(path)
-    command = np.zeros(estimator.metadata.arm.joint_count)
-    for scale in (0.0, 1.0, 50.0):
-        row = np.linspace(-scale, scale, len(estimator.cable_names))
-        said = estimator.estimate(row, command)
-        numbers = [*said.probabilities, *said[2:]]
-        if not np.isfinite(numbers).all():
-            raise FalseAnswerError(f"a model answers {said}")
+    return _file_run("models", seed, make, use)
 
 
 def _node(rng: random.Random, model: ModelProto) -> None:
@@ -274,7 +251,7 @@ def _attribute(rng: random.Random, model: ModelProto) -> None:
     elif attribute.type == AttributeProto.INTS:
         attribute.ints[:] = rng.choices(_INTEGERS, k=rng.choice((0, 1, 2, 9)))
     else:
-        attribute.type = rng.randrange(15)  # type: ignore[assignment]
+        attribute.type = rng.randrange(15)
 
 
 def _tensor(rng: random.Random, model: ModelProto) -> None:
@@ -288,7 +265,7 @@ def _tensor(rng: random.Random, model: ModelProto) -> None:
         tensor.raw_data = mutated_bytes(rng, tensor.raw_data, most=2)
     elif action == 3:
         tensor.external_data.add(key="location", value="/etc/passwd")
-        tensor.data_location = rng.choice((0, 1))  # type: ignore[assignment]
+        tensor.data_location = rng.choice((0, 1))
     elif action == 4:
         tensor.dims.append(rng.choice(_INTEGERS))
     else:
@@ -329,14 +306,6 @@ def _edges(rng: random.Random, model: ModelProto) -> None:
         model.opset_import[0].version = rng.choice((0, 1, 7, 13, 99, -1, 2**40))
 
 
-_CHANGES = (_node, _node, _attribute, _tensor, _tensor, _metadata, _edges)
-
-
-ROWS = 24
-ARM = open_arm("cdsm")
-_TYPES = (b"sensor_msgs", b"JointState", b"cdr", b"zstd", b"lz4", b"ros2msg", b"/cable_tensions")
-
-
 def make_csv(seed: int) -> Run:
     """A recording of some rows as text, changed as text."""
     text = _content(".csv", lambda path: write_csv(path, _recording())).decode()
@@ -344,7 +313,7 @@ def make_csv(seed: int) -> Run:
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
         return mutated_text(rng, text), ".csv"
 
-    return file_run("csv", seed, make, _use_recording_files)
+    return _file_run("csv", seed, make, _use_recording)
 
 
 def make_mcap(seed: int) -> Run:
@@ -362,7 +331,7 @@ def make_mcap(seed: int) -> Run:
             elif action == 1:
                 changed[at] = rng.randrange(256)
             elif action == 2:
-                word = rng.choice(_TYPES)
+                word = rng.choice(_MCAP_WORDS)
                 where = changed.find(word)
                 if where >= 0:
                     changed[where : where + len(word)] = rng.randbytes(len(word))
@@ -371,7 +340,7 @@ def make_mcap(seed: int) -> Run:
                 changed += bytes(max(0, 16 - len(changed)))
         return bytes(changed), ".mcap"
 
-    return file_run("mcap", seed, make, _use_recording_files)
+    return _file_run("mcap", seed, make, _use_recording)
 
 
 def make_parquet(seed: int) -> Run:
@@ -390,10 +359,10 @@ def make_parquet(seed: int) -> Run:
         if not np.isfinite(read.tension_difference_n).all() or len(read) > 2_000_000:
             raise FalseAnswerError(f"a dataset of {len(read)} rows that are not all numbers")
 
-    return file_run("parquet", seed, make, use)
+    return _file_run("parquet", seed, make, use)
 
 
-def _use_recording_files(path: Path) -> None:
+def _use_recording(path: Path) -> None:
     recording = read_recording(path, ARM)
     rows = len(recording)
     tensions_n = recording.tensions_n
@@ -401,71 +370,58 @@ def _use_recording_files(path: Path) -> None:
         raise FalseAnswerError(f"a recording with tensions of shape {tensions_n.shape}")
     if recording.command_rad.shape != (rows, ARM.joint_count):
         raise FalseAnswerError(f"commands of shape {recording.command_rad.shape}")
-    if not (np.diff(recording.time_s) > 0.0).all() or rows > 100 * ROWS:
+    if not (np.diff(recording.time_s) > 0.0).all() or rows > 100 * _ROWS:
         raise FalseAnswerError(f"{rows} rows whose time does not ascend")
 
 
 def _recording() -> Recording:
     rng = np.random.default_rng(0)
-    segment = np.repeat([0, 2], ROWS // 2)
-    load_n = np.zeros((ROWS, 3))
+    segment = np.repeat([0, 2], _ROWS // 2)
+    load_n = np.zeros((_ROWS, 3))
     load_n[segment > 0, 2] = -9.81
     return Recording(
         name="fuzz",
-        time_s=np.arange(ROWS) * 0.2,
-        trial=np.repeat([1, 2], ROWS // 2),
-        command_rad=np.full((ROWS, ARM.joint_count), 0.05),
+        time_s=np.arange(_ROWS) * 0.2,
+        trial=np.repeat([1, 2], _ROWS // 2),
+        command_rad=np.full((_ROWS, ARM.joint_count), 0.05),
         load_segment=segment,
         load_n=load_n,
-        tensions_n=rng.uniform(20.0, 90.0, (ROWS, ARM.cable_count)),
+        tensions_n=rng.uniform(20.0, 90.0, (_ROWS, ARM.cable_count)),
     )
 
 
-def _content(suffix: str, write: object) -> bytes:
+def _content(suffix: str, write: Callable[[Path], object]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"whole{suffix}"
-        write(path)  # type: ignore[operator]
+        write(path)
         return path.read_bytes()
-
-
-_SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=5,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=0.35,
-    settle_s=0.5,
-)
 
 
 def make_states(seed: int) -> Run:
     """A state that was written, changed as text or in one of its values."""
-    arm = open_arm("cdsm")
-    estimator = Estimator.load(find_model("cdsm"), arm)
-    straight = np.zeros(arm.joint_count)
-    at_rest = tuple(solve_equilibrium(mechanism_of(arm), straight).tensions_n.tolist())
-    nothing = tuple(straight.tolist())
+    estimator = Estimator.load(find_model("cdsm"), ARM)
+    straight = (0.0,) * ARM.joint_count
+    unloaded = tuple(solve_equilibrium(mechanism_of(ARM), straight).tensions_n.tolist())
     state = EstimatorState(
         before_ns=10**18 + 1,
         events=(),
-        arm=arm.identity,
-        settings=_SETTINGS,
-        command_rad=nothing,
-        lowest_rad=nothing,
-        highest_rad=nothing,
+        arm=ARM.identity,
+        settings=SETTINGS,
+        command_rad=straight,
+        lowest_rad=straight,
+        highest_rad=straight,
         rest_from_ns=0,
-        unloaded_n=at_rest,
-        tared_n=at_rest,
-        tare_command_rad=nothing,
+        unloaded_n=unloaded,
+        tared_n=unloaded,
+        tare_command_rad=straight,
     )
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "state.json"
-        file = StateFile(whole, 60.0)
+
+    def write(path: Path) -> None:
+        file = StateFile(path, 60.0)
         file.keep(state)
         file.flush()
-        text = whole.read_text(encoding="utf-8")
+
+    text = _content(".json", write).decode()
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
         if item % 2:
@@ -479,13 +435,13 @@ def make_states(seed: int) -> Run:
         return json.dumps(values).encode("utf-8", errors="surrogatepass"), ".json"
 
     def use(path: Path) -> None:
-        found = StateFile(path, 60.0).read(arm.identity)
+        found = StateFile(path, 60.0).read(ARM.identity)
         if found is None:
-            raise FalseAnswerError("a file that is there was taken for none")
-        estimation = Estimation(arm, estimator, _SETTINGS, 0.0)
+            raise FalseAnswerError("a file that exists is read as missing")
+        estimation = Estimation(ARM, estimator, SETTINGS, 0.0)
         estimation.restore(found)
-        unloaded = estimation.tares.unloaded_n
-        if unloaded is None or not np.isfinite(unloaded).all():
-            raise FalseAnswerError(f"unloaded tensions {unloaded}")
+        restored_n = estimation.tares.unloaded_n
+        if restored_n is None or not np.isfinite(restored_n).all():
+            raise FalseAnswerError(f"unloaded tensions {restored_n}")
 
-    return file_run("states", seed, make, use)
+    return _file_run("states", seed, make, use)
