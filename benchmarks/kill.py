@@ -5,14 +5,14 @@
 Sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver`, `estimator` and a
 recorder run as processes of their own while the load on the arm changes. Each victim in turn is
 killed at a random moment (in half of the kills the load changes while it is dead), started again,
-and watched from here: do the others go on, how soon is it said that the answer is stale, how soon
-is the answer right again, is any force told that is not there. Then recorders are killed, and
-what they leave is read.
+and watched from here: do the others go on, how soon is the wrench reported as stale, how soon is
+it right again, is any false force published. Then recorders are killed, and what they leave is
+read.
 
-Stale is said by a zero wrench with a fresh stamp when driver or sim are dead. When the estimator
-itself is dead nobody speaks on its topic; the subscriber's own middleware tells, by the liveliness
-that the estimator offers on `~/wrench`. Right is a force on the right segment within 2 N or 3 % of
-the load, ten times in a row.
+When driver or sim are dead, stale is a zero wrench with a fresh stamp. When the estimator itself
+is dead nothing is published on its topic; the subscriber's own middleware reports it, by the
+liveliness that the estimator offers on `~/wrench`. Right is a force on the right segment within
+2 N or 3 % of the load, ten times in a row.
 """
 
 from __future__ import annotations
@@ -21,23 +21,42 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
 import rclpy
-from kill.chain import STALE_AFTER_S, VICTIMS, Chain, kill_recorders, whole
-from kill.trials import LEASE_S, Kill, KillTrials, Watcher
-from rclpy.experimental.events_executor import EventsExecutor
+from kill_trials import (
+    LEASE_S,
+    STALE_AFTER_S,
+    VICTIMS,
+    Chain,
+    Kill,
+    KillTrials,
+    Watcher,
+    recorder_command,
+)
+from numpy.typing import NDArray
 from rclpy.utilities import try_shutdown
 
+from cablesense_base.errors import CableSenseError
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.serialized import EffortReader
 from cablesense_ros.discovery import own_graph
-from cablesense_sim.arm import open_arm
+from cablesense_ros.processes import Process
+from cablesense_sim.arm import Arm, open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
 RATE_HZ = 200.0
+WRITING_S = (0.0, 2.0)
+"""A recorder is killed so long after the first tensions stand in its file."""
+UP_WITHIN_S = 20.0
+DRIVER_AWAY_S = 0.1
 _SPREADS = (
     "stale_s",
     "last_force_s",
@@ -50,7 +69,7 @@ _SPREADS = (
 
 
 def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
-    """All kills; figures by victim, and what became of the recordings."""
+    """All kills; statistics by victim, and of the recordings."""
     arm = open_arm(arm_name)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -58,19 +77,17 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
         chain = Chain(arm_name, rate_hz, folder)
         rclpy.init()
         watcher = Watcher(arm)
-        executor = EventsExecutor()
-        executor.add_node(watcher)
         try:
-            trials = KillTrials(arm, chain, watcher, executor, seed=0)
+            trials = KillTrials(arm, chain, watcher, seed=0)
             trials.bring_up()
-            kills = {victim: [] for victim in VICTIMS}
+            kills: dict[str, list[Kill]] = {victim: [] for victim in VICTIMS}
             for _ in range(times):
                 for victim in VICTIMS:
                     kills[victim].append(trials.kill(victim))
-            watcher.spin(executor, 1.0)
-            recorders = kill_recorders(times, folder, lambda s: watcher.spin(executor, s))
+            watcher.spin(1.0)
+            recorders = _kill_recorders(times, folder, watcher.spin)
             codes = chain.end()
-            recording = whole(chain.recording, watcher.samples, arm)
+            recording = _whole(chain.recording, watcher.samples, arm)
         except TimeoutError as error:
             logs = "\n".join(
                 f"--- {name}\n{one.log[-1500:]}" for name, one in chain.processes.items()
@@ -78,26 +95,103 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
             raise SystemExit(f"{error}\n{logs}") from error
         finally:
             chain.end()
-            executor.shutdown()
             watcher.destroy_node()
             try_shutdown()
     left_mb = harness.shared_memory_mb() - shared_mb
-    figures = {victim: _figures(ones) for victim, ones in kills.items()}
+    statistics = {victim: _statistics(ones) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
         "rate_hz": rate_hz,
         "stale_after_s": STALE_AFTER_S,
         "lease_s": LEASE_S,
-        "kills": figures,
+        "kills": statistics,
         "recording through all kills": recording,
         "recorders killed": recorders,
         "left in /dev/shm (MB)": round(left_mb, 1),
         "exit codes": codes,
-        "bars": _bars(figures, recording, recorders),
+        "bars": _bars(statistics, recording, recorders),
     }
 
 
-def _figures(kills: Sequence[Kill]) -> dict[str, Any]:
+def _whole(path: Path, received_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
+    """Whether a recording has every sample between its first and its last that came here.
+
+    Samples missing in a row behind a pause came before the middleware of the recorder knew of a
+    driver that is new; the watcher had found the driver sooner. They are counted apart.
+    """
+    try:
+        stamps_ns, _ = _samples(path)
+        rows = len(read_recording(path, arm))
+    except (CableSenseError, OSError) as error:
+        return {"readable": False, "why": str(error), "samples missing": -1}
+    here = np.unique(np.array(received_ns))
+    here = here[(here >= stamps_ns.min()) & (here <= stamps_ns.max())]
+    missing = ~np.isin(here, stamps_ns)
+    early = np.zeros_like(missing)
+    for begin in np.flatnonzero(np.diff(here) > DRIVER_AWAY_S * 1e9) + 1:
+        early[begin : begin + int(np.argmin([*missing[begin:], False]))] = True
+    return {
+        "readable": True,
+        "size (MB)": round(path.stat().st_size / 1e6, 2),
+        "samples": len(stamps_ns),
+        "samples heard in its time": len(here),
+        "samples before the recorder had found the new driver": int(early.sum()),
+        "samples missing": int((missing & ~early).sum()),
+        "rows as the diagnosis reads it": rows,
+    }
+
+
+def _kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> dict[str, Any]:
+    """Kill recorders while they write, and read what they leave."""
+    rng = np.random.default_rng(1)
+    lost_s: list[float] = []
+    problems: list[str] = []
+    for number in range(times):
+        path = folder / f"killed_{number}.mcap"
+        with Process("killed", recorder_command(path), folder / "killed.log") as recorder:
+            deadline_s = time.monotonic() + UP_WITHIN_S
+            while not _begun(path) and time.monotonic() < deadline_s:
+                spin(0.1)
+            spin(float(rng.uniform(*WRITING_S)))
+            recorder.kill()
+            killed_ns = time.time_ns()
+        try:
+            _, logged_ns = _samples(path)
+            lost_s.append((killed_ns - int(logged_ns.max())) * 1e-9)
+        except (CableSenseError, OSError, ValueError) as error:
+            problems.append(f"{number}: {error}")
+    spread = np.percentile(lost_s, (50, 95, 100)).round(3).tolist() if lost_s else []
+    return {
+        "killed": times,
+        "read": times - len(problems),
+        "lost at the end (s): median, 95 %, worst": spread,
+        "problems": problems[:10],
+    }
+
+
+def _begun(path: Path) -> bool:
+    try:
+        _samples(path)
+    except (CableSenseError, OSError):
+        return False
+    return True
+
+
+def _samples(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Stamps of the tensions in a file, and when each was recorded, ns."""
+    read = EffortReader().read
+    pairs = [
+        (read(one.data).stamp_ns, one.log_ns)
+        for one in McapMessages(path)
+        if one.topic.rpartition("/")[2] == topics.CABLE_TENSIONS
+    ]
+    if not pairs:
+        raise OSError(f"{path.name}: holds no tensions")
+    columns = np.array(pairs, dtype=np.int64)
+    return columns[:, 0], columns[:, 1]
+
+
+def _statistics(kills: Sequence[Kill]) -> dict[str, Any]:
     return {
         "kills": len(kills),
         "others lived": sum(one.others_lived for one in kills),
@@ -116,10 +210,10 @@ def _spread(values: Sequence[float]) -> dict[str, float | int]:
 
 
 def _bars(
-    figures: dict[str, Any], recording: dict[str, Any], recorders: dict[str, Any]
+    statistics: dict[str, Any], recording: dict[str, Any], recorders: dict[str, Any]
 ) -> dict[str, bool]:
     bars = {}
-    for victim, one in figures.items():
+    for victim, one in statistics.items():
         stale, right = one["stale_s"], one["right_after_set_up_s"]
         bars |= {
             f"{victim}: the others go on": one["others lived"] == one["kills"],

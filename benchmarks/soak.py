@@ -2,9 +2,9 @@
 
     python benchmarks/soak.py [--minutes 10] [--write]
 
-Four processes: the amplifiers play a course of pushes as frames over slcan on a pseudo-terminal,
+Four processes: the amplifiers play a sequence of pushes as frames over slcan on a pseudo-terminal,
 each cycle bearing its number in its values; `can_driver` and `estimator` as a user starts them;
-and here a sink that hears every sample and every wrench. First the packed amplifier at 1,000
+and here a sink that receives every sample and every wrench. First the packed amplifier at 1,000
 samples a second, then for a minute twelve CiA 404 amplifiers at 500, the most that a bus of
 1 Mbit/s carries of them.
 
@@ -24,24 +24,31 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from harness import cpu_s, rss_mb
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
-from soak.course import line_limits, marked_course, play
-from soak.figures import answers, delivery, memory
-from soak.sink import Sink
+from sensor_msgs.msg import JointState
+from soak_sequence import Log, answers, delivery, line_limits, marked_sequence, memory, play
 
+from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.qos import Qos
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_ros.discovery import own_graph
+from cablesense_ros.node_process import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
-from cablesense_sim.arm import open_arm
+from cablesense_sim.arm import Arm, open_arm
 
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}
@@ -53,145 +60,179 @@ LISTEN_AFTER_S = 2.5
 GROWTH_MB = 5.0
 
 
-class Soak:
-    """One run of one map."""
+class Sink(Node):
+    """Receives from driver and estimator, and reads the processes' memory once a second.
 
-    def __init__(self, arm_name: str, map_name: str, seconds: float, folder: Path) -> None:
-        self._rate_hz = RATES_HZ[map_name]
-        self._cycles = round(seconds * self._rate_hz)
-        self._arm, self._map_name = open_arm(arm_name), map_name
-        link, self._log = folder / "adapter", folder / "played.npz"
-        amplifiers = [
-            *(sys.executable, __file__, "--role", "amplifiers", "--arm", arm_name),
-            *("--map", map_name, "--link", str(link), "--log", str(self._log)),
-            *("--cycles", str(self._cycles)),
-        ]
-        driver = node_command(
-            "can_driver",
-            {
-                "arm": arm_name,
-                "map": map_name,
-                "interface": "slcan",
-                "channel": link,
-                "bitrate_bit_s": 1_000_000,
-            },
-        )
-        estimator = node_command("estimator", {"arm": arm_name})
-        first = Process("amplifiers", amplifiers, folder / "amplifiers.log")
-        self._processes = [first]
-        wait_until(
-            lambda: first.line("ready"), UP_WITHIN_S, "the amplifiers are not ready", first.check
-        )
-        self._processes += [
-            Process(name, command, folder / f"{name}.log")
-            for name, command in (("driver", driver), ("estimator", estimator))
-        ]
+    Attributes:
+        tensions: all samples.
+        wrenches: all wrenches.
+        memory: seconds since the start and MB of each process.
+        diagnostics: the latest values by (name, key).
+    """
 
-    def run(self) -> dict[str, Any]:
-        """Play it all and give the figures."""
-        rclpy.init()
-        pids = {one.name: one.pid for one in self._processes}
-        sink = Sink(self._cycles + 5000, self._arm.cable_count, pids)
-        executor = EventsExecutor()
-        executor.add_node(sink)
-        try:
-            self._bring_up(executor, sink)
-            self._tell("play")
-            sink.begin()
-            self._spin(executor, lambda: "played" in self._processes[0].log)
-            cpu = sink.cpu_share()
-            self._spin_for(executor, LISTEN_AFTER_S)
-            self._tell("end")
-            return {"cpu (cores)": {k: round(v, 3) for k, v in cpu.items()}, **self._judge(sink)}
-        finally:
-            executor.shutdown()
-            sink.destroy_node()
-            try_shutdown()
+    def __init__(self, size: int, cable_count: int, processes: Sequence[Process]) -> None:
+        super().__init__("soak_sink")
+        self.tensions, self.wrenches = Log(size, cable_count), Log(size, 6)
+        self.diagnostics: dict[tuple[str, str], str] = {}
+        self._processes = processes
+        self._executor = EventsExecutor()
+        self._executor.add_node(self)
+        self.begin()
+        for kind, topic, log in (
+            (JointState, "cable_tensions", self.tensions),
+            (WrenchStamped, "estimator/wrench", self.wrenches),
+        ):
+            self.create_subscription(
+                kind,
+                topic,
+                log.note,
+                qos_profile(Qos(depth=5000, reliable=True)),
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(message_lost=log.lost),
+            )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_timer(1.0, self._note_memory)
 
-    def end(self) -> list[int]:
-        """End every process; their exit codes."""
-        return [one.stop(harness.END_WITHIN_S) for one in self._processes]
+    def begin(self) -> None:
+        """Count memory and processor time from here on."""
+        self._began_s = time.monotonic()
+        self._cpu_began_s = [cpu_s(one.pid) for one in self._processes]
+        self.memory: list[tuple[float, dict[str, float]]] = []
 
-    def _bring_up(self, executor: EventsExecutor, sink: Sink) -> None:
+    def cpu_share(self) -> dict[str, float]:
+        """Cores that each process took since the beginning, on average."""
+        elapsed_s = time.monotonic() - self._began_s
+        return {
+            one.name: round((cpu_s(one.pid) - began_s) / elapsed_s, 3)
+            for one, began_s in zip(self._processes, self._cpu_began_s, strict=True)
+        }
+
+    def bring_up(self) -> None:
+        """Wait until driver and estimator publish."""
         deadline_s = time.monotonic() + UP_WITHIN_S
         while not (
-            sink.count_publishers("cable_tensions")
-            and sink.count_subscribers("cable_tensions") == 2
-            and sink.count_publishers("estimator/wrench")
-            and sink.values.get(("can_driver: interface", "openings"), "0") != "0"
+            self.count_publishers("cable_tensions")
+            and self.count_subscribers("cable_tensions") == 2
+            and self.count_publishers("estimator/wrench")
+            and self.diagnostics.get(("can_driver: interface", "openings"), "0") != "0"
         ):
-            if time.monotonic() > deadline_s or not all(one.alive for one in self._processes):
+            if time.monotonic() > deadline_s:
                 logs = "\n".join(one.log for one in self._processes)
                 raise SystemExit(f"the nodes did not come up within {UP_WITHIN_S:g} s\n{logs}")
-            self._spin_for(executor, 0.2)
-        self._spin_for(executor, 1.0)
+            self.spin(0.2)
+        self.spin(1.0)
 
-    def _tell(self, word: str) -> None:
-        pipe = self._processes[0].child.stdin
-        assert pipe is not None
-        pipe.write(f"{word}\n".encode())
-        pipe.flush()
+    def spin(self, seconds: float) -> None:
+        """Receive for a while.
 
-    def _spin(self, executor: EventsExecutor, ended: Callable[[], bool]) -> None:
-        while not ended():
-            if not all(one.alive for one in self._processes):
-                raise SystemExit("\n".join(one.log for one in self._processes))
-            self._spin_for(executor, 1.0)
+        Raises:
+            ProcessError: a process has ended.
+        """
+        for one in self._processes:
+            one.check()
+        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
-    @staticmethod
-    def _spin_for(executor: EventsExecutor, seconds: float) -> None:
-        executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+    def destroy_node(self) -> None:
+        """End the callbacks, then the node."""
+        self._executor.shutdown()
+        super().destroy_node()
 
-    def _judge(self, sink: Sink) -> dict[str, Any]:
-        channel_map, database = open_channel_map(self._map_name)
-        channel_map = channel_map.arranged(self._arm.cable_names)
-        course = marked_course(self._arm, channel_map, database, self._rate_hz)
-        played = dict(np.load(self._log))
-        delivered, cycle = delivery(
-            course, played["dropped"], played["written_ns"], sink.tensions, self._rate_hz
-        )
-        names = {channel.message for channel in channel_map.channels.values()}
-        names |= {channel_map.counter.message} if channel_map.counter else set()
-        lengths = [database.get_message_by_name(name).length for name in sorted(names)]
-        said = sink.values
-        faults = {
-            key.removesuffix(" in all"): int(value)
-            for (status, key), value in said.items()
-            if status == "can_driver: samples" and key.endswith(" in all") and int(value)
-        }
-        return {
-            "map": self._map_name,
-            "amplifiers scheduled in real time": bool(played["real_time"]),
-            "delivery": delivered,
-            "driver says": {
-                "frames in all": int(said["can_driver: interface", "frames in all"]),
-                "openings": int(said["can_driver: interface", "openings"]),
-                "frames of a cycle": len(lengths),
-                **faults,
-            },
-            "estimator says": {
-                key: int(said["estimator: cable_tensions", key])
-                for key in ("dropped in all", "refused in all")
-            },
-            "lost on the way to the sink": {
-                "cable_tensions": sink.tensions.lost_at_sink,
-                "estimator/wrench": sink.wrenches.lost_at_sink,
-            },
-            **answers(course, cycle, played["written_ns"], sink.tensions, sink.wrenches),
-            "memory": memory(sink.memory),
-            "limits": line_limits(lengths, self._rate_hz),
-        }
+    def _note_memory(self) -> None:
+        elapsed_s = time.monotonic() - self._began_s
+        self.memory.append((elapsed_s, {one.name: rss_mb(one.pid) for one in self._processes}))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnostics.update({(status.name, v.key): v.value for v in status.values})
 
 
 def measure(arm_name: str, map_name: str, minutes: float) -> dict[str, Any]:
     """Run one map."""
-    with tempfile.TemporaryDirectory() as folder:
-        soak = Soak(arm_name, map_name, 60.0 * minutes, Path(folder))
+    arm, cycles = open_arm(arm_name), round(60.0 * minutes * RATES_HZ[map_name])
+    processes: list[Process] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        link, log = folder / "adapter", folder / "played.npz"
+        play_command = [
+            *(sys.executable, __file__, "--role", "amplifiers", "--arm", arm_name),
+            *("--map", map_name, "--link", str(link), "--log", str(log), "--cycles", str(cycles)),
+        ]
+        adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
+        nodes = {
+            "driver": node_command("can_driver", {"arm": arm_name, "map": map_name, **adapter}),
+            "estimator": node_command("estimator", {"arm": arm_name}),
+        }
         try:
-            result = soak.run()
+            amplifiers = Process("amplifiers", play_command, folder / "amplifiers.log")
+            processes.append(amplifiers)
+            not_ready = "the amplifiers are not ready"
+            wait_until(lambda: amplifiers.line("ready"), UP_WITHIN_S, not_ready, amplifiers.check)
+            for name, command in nodes.items():
+                processes.append(Process(name, command, folder / f"{name}.log"))
+            rclpy.init()
+            sink = Sink(cycles + 5000, arm.cable_count, processes)
+            try:
+                sink.bring_up()
+                _send_line(amplifiers, "play")
+                sink.begin()
+                while "played" not in amplifiers.log:
+                    sink.spin(1.0)
+                cpu = sink.cpu_share()
+                sink.spin(LISTEN_AFTER_S)
+                _send_line(amplifiers, "end")
+            finally:
+                sink.destroy_node()
+                try_shutdown()
+            judged = _judged(arm, map_name, dict(np.load(log)), sink)
         finally:
-            codes = soak.end()
-    return {"minutes": minutes, **result, "exit codes": codes}
+            codes = [one.stop(harness.END_WITHIN_S) for one in processes]
+    return {"minutes": minutes, "cpu (cores)": cpu, **judged, "exit codes": codes}
+
+
+def _send_line(process: Process, line: str) -> None:
+    pipe = process.child.stdin
+    assert pipe is not None
+    pipe.write(f"{line}\n".encode())
+    pipe.flush()
+
+
+def _judged(arm: Arm, map_name: str, played: dict[str, Any], sink: Sink) -> dict[str, Any]:
+    channel_map, database = open_channel_map(map_name)
+    channel_map = channel_map.arranged(arm.cable_names)
+    rate_hz, written_ns = RATES_HZ[map_name], played["written_ns"]
+    sequence = marked_sequence(arm, channel_map, database, rate_hz)
+    delivered, cycle = delivery(sequence, played["dropped"], written_ns, sink.tensions, rate_hz)
+    names = {channel.message for channel in channel_map.channels.values()}
+    names |= {channel_map.counter.message} if channel_map.counter else set()
+    lengths = [database.get_message_by_name(name).length for name in sorted(names)]
+    values = sink.diagnostics
+    faults = {
+        key.removesuffix(" in all"): int(value)
+        for (status, key), value in values.items()
+        if status == "can_driver: samples" and key.endswith(" in all") and int(value)
+    }
+    return {
+        "map": map_name,
+        "amplifiers scheduled in real time": bool(played["real_time"]),
+        "delivery": delivered,
+        "driver says": {
+            "frames in all": int(values["can_driver: interface", "frames in all"]),
+            "openings": int(values["can_driver: interface", "openings"]),
+            "frames of a cycle": len(lengths),
+            **faults,
+        },
+        "estimator says": {
+            key: int(values["estimator: cable_tensions", key])
+            for key in ("dropped in all", "refused in all")
+        },
+        "lost on the way to the sink": {
+            "cable_tensions": sink.tensions.lost_at_sink,
+            "estimator/wrench": sink.wrenches.lost_at_sink,
+        },
+        **answers(sequence, cycle, written_ns, sink.tensions, sink.wrenches),
+        "memory": memory(sink.memory),
+        "limits": line_limits(lengths, rate_hz),
+    }
 
 
 def bars(result: dict[str, Any]) -> dict[str, bool]:
@@ -253,5 +294,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except subprocess.SubprocessError as error:
+    except (subprocess.SubprocessError, CableSenseError) as error:
         sys.exit(str(error))

@@ -1,1 +1,0 @@
-"""The parts of `kill.py`: the load, the watcher, a kill and its figures."""

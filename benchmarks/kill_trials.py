@@ -1,0 +1,358 @@
+"""Processes that are killed and started again, and a watcher that pushes the arm and notes all.
+
+One trial: push, wait until the wrench is right, kill at a random moment, watch, start again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from harness import CABLESENSE, END_WITHIN_S
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.qos import Qos
+from cablesense_ros.node_process import qos_profile
+from cablesense_ros.processes import Process, node_command
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import normal_force_n
+
+STALE_AFTER_S = 0.05
+LEASE_S = 0.08
+"""After so long without a sign of life of the estimator, the middleware reports it as gone."""
+
+LOAD_EVERY_S, COMMAND_EVERY_S = 0.05, 0.5
+TOLERANCE_N, TOLERANCE = 2.0, 0.03
+"""A wrench is right when its force is no further from the load than the larger of these."""
+
+PATIENCE_S = 20.0
+STEADY = 10
+"""So many right wrenches in a row are right."""
+
+SETTLED_S = 1.0
+"""A change of load has swung out by then; a wrench that differs from the load later is wrong."""
+
+SWING_S = 0.2
+DEAD_S = (0.15, 0.6)
+AT_ANY_MOMENT_S = 0.5
+
+_SET_UP = {
+    "driver": r"\[INFO\] \[([\d.]+)\] \[can_driver\]: arm ",
+    "sim": r"\[INFO\] \[([\d.]+)\] \[sim\]: arm ",
+    "estimator": r"\[INFO\] \[([\d.]+)\] \[estimator\]: arm .*: configured",
+}
+VICTIMS = tuple(_SET_UP)
+
+
+def recorder_command(file: Path) -> list[str]:
+    """The command that records the running nodes into a file."""
+    return [*CABLESENSE, "record", "--out", str(file)]
+
+
+class Chain:
+    """Sim, amplifiers, driver, estimator and a recorder, each a process that can be killed."""
+
+    def __init__(self, arm: str, rate_hz: float, folder: Path) -> None:
+        """The sim takes samples at `rate_hz`; logs and files go to `folder`."""
+        link = folder / "adapter"
+        self.recording = folder / "kills.mcap"
+        adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
+        stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
+        simulated = {"cable_tensions": "simulated_tensions"}
+        state = {"state_file": folder / "estimator_state.json"}
+        commands = {
+            "sim": node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated),
+            "amplifiers": node_command("can_emulator", {"arm": arm, "channel": link}),
+            "driver": node_command("can_driver", stale | adapter),
+            "estimator": node_command("estimator", stale | state),
+            "recorder": recorder_command(self.recording),
+        }
+        self.processes = {
+            name: Process(name, command, folder / f"{name}.log")
+            for name, command in commands.items()
+        }
+
+    def pids(self) -> dict[str, int]:
+        """Process ids of those that live."""
+        return {name: one.pid for name, one in self.processes.items() if one.alive}
+
+    def set_up_epoch_s(self, victim: str) -> list[float]:
+        """The times at which a victim logged that it was set up, s since the epoch."""
+        return [float(at) for at in re.findall(_SET_UP[victim], self.processes[victim].log)]
+
+    def end(self) -> dict[str, int]:
+        """End all; exit codes by name. The recorder goes first, so that its file is whole."""
+        order = sorted(self.processes, key=lambda name: name != "recorder")
+        return {name: self.processes[name].stop(END_WITHIN_S) for name in order}
+
+
+class Received(NamedTuple):
+    """One wrench: times of its arrival, its stamp (s since the epoch), segment and force."""
+
+    arrived_s: float
+    arrived_epoch_s: float
+    stamp_s: float
+    segment: int
+    force_n: tuple[float, float, float]
+
+    @property
+    def zero(self) -> bool:
+        """Whether it reports no contact."""
+        return self.segment == 0 and not any(self.force_n)
+
+
+class Watcher(Node):
+    """Publishes the present load and command periodically, notes every wrench and sample.
+
+    Times are monotonic.
+
+    Attributes:
+        wrenches: since `forget`.
+        samples: stamps of all samples received, ns.
+        sample_s: arrivals of the samples since `forget`, and of the one before.
+        liveliness: (time, number of living estimators) since `forget`.
+        load_since_s: first publication of the present load.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__("watcher")
+        self.wrenches: list[Received] = []
+        self.samples: list[int] = []
+        self.sample_s: list[float] = []
+        self.liveliness: list[tuple[float, int]] = []
+        self.load_since_s = time.monotonic()
+        self._force_n: Array = np.zeros(3)
+        self._segment, self._segment_count = 1, arm.segment_count
+        names = list(arm.joint_names)
+        self._command = JointState(name=names, position=[0.0] * len(names))
+        self._load_out = self.create_publisher(WrenchStamped, "applied_wrench", 10)
+        self._command_out = self.create_publisher(JointState, "joint_commands", 10)
+        self.create_timer(LOAD_EVERY_S, self._publish_load)
+        self.create_timer(COMMAND_EVERY_S, self._publish_command)
+        self.create_subscription(
+            WrenchStamped,
+            "estimator/wrench",
+            self._on_wrench,
+            qos_profile(Qos(depth=2000, reliable=True, lease_s=LEASE_S)),
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_liveliness),
+        )
+        sample_qos = qos_profile(Qos(depth=2000, reliable=True))
+        self.create_subscription(JointState, "cable_tensions", self._on_sample, sample_qos)
+        self._executor = EventsExecutor()
+        self._executor.add_node(self)
+
+    def push(self, segment: int, force_base_n: Array) -> None:
+        """Push there instead of where it was pushed before."""
+        self._segment, self._force_n = segment, force_base_n
+        self._publish_load()
+        self.load_since_s = time.monotonic()
+
+    def right(self, wrench: Received) -> bool:
+        """Whether a wrench is the present load. The arm is straight: base axes are its own."""
+        off_n = float(np.linalg.norm(np.array(wrench.force_n) - self._force_n))
+        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
+        return wrench.segment == self._segment and off_n <= limit_n
+
+    def forget(self) -> None:
+        """Begin to note anew."""
+        self.wrenches.clear()
+        self.liveliness.clear()
+        del self.sample_s[:-1]
+
+    def spin(self, seconds: float) -> None:
+        """Let callbacks run for a while."""
+        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+    def destroy_node(self) -> None:
+        """End the callbacks, then the node."""
+        self._executor.shutdown()
+        super().destroy_node()
+
+    def _publish_load(self) -> None:
+        segments = range(1, self._segment_count + 1)
+        for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
+            load = WrenchStamped()
+            load.header.frame_id = f"segment_{segment}"
+            if segment == self._segment:
+                force = load.wrench.force
+                force.x, force.y, force.z = self._force_n.tolist()
+            self._load_out.publish(load)
+
+    def _publish_command(self) -> None:
+        self._command.header.stamp = self.get_clock().now().to_msg()
+        self._command_out.publish(self._command)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        force, stamp = message.wrench.force, message.header.stamp
+        frame = message.header.frame_id
+        self.wrenches.append(
+            Received(
+                time.monotonic(),
+                time.time(),
+                stamp.sec + stamp.nanosec * 1e-9,
+                int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0,
+                (force.x, force.y, force.z),
+            )
+        )
+
+    def _on_sample(self, message: JointState) -> None:
+        stamp = message.header.stamp
+        self.samples.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        self.sample_s.append(time.monotonic())
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        self.liveliness.append((time.monotonic(), event.alive_count))
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One kill as seen from outside; times in s, NaN where it does not apply.
+
+    Attributes:
+        others_lived: whether every other process kept its id.
+        stale_s: from the kill to the first zero wrench, or for the estimator to the report of the
+            subscriber's own middleware that it is gone.
+        last_force_s: from the kill to the last wrench with a force.
+        zero_age_s: largest age of the zero wrenches' stamps when they came.
+        set_up_s: from the start to the process's log line that it is set up.
+        first_sample_s: from the start to the first sample from the driver.
+        right_s: from the start to the first wrench of those that are right and stay so.
+        wrong: wrenches with another force than the load's, a second after the load last changed.
+        false_deaths: reports of the middleware that a living estimator is gone.
+    """
+
+    others_lived: bool
+    stale_s: float
+    last_force_s: float
+    zero_age_s: float
+    set_up_s: float
+    first_sample_s: float
+    right_s: float
+    wrong: int
+    false_deaths: int
+
+    @property
+    def right_after_set_up_s(self) -> float:
+        """From the process's log line that it is set up to the first right wrench."""
+        return self.right_s - self.set_up_s
+
+
+class KillTrials:
+    """Kills in a running chain."""
+
+    def __init__(self, arm: Arm, chain: Chain, watcher: Watcher, seed: int) -> None:
+        self._arm, self._mechanism = arm, mechanism_of(arm)
+        self._chain, self._watcher = chain, watcher
+        self._rng = np.random.default_rng(seed)
+
+    def bring_up(self) -> None:
+        """Wait until the unloaded arm is tared and wrenches follow the load."""
+        self._until(lambda: len(self._watcher.sample_s) > 100, "samples")
+        self._watcher.spin(2.0)
+        self._push()
+        self._until_right("the first right wrench")
+
+    def kill(self, victim: str) -> Kill:
+        """Kill one and see it come back.
+
+        Raises:
+            TimeoutError: what should come did not come within `PATIENCE_S`.
+        """
+        chain, watcher, process = self._chain, self._watcher, self._chain.processes[victim]
+        self._push()
+        self._until_right(f"a right wrench before {victim} is killed")
+        watcher.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
+        before, set_ups = chain.pids(), len(chain.set_up_epoch_s(victim))
+        watcher.forget()
+        killed_s = process.kill()
+        if self._rng.random() < 0.5:
+            self._push()  # the process must not come back to the old load
+        watcher.spin(float(self._rng.uniform(*DEAD_S)))
+        while_dead = list(watcher.wrenches)
+        silent_from_s = watcher.sample_s[-1] if watcher.sample_s else killed_s
+        started_epoch_s = time.time()
+        process.start()
+        started_s = process.started_s
+        self._until(
+            lambda: len(chain.set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
+        )
+        right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
+        after = chain.pids()
+        del before[victim], after[victim]
+        zeros = [one for one in while_dead if one.zero and one.arrived_s >= killed_s]
+        stale_s = [one.arrived_s for one in zeros]
+        if victim == "estimator":
+            gone = (at for at, alive in watcher.liveliness if alive == 0)
+            stale_s = [at for at in gone if killed_s <= at < started_s]
+        restarted_s = max(started_s, silent_from_s)
+        return Kill(
+            others_lived=before == after,
+            stale_s=min(stale_s, default=nan) - killed_s,
+            last_force_s=max((w.arrived_s for w in while_dead if not w.zero), default=nan)
+            - killed_s,
+            zero_age_s=max((one.arrived_epoch_s - one.stamp_s for one in zeros), default=nan),
+            set_up_s=chain.set_up_epoch_s(victim)[-1] - started_epoch_s,
+            first_sample_s=min((at for at in watcher.sample_s if at > restarted_s), default=nan)
+            - started_s,
+            right_s=right_s - started_s,
+            wrong=self._wrong(victim, started_s),
+            false_deaths=sum(
+                alive == 0 and (victim != "estimator" or at > right_s)
+                for at, alive in watcher.liveliness
+            ),
+        )
+
+    def _wrong(self, victim: str, started_s: float) -> int:
+        """Number of wrenches with a force that is not the load.
+
+        A sim that comes back is unloaded, and swings when it takes the load again.
+        """
+        forces = [one for one in self._watcher.wrenches if not one.zero]
+        settled_s = self._watcher.load_since_s + SETTLED_S
+        back = [one.arrived_s for one in forces if one.arrived_s > started_s]
+        if victim == "sim" and back:
+            settled_s = max(settled_s, back[0] + SWING_S)
+        return sum(one.arrived_s > settled_s and not self._watcher.right(one) for one in forces)
+
+    def _push(self) -> None:
+        segment = int(self._rng.integers(1, self._arm.segment_count + 1))
+        forces = normal_force_n(
+            self._mechanism,
+            np.zeros(self._arm.joint_count),
+            segment=segment,
+            angle_deg=float(self._rng.uniform(0.0, 360.0)),
+            magnitude_n=float(self._rng.uniform(20.0, 100.0)),
+        )
+        self._watcher.push(segment, np.asarray(forces)[segment - 1])
+
+    def _until_right(self, what: str, since_s: float = 0.0) -> float:
+        """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
+        wrenches = self._watcher.wrenches
+
+        def right(one: Received) -> bool:
+            return one.arrived_s >= since_s and self._watcher.right(one)
+
+        self._until(lambda: len(wrenches) >= STEADY and all(map(right, wrenches[-STEADY:])), what)
+        return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s
+
+    def _until(self, true: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not true():
+            if time.monotonic() > deadline_s:
+                last = self._watcher.wrenches[-1:]
+                raise TimeoutError(f"waited {PATIENCE_S:g} s in vain for {what}; last: {last}")
+            self._watcher.spin(0.02)

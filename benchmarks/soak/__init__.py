@@ -1,1 +1,0 @@
-"""The parts of `soak.py`: the course of tensions, the amplifiers, the sink, the figures."""
