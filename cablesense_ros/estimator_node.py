@@ -25,6 +25,7 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.health import cable_status, model_status, pose_status, tare_status
 from cablesense_online.models import LoadedModel, load_model
+from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
 from cablesense_online.tare import Tare, TareError, tare_taken_line, tare_undone_line
 from cablesense_ros.estimator_outputs import EstimatorOutputs
@@ -136,6 +137,7 @@ class EstimatorNode(ConfiguredNode):
         self._simulated_time = self.get_clock().ros_time_is_active
         self._lost = 0
         self._refused_commands = 0
+        self._warned_s: dict[ProblemKind, float] = {}
         self.add_post_set_parameters_callback(self._on_parameters)
         DiagnosticsPublisher(
             self, self._statuses, lambda: self._loaded.arm.identity if self._loaded else ""
@@ -236,14 +238,17 @@ class EstimatorNode(ConfiguredNode):
         answer = self._estimation.sample(raw, now_ns, now_s)
         self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
         if answer.problem is not None:
-            self.get_logger().warning(
-                f"{topics.CABLE_TENSIONS}: sample refused: {answer.problem}",
-                throttle_duration_sec=WARN_EVERY_S,
-            )
+            self._warn_of_sample(answer.problem, now_s)
         if answer.new_tare is not None:
             self._log_tare(answer.new_tare, "by itself at start (auto_tare)")
         if answer.state is not None:
             self._state.keep(answer.state)
+
+    def _warn_of_sample(self, problem: SampleError, now_s: float) -> None:
+        """Each kind on its own, where rclpy would throttle all warnings of one line together."""
+        if now_s - self._warned_s.get(problem.kind, -WARN_EVERY_S) >= WARN_EVERY_S:
+            self._warned_s[problem.kind] = now_s
+            self.get_logger().warning(f"{topics.CABLE_TENSIONS}: sample refused: {problem}")
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation is None:

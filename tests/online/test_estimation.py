@@ -14,13 +14,16 @@ from hypothesis import strategies as st
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.topics import ContractError
-from cablesense_msgs_py.wrenches import NO_CONTACT
+from cablesense_msgs_py.wrenches import NO_CONTACT, Load
 from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind
+from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_online.state import EstimationSettings, Event, EventKind
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -343,3 +346,49 @@ def test_a_state_of_an_arm_with_other_joints_is_refused():
     state = feed.sample().state
     with pytest.raises(ContractError, match="7 joint angles"):
         feed.estimation.restore(state.model_copy(update={"command_rad": (0.0,) * 7}))
+
+
+AWAY = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0])
+
+
+def contacts_in_motion(push_n=None):
+    """What `cdsm_moving` gives for each sample of 4 s to and fro, in simulated time at 100 Hz."""
+    loaded = load_model("cdsm", "cdsm_moving")
+    parameters = {"joint_speed_rad_s": math.radians(20.0), "tare_samples": 50}
+    estimation = Estimation(
+        loaded.arm, loaded.estimator, SETTINGS.model_copy(update=parameters), 0.0
+    )
+    arm = SimulatedArm(ArmDynamics(ARM), 1e-3, parameters["joint_speed_rad_s"], 0.0, now_s=0.0)
+    contacts = []
+    for tick in range(1, 601):
+        now_s, now_ns = tick * 0.01, 10**18 + tick * 10_000_000
+        if tick == 150 and push_n is not None:
+            arm.push(Load(4, np.array(push_n)), now_s)
+        if tick >= 200 and tick % 100 == 0:
+            target = AWAY if tick % 200 == 0 else np.zeros(8)
+            arm.go_to(target)
+            command = sensor_msgs.JointState(name=list(ARM.joint_names), position=target.tolist())
+            estimation.command(command)
+        arm.advance_to(now_s)
+        answer = estimation.sample(
+            message_bytes(arm.reading_n(ARM.sensors, None), now_ns), now_ns, now_s
+        )
+        if tick >= 200:
+            contacts.append(answer.contact)
+    assert estimation.tares.present is not None
+    return contacts
+
+
+def test_a_free_arm_in_motion_has_no_contact():
+    strength = np.array([contact.magnitude_n for contact in contacts_in_motion()])
+    assert np.mean(strength == 0.0) > 0.9
+    assert np.mean(strength) < 0.1
+
+
+def test_a_push_is_estimated_in_motion():
+    contacts = contacts_in_motion((0.0, 0.0, -25.0))
+    assert np.mean([contact.segment == 4 for contact in contacts]) > 0.95
+    strength = np.array([contact.magnitude_n for contact in contacts])
+    # gravity's direction turns against the segment's normal plane by up to 20 degrees
+    assert np.quantile(strength, 0.05) > 21.0
+    assert np.quantile(strength, 0.95) < 27.0

@@ -1,4 +1,8 @@
-"""An estimator that remembers, beside the sim over the real middleware: it answers in motion."""
+"""A history-dependent estimator beside the sim over the real middleware: it answers in motion.
+
+The machine may be busy: a swing counts only where the sim kept to real time and no sample came too
+late. The same motion in simulated time: tests/online/test_estimation.py.
+"""
 
 import numpy as np
 import pytest
@@ -18,6 +22,7 @@ pytestmark = [
 
 ARM = open_arm("cdsm")
 AWAY, BACK = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0]), np.zeros(8)
+_ATTEMPTS = 5
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +30,7 @@ def moving():
     """The graph, with both nodes running and the first tare taken."""
     graph = Graph()
     sim = NodeProcess("cablesense_ros.sim_node")
-    estimator = NodeProcess(
-        "cablesense_ros.estimator_node", model="cdsm_moving", stale_after_s=2.0
-    )
+    estimator = NodeProcess("cablesense_ros.estimator_node", model="cdsm_moving")
     graph.until(lambda: "tare taken" in estimator.log, "the first tare")
     graph.until(lambda: graph.command.get_subscription_count() == 2, "sim and estimator")
     yield graph
@@ -37,14 +40,30 @@ def moving():
     graph.close()
 
 
+def _held_up(graph):
+    """What a busy machine adds to: simulated time that was skipped, samples refused as too old."""
+    graph.statuses.clear()
+    wanted = {"sim: simulation": "time let go (s)", "estimator: cable_tensions": "refused in all"}
+    graph.until(lambda: set(wanted) <= set(graph.statuses), "diagnostics")
+    return [
+        {value.key: value.value for value in graph.statuses[name].values}[key]
+        for name, key in wanted.items()
+    ]
+
+
 def _swing(graph, seconds=4.0):
-    """The wrenches received during commands to and fro."""
-    graph.wrenches.clear()
-    for target in (AWAY, BACK, AWAY, BACK):
-        message = JointState(name=list(ARM.joint_names), position=target.tolist())
-        graph.command.publish(message)
-        graph.spin(seconds / 4)
-    return list(graph.wrenches)
+    """The wrenches received during commands to and fro, undisturbed by the machine."""
+    for _ in range(_ATTEMPTS):
+        before = _held_up(graph)
+        graph.wrenches.clear()
+        for target in (AWAY, BACK, AWAY, BACK):
+            message = JointState(name=list(ARM.joint_names), position=target.tolist())
+            graph.command.publish(message)
+            graph.spin(seconds / 4)
+        wrenches = list(graph.wrenches)
+        if _held_up(graph) == before:
+            return wrenches
+    pytest.skip(f"in {_ATTEMPTS} swings the machine was too busy for real time")
 
 
 def _strength_n(wrench):
@@ -52,20 +71,19 @@ def _strength_n(wrench):
 
 
 def test_a_free_arm_in_motion_has_no_contact(moving):
-    heard = [_strength_n(wrench) for wrench in _swing(moving)]
-    assert len(heard) > 50
-    # where the simulation falls behind real time, its joints lag the estimator's trajectory
-    assert np.mean(np.array(heard) == 0.0) > 0.75
-    assert np.mean(heard) < 0.5
+    received = [_strength_n(wrench) for wrench in _swing(moving)]
+    assert len(received) > 200
+    assert np.mean(np.array(received) == 0.0) > 0.9
+    assert np.mean(received) < 0.1
 
 
 def test_a_push_is_estimated_in_motion(moving):
     moving.push(4, (0.0, 0.0, -25.0))
     moving.spin(0.5)
-    heard = _swing(moving)
+    received = _swing(moving)
     moving.push(4, (0.0, 0.0, 0.0))
-    assert np.mean([wrench.header.frame_id == "segment_4" for wrench in heard]) > 0.95
-    strength = np.array([_strength_n(wrench) for wrench in heard])
+    assert np.mean([wrench.header.frame_id == "segment_4" for wrench in received]) > 0.95
+    strength = np.array([_strength_n(wrench) for wrench in received])
     # gravity's direction turns against the segment's normal plane by up to 20 degrees
     assert np.quantile(strength, 0.05) > 21.0
     assert np.quantile(strength, 0.95) < 27.0
