@@ -3,10 +3,10 @@
     python benchmarks/admittance.py --write
 
 For every segment, four directions and walls of several stiffnesses the loop of law, wall and arm
-at rest runs for `STEPS` steps (`cablesense_online.admittance.wall`: no noise, nothing
-swings). Stable means that the force of the last steps does not rise and fall by more than
-`CHATTER_N`. Then the nodes run over the middleware, in simulated dynamics with the sensors'
-noise: `cablesense demo --controller admittance --headless`.
+at rest runs for `STEPS` steps (`run_loop`: no noise, nothing swings). Stable means that the force
+of the last steps does not rise and fall by more than `CHATTER_N`. Then the nodes run over the
+middleware, in simulated dynamics with the sensors' noise:
+`cablesense demo --controller admittance --headless`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,21 @@ from typing import Any
 import harness
 import numpy as np
 
+from cablesense_base.arrays import Array
 from cablesense_online.admittance.controller import ControllerSettings
-from cablesense_online.admittance.law import AdmittanceLaw, Reach
-from cablesense_online.admittance.wall import SampledLoop, compliance_m_n, wall_beside
+from cablesense_online.admittance.law import AdmittanceLaw, ContactForce, Reach
+from cablesense_online.admittance.wall import (
+    ElasticWall,
+    WallPressing,
+    compliance_m_n,
+    contact_point_m,
+    wall_beside,
+)
+from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
 
 RESULT = "admittance.json"
 ARMS = ("cdsm", "cdsm_lab")
@@ -40,6 +49,8 @@ SETTLED_WITHIN_N = 1.0
 CHATTER_N = 0.5
 LAST = 8
 DEMO_S = 24.0
+BALANCED_N = 1e-4
+MOST_ITERATIONS = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,8 +95,7 @@ def _case(
     wall = wall_beside(mechanism, rest, segment, angle_deg, stiffness_n_m, 0.0)
     compliance = compliance_m_n(mechanism, home, segment, wall.normal)
     advance = HELD_N * (1.0 / stiffness_n_m + compliance)
-    course = SampledLoop(mechanism, law, wall, segment).run(home, advance, STEPS, PERIOD_S)
-    forces = course.forces_n
+    forces, commands = run_loop(mechanism, law, wall, segment, home, advance, STEPS, PERIOD_S)
     final = float(forces[-1])
     unsettled = np.flatnonzero(np.abs(forces - final) > SETTLED_WITHIN_N)
     return {
@@ -99,8 +109,47 @@ def _case(
         "settling_s": round(float(unsettled[-1] + 1) * PERIOD_S if len(unsettled) else 0.0, 2),
         "overshoot_n": round(max(0.0, final - float(forces.min())), 2),
         "stable": bool(np.ptp(forces[-LAST:]) <= CHATTER_N or np.all(np.diff(forces) <= 1e-3)),
-        "largest_angle_deg": round(float(np.rad2deg(np.abs(course.commands_rad[-1]).max())), 3),
+        "largest_angle_deg": round(float(np.rad2deg(np.abs(commands[-1]).max())), 3),
     }
+
+
+def run_loop(
+    mechanism: Mechanism,
+    law: AdmittanceLaw,
+    wall: ElasticWall,
+    segment: int,
+    home_rad: Array,
+    advance_m: float,
+    step_count: int,
+    period_s: float,
+) -> tuple[Array, Array]:
+    """Wall, arm in static equilibrium, an exact estimate and the law: a step every `period_s`.
+
+    Starts at home (2N,) against the wall at an advance. Gives the wall's forces (K+1,), N, and the
+    commands (K+1, 2N), rad, before each of K steps and after the last.
+
+    Raises:
+        EquilibriumError: the arm cannot rest under the wall's force.
+    """
+    pressing = WallPressing(wall, compliance_m_n(mechanism, home_rad, segment, wall.normal))
+    command, forces_n, commands_rad = home_rad, [], []
+    while True:
+        loads = np.zeros((mechanism.segment_count, 3))
+        for _ in range(MOST_ITERATIONS):
+            before_n = pressing.force_n
+            angles = solve_equilibrium(mechanism, command, loads).joint_angles_rad
+            point = contact_point_m(mechanism, angles, segment)
+            loads[segment - 1] = pressing.update(point, advance_m, 0.0)
+            if abs(pressing.force_n - before_n) <= BALANCED_N:
+                break
+        forces_n.append(pressing.force_n)
+        commands_rad.append(command)
+        if len(forces_n) > step_count:
+            return np.array(forces_n), np.array(commands_rad)
+        axis = kinematics.segment_rotations(mechanism, command)[segment - 1][:, 0]
+        normal = loads[segment - 1] - axis * (axis @ loads[segment - 1])
+        contact = ContactForce(segment, np.asarray(normal)) if normal.any() else None
+        command = law.step(command, home_rad, contact, period_s)
 
 
 def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) -> dict[str, Any]:

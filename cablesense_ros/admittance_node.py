@@ -172,7 +172,7 @@ def controller_settings(values: Mapping[str, Any]) -> ControllerSettings:
     )
 
 
-LOOK_S = 0.02
+CHECK_S = 0.02
 """How often silence of the estimator is looked for."""
 
 Array = np.ndarray
@@ -195,7 +195,7 @@ class AdmittanceNode(ConfiguredNode):
         self._inputs: list[Subscription] = []
         self._timer: Timer | None = None
         self._active = False
-        self._logged_sight = ContactState.STOPPED
+        self._logged_state = ContactState.STOPPED
         DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity if self._arm else "")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -235,8 +235,8 @@ class AdmittanceNode(ConfiguredNode):
                 (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics),
             )
         ]
-        self._timer = self.create_timer(LOOK_S, self._look)
-        self._logged_sight = ContactState.STOPPED
+        self._timer = self.create_timer(CHECK_S, self._check)
+        self._logged_state = ContactState.STOPPED
         self.get_logger().info(f"arm {arm.identity}: configured")
 
     def _release(self) -> None:
@@ -254,7 +254,7 @@ class AdmittanceNode(ConfiguredNode):
         if self._controller is None:
             return
         try:
-            felt = read_wrench(message, self._frames)
+            wrench = read_wrench(message, self._frames)
         except CableSenseError as error:
             self._controller.watch.refused(f"a wrench was refused: {error}")
             self.get_logger().warning(
@@ -264,10 +264,10 @@ class AdmittanceNode(ConfiguredNode):
             return
         if not self._active:
             return
-        command = self._controller.heard_wrench(
-            felt.segment,
-            felt.force_n,
-            felt.stamp_ns,
+        command = self._controller.received_wrench(
+            wrench.segment,
+            wrench.force_n,
+            wrench.stamp_ns,
             self.get_clock().now().nanoseconds,
             time.monotonic(),
         )
@@ -285,7 +285,7 @@ class AdmittanceNode(ConfiguredNode):
                 f"message refused: {error}", throttle_duration_sec=WARN_EVERY_S
             )
             return
-        self._controller.watch.heard_probabilities(time.monotonic())
+        self._controller.watch.received_probabilities(time.monotonic())
 
     def _on_command(self, message: JointState) -> None:
         if self._controller is None or self._mechanism is None:
@@ -300,7 +300,7 @@ class AdmittanceNode(ConfiguredNode):
                 throttle_duration_sec=WARN_EVERY_S,
             )
             return
-        if self._controller.heard_command(command, time.monotonic()):
+        if self._controller.received_command(command, time.monotonic()):
             self.get_logger().warning(
                 "another node commands: that pose is home from now on",
                 throttle_duration_sec=WARN_EVERY_S,
@@ -311,20 +311,20 @@ class AdmittanceNode(ConfiguredNode):
             return
         stale = input_is_stale(message, self._estimator)
         if stale is not None:
-            self._controller.watch.heard_of_input(stale, time.monotonic())
+            self._controller.watch.received_input_state(stale, time.monotonic())
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         if self._controller is None:
             return
         now_s = time.monotonic()
-        sight = self._controller.watch.look(now_s)
-        if sight is ContactState.STOPPED and self._logged_sight is not ContactState.STOPPED:
+        state = self._controller.watch.update(now_s)
+        if state is ContactState.STOPPED and self._logged_state is not ContactState.STOPPED:
             self.get_logger().warning(
                 f"stopped: {self._controller.watch.reason}; the arm holds its last command"
             )
-        elif sight is not ContactState.STOPPED and self._logged_sight is ContactState.STOPPED:
+        elif state is not ContactState.STOPPED and self._logged_state is ContactState.STOPPED:
             self.get_logger().info("estimates are trusted: contacts are yielded to")
-        self._logged_sight = sight
+        self._logged_state = state
         if self._active:
             command = self._controller.repeated(now_s)
             if command is not None:

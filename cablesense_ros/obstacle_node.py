@@ -132,7 +132,7 @@ class ObstacleNode(Node):
         advance_m = self._approach.advance_m
         if now_s - self._since_s >= self._given["delay_s"]:
             advance_m = self._approach.towards(self._given["depth_m"], elapsed_s)
-        self._press(self._pressing.look(point, advance_m, elapsed_s))
+        self._press(self._pressing.update(point, advance_m, elapsed_s))
 
     def _wall_at(self, angles_rad: np.ndarray) -> WallPressing:
         wall = wall_beside(

@@ -18,7 +18,7 @@ from cablesense_online.admittance.estimate_watch import ContactState, EstimateWa
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
     AdmittanceSettings,
-    FeltForce,
+    ContactForce,
     ForceAverage,
     Reach,
 )
@@ -60,7 +60,7 @@ class AdmittanceController:
     Attributes:
         command_rad: (2N,) the command in force.
         home_rad: (2N,) where to be when nothing touches: the last command of another node.
-        felt: the last measurement's contact; None when nothing touched.
+        contact: of the last measurement; None when nothing touched.
         at_limit: whether the last step ended at the edge of the reach.
         step_count: steps sent.
     """
@@ -79,11 +79,11 @@ class AdmittanceController:
         self._yield_until_s = self._repeated_s = float("-inf")
         self._await_command = settings.await_command
         self._in_force = False
-        self.felt: FeltForce | None = None
+        self.contact: ContactForce | None = None
         self.at_limit = False
         self.step_count = 0
 
-    def heard_command(self, command_rad: Array, now_s: float) -> bool:
+    def received_command(self, command_rad: Array, now_s: float) -> bool:
         """A command (2N,) was on the topic; gives whether it was another node's.
 
         Such a command is the new home, whatever it is, and none is sent for a while.
@@ -97,7 +97,7 @@ class AdmittanceController:
         self._go_on_from(command_rad, now_s)
         return True
 
-    def heard_wrench(
+    def received_wrench(
         self, segment: int, force_n: Array, stamp_ns: int, clock_ns: int, now_s: float
     ) -> Array | None:
         """An estimate came: segment 0 for a wrench in the base frame; gives the next command.
@@ -110,10 +110,10 @@ class AdmittanceController:
             now_s: monotonic.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
-        fresh = self.watch.heard_wrench(bool(segment), age_s, now_s)
-        sight = self.watch.look(now_s)
+        fresh = self.watch.received_wrench(bool(segment), age_s, now_s)
+        state = self.watch.update(now_s)
         waiting = self.awaiting or self.yielding(now_s) or self.beyond_reach
-        if not fresh or sight is ContactState.STOPPED or waiting:
+        if not fresh or state is ContactState.STOPPED or waiting:
             self._average.clear()
             return None
         if now_s - age_s < self._arrived_s:
@@ -132,7 +132,9 @@ class AdmittanceController:
         While it publishes but is not trusted yet, the command in force is repeated; the arm has
         it already.
         """
-        if self.watch.look(now_s) is not ContactState.STOPPED or not self.watch.speaking(now_s):
+        if self.watch.update(now_s) is not ContactState.STOPPED or not self.watch.publishing(
+            now_s
+        ):
             return None
         if not self._in_force or self.yielding(now_s) or now_s - self._repeated_s < REPEAT_S:
             return None
@@ -155,11 +157,13 @@ class AdmittanceController:
 
     def _step(self, now_s: float) -> Array | None:
         segment, local_n = self._average.take()
-        self.felt = None
+        self.contact = None
         if segment:
             rotation = kinematics.segment_rotations(self._mechanism, self.command_rad)
-            self.felt = FeltForce(segment, np.asarray(rotation[segment - 1] @ local_n))
-        target = self.law.step(self.command_rad, self.home_rad, self.felt, now_s - self._stepped_s)
+            self.contact = ContactForce(segment, np.asarray(rotation[segment - 1] @ local_n))
+        target = self.law.step(
+            self.command_rad, self.home_rad, self.contact, now_s - self._stepped_s
+        )
         self._stepped_s = now_s
         bent = np.linalg.norm(target.reshape(-1, 2), axis=1)
         self.at_limit = bool((bent >= self.law.reach.radius_rad - 1e-6).any())
@@ -184,13 +188,13 @@ def control_status(
 ) -> Status:
     """Phase, last contact and pose; `commanders` publish joint commands, this node included."""
     level, message = _verdict(controller, active, commanders, now_s)
-    felt = controller.felt
+    contact = controller.contact
     values = {
-        "sight": controller.watch.sight.value,
+        "sight": controller.watch.state.value,
         "last contact": (
             "none"
-            if felt is None
-            else f"segment {felt.segment}, {np.linalg.norm(felt.force_base_n):.2f} N"
+            if contact is None
+            else f"segment {contact.segment}, {np.linalg.norm(contact.force_base_n):.2f} N"
         ),
         "steps": str(controller.step_count),
         "command (deg)": _degrees(controller.command_rad),
@@ -205,7 +209,7 @@ def _verdict(
 ) -> tuple[Level, str]:
     if not active:
         return Level.OK, "configured, not active: no commands are sent"
-    if controller.watch.sight is ContactState.STOPPED:
+    if controller.watch.state is ContactState.STOPPED:
         return Level.ERROR, f"stopped: {controller.watch.reason}"
     if controller.awaiting:
         return Level.WARN, "waits for a first command"
@@ -213,12 +217,12 @@ def _verdict(
         return Level.WARN, "another node commands; quiet"
     if controller.beyond_reach:
         return Level.WARN, "the arm was commanded beyond joint_limit_deg; no step is taken"
-    if controller.felt is not None and controller.at_limit:
+    if controller.contact is not None and controller.at_limit:
         return Level.WARN, "at joint_limit_deg: what force is left stays"
     if commanders > 1:
-        return Level.OK, f"{controller.watch.sight.value}; {commanders} nodes can command"
-    return Level.OK, controller.watch.sight.value
+        return Level.OK, f"{controller.watch.state.value}; {commanders} nodes can command"
+    return Level.OK, controller.watch.state.value
 
 
-def _degrees(angles_rad: np.ndarray) -> str:
+def _degrees(angles_rad: Array) -> str:
     return ", ".join(f"{angle:.3f}" for angle in np.rad2deg(angles_rad))

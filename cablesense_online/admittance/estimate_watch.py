@@ -71,9 +71,9 @@ class EstimateWatch:
         self._contact_s = self._fresh_s = self._stale_report_s = float("-inf")
         self._probabilities_s: deque[float] = deque(maxlen=PROBABILITIES_KEPT)
         self._moved_until_s = now_s
-        self._believed_since_s: float | None = None
+        self._estimating_since_s: float | None = None
         self._fault = ""
-        self.sight = ContactState.STOPPED
+        self.state = ContactState.STOPPED
         self.reason = "no estimate yet"
 
     def commanded(self, command_rad: Array, now_s: float) -> None:
@@ -83,7 +83,7 @@ class EstimateWatch:
             self._contact_s = float("-inf")
             self._probabilities_s.clear()
 
-    def heard_wrench(self, contact: bool, age_s: float, now_s: float) -> bool:
+    def received_wrench(self, contact: bool, age_s: float, now_s: float) -> bool:
         """A wrench came, `contact` where it is in a segment's frame; gives whether it is fresh."""
         if abs(age_s) > self._settings.stale_after_s:
             return False
@@ -92,11 +92,11 @@ class EstimateWatch:
             self._contact_s = now_s
         return True
 
-    def heard_probabilities(self, now_s: float) -> None:
+    def received_probabilities(self, now_s: float) -> None:
         """Probabilities came, so an estimate was made."""
         self._probabilities_s.append(now_s)
 
-    def heard_of_input(self, stale: bool, now_s: float) -> None:
+    def received_input_state(self, stale: bool, now_s: float) -> None:
         """The estimator reported on its samples; it has none where `stale`."""
         self._stale_report_s = now_s if stale else float("-inf")
 
@@ -108,30 +108,37 @@ class EstimateWatch:
         """How many probabilities came after a moment, up to `PROBABILITIES_KEPT`."""
         return sum(1 for time_s in self._probabilities_s if time_s > since_s)
 
-    def speaking(self, now_s: float) -> bool:
+    def publishing(self, now_s: float) -> bool:
         """Whether wrenches with fresh stamps come, whatever is in them."""
         return now_s - self._fresh_s <= self._settings.stale_after_s
 
-    def look(self, now_s: float) -> ContactState:
+    def update(self, now_s: float) -> ContactState:
         """Decide what can be known now; to be called at least every 20 ms."""
         fault, self._fault = self._fault or self._silence(now_s), ""
         estimating = now_s - self._estimate_s <= self._settings.stale_after_s
         if fault or not estimating:
-            self._believed_since_s = None
-        elif self._believed_since_s is None:
-            self._believed_since_s = now_s
+            self._estimating_since_s = None
+        elif self._estimating_since_s is None:
+            self._estimating_since_s = now_s
+        since_s, resume_after_s = self._estimating_since_s, self._settings.resume_after_s
         if fault:
-            self.sight, self.reason = ContactState.STOPPED, fault
-        elif self.sight is ContactState.STOPPED:
-            self._try_to_resume(now_s)
-        if self.sight is not ContactState.STOPPED:
-            self.sight = self._sight(estimating, now_s)
-        return self.sight
+            self.state, self.reason = ContactState.STOPPED, fault
+        elif self.state is ContactState.STOPPED:
+            if since_s is None:
+                self.reason = "waiting for estimates"
+            elif now_s - since_s < resume_after_s:
+                self.reason = f"estimates are back; trusted after {resume_after_s:g} s"
+            else:
+                self.state, self.reason = ContactState.UNKNOWN, ""
+        if self.state is not ContactState.STOPPED:
+            touched = now_s - self._contact_s <= self._settings.stale_after_s
+            known = ContactState.CONTACT if touched else ContactState.FREE
+            self.state = known if estimating else ContactState.UNKNOWN
+        return self.state
 
     @property
     def _estimate_s(self) -> float:
-        heard = self._probabilities_s[-1] if self._probabilities_s else float("-inf")
-        return max(self._contact_s, heard)
+        return max((self._contact_s, *self._probabilities_s))
 
     def _silence(self, now_s: float) -> str:
         silent_s = now_s - self._fresh_s
@@ -151,26 +158,8 @@ class EstimateWatch:
             return f"the estimator gives no estimate, though the arm has rested for {mute_s:.1f} s"
         return ""
 
-    def _try_to_resume(self, now_s: float) -> None:
-        since = self._believed_since_s
-        if since is None:
-            self.reason = "waiting for estimates"
-        elif now_s - since < self._settings.resume_after_s:
-            self.reason = f"estimates are back; trusted after {self._settings.resume_after_s:g} s"
-        else:
-            self.sight, self.reason = ContactState.UNKNOWN, ""
 
-    def _sight(self, estimating: bool, now_s: float) -> ContactState:
-        if not estimating:
-            return ContactState.UNKNOWN
-        touched = now_s - self._contact_s <= self._settings.stale_after_s
-        return ContactState.CONTACT if touched else ContactState.FREE
-
-
-INPUT_STATUS = "cable_tensions"
-
-
-class FeltWrench(NamedTuple):
+class ReceivedWrench(NamedTuple):
     """An estimate: segment 0 and no force where nothing touches, or nothing is known.
 
     Attributes:
@@ -184,7 +173,7 @@ class FeltWrench(NamedTuple):
     stamp_ns: int
 
 
-def read_wrench(message: Any, frames: Frames) -> FeltWrench:
+def read_wrench(message: Any, frames: Frames) -> ReceivedWrench:
     """The estimate in a `WrenchStamped`.
 
     Raises:
@@ -204,7 +193,7 @@ def read_wrench(message: Any, frames: Frames) -> FeltWrench:
             f"wrench.force is {components} N in {frame}; a contact comes in its segment's frame"
         )
     stamp = message.header.stamp
-    return FeltWrench(segment, np.array(components), stamp.sec * 1_000_000_000 + stamp.nanosec)
+    return ReceivedWrench(segment, np.array(components), stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def check_probabilities(message: Any, segment_count: int) -> None:
@@ -220,12 +209,12 @@ def check_probabilities(message: Any, segment_count: int) -> None:
 
 
 def input_is_stale(message: Any, estimator: str) -> bool | None:
-    """Whether a `DiagnosticArray` says that the estimator has no samples; None if it says nothing.
+    """Whether a `DiagnosticArray` reports that a node of this name has no samples.
 
-    `estimator` is the node's name.
+    None where it reports nothing of them.
     """
     for status in message.status:
         node, _, part = status.name.partition(": ")
-        if part == INPUT_STATUS and node.strip("/") == estimator.strip("/"):
+        if part == "cable_tensions" and node.strip("/") == estimator.strip("/"):
             return int.from_bytes(status.level, "little") == Level.STALE
     return None

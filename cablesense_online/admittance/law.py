@@ -95,7 +95,7 @@ class AdmittanceSettings:
 
 
 @dataclass(frozen=True)
-class FeltForce:
+class ContactForce:
     """An estimated contact: a force (3,) in base axes, N, on segment `segment` (from 1)."""
 
     segment: int
@@ -111,22 +111,22 @@ class AdmittanceLaw:
         self.settings = settings
 
     def step(
-        self, command_rad: Array, home_rad: Array, felt: FeltForce | None, elapsed_s: float
+        self, command_rad: Array, home_rad: Array, contact: ContactForce | None, elapsed_s: float
     ) -> Array:
         """The next command (2N,); the same command where no step is worth it.
 
         Args:
             command_rad: (2N,) the command in force.
             home_rad: (2N,) where to be when nothing touches.
-            felt: the contact; None is a sure "nothing touches".
+            contact: the contact; None is a sure "nothing touches".
             elapsed_s: since the last step.
         """
         period_s = min(elapsed_s, LONGEST_STEP_S)
         away = command_rad - home_rad
         step = (
             self._homeward(command_rad, away, period_s)
-            if felt is None
-            else self._yielding(command_rad, away, felt, period_s)
+            if contact is None
+            else self._yielding(command_rad, away, contact, period_s)
         )
         step = self._limited(step, period_s)
         target = self.reach.nearest(command_rad + step)
@@ -160,12 +160,14 @@ class AdmittanceLaw:
         return step * min(1.0, self.settings.touch_n / max(touching_n, 1e-12))
 
     def _yielding(
-        self, command_rad: Array, away: Array, felt: FeltForce, period_s: float
+        self, command_rad: Array, away: Array, contact: ContactForce, period_s: float
     ) -> Array:
-        magnitude_n = float(np.linalg.norm(felt.force_base_n))
+        magnitude_n = float(np.linalg.norm(contact.force_base_n))
         if magnitude_n == 0.0:
             return np.zeros_like(command_rad)
-        lever = self._jacobian(command_rad, felt.segment).T @ (felt.force_base_n / magnitude_n)
+        lever = self._jacobian(command_rad, contact.segment).T @ (
+            contact.force_base_n / magnitude_n
+        )
         torque = lever * magnitude_n - self.settings.return_stiffness_n_m_rad * away
         size, friction = np.linalg.norm(torque), self.settings.deadband_n * np.linalg.norm(lever)
         if size <= friction:

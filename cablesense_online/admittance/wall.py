@@ -1,8 +1,4 @@
-"""An elastic wall that approaches, presses on one segment and never pulls.
-
-`SampledLoop` closes the loop in statics, step by step: wall, arm in static equilibrium, an exact
-estimate, and the law. Without dynamics and interruptions only what decides its stability is left.
-"""
+"""An elastic wall that approaches, presses on one segment and never pulls."""
 
 from __future__ import annotations
 
@@ -11,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_online.admittance.law import AdmittanceLaw, FeltForce
 from cablesense_sim import kinematics
 from cablesense_sim.equilibrium import solve_equilibrium, stiffness_matrix_n_m
 from cablesense_sim.loads import normal_force_n
@@ -42,10 +37,10 @@ class ElasticWall:
 class WallPressing:
     """The wall's force from one reading of the arm's pose to the next.
 
-    An arm that gives way by c metres a newton has already given way to the last force when it is
-    looked at. To press with k p at once would overshoot by the factor k c and, from k c = 1 on,
-    shake the arm. So each look takes a Newton step on F = k (p + c (F_last − F)), which for an arm
-    at rest is exact; p may be negative where the last force has pushed the arm out of the wall.
+    An arm of compliance c has already given way to the last force when its pose is read. To press
+    with k p at once would overshoot by the factor k c and, from k c = 1 on, shake the arm. So each
+    update takes a Newton step on F = k (p + c (F_last − F)), which for an arm at rest is exact;
+    p may be negative where the last force has pushed the arm out of the wall.
     """
 
     def __init__(self, wall: ElasticWall, compliance_m_n: float) -> None:
@@ -55,13 +50,13 @@ class WallPressing:
         self._depth_m = 0.0
         self.force_n = 0.0
 
-    def look(self, contact_point_m: Array, advance_m: float, elapsed_s: float) -> Array:
+    def update(self, contact_point_m: Array, advance_m: float, elapsed_s: float) -> Array:
         """The force (3,) in base axes from now on.
 
         Args:
             contact_point_m: (3,) where the arm's contact point is.
             advance_m: of the wall along its normal.
-            elapsed_s: since the last look.
+            elapsed_s: since the last update.
         """
         penetration = self.wall.penetration_m(contact_point_m, advance_m)
         depth = max(0.0, penetration)
@@ -130,67 +125,3 @@ def compliance_m_n(
     stiffness = stiffness_matrix_n_m(mechanism, angles, rest.tensions_n, none)
     lever = kinematics.contact_jacobians_m(mechanism, angles)[segment - 1].T @ direction
     return float(lever @ np.linalg.solve(stiffness, lever))
-
-
-_BALANCED_N = 1e-4
-_MOST_LOOKS = 60
-
-
-@dataclass(frozen=True)
-class LoopRun:
-    """What a run gave.
-
-    Attributes:
-        forces_n: (K+1,) true force of the wall before each of K steps and after the last.
-        commands_rad: (K+1, 2N) commands beside them.
-    """
-
-    forces_n: Array
-    commands_rad: Array
-
-
-class SampledLoop:
-    """One segment of one arm against one wall."""
-
-    def __init__(
-        self, mechanism: Mechanism, law: AdmittanceLaw, wall: ElasticWall, segment: int
-    ) -> None:
-        self._mechanism = mechanism
-        self._law = law
-        self._wall = wall
-        self._segment = segment
-
-    def run(self, home_rad: Array, advance_m: float, step_count: int, period_s: float) -> LoopRun:
-        """Steps from home (2N,) on, against the wall at an advance; a step every `period_s`.
-
-        Raises:
-            EquilibriumError: the arm cannot rest under the wall's force.
-        """
-        compliance = compliance_m_n(self._mechanism, home_rad, self._segment, self._wall.normal)
-        pressing = WallPressing(self._wall, compliance)
-        command, forces, commands = home_rad, [], []
-        for _ in range(step_count):
-            force = self._rest(pressing, command, advance_m)
-            forces.append(pressing.force_n)
-            commands.append(command)
-            command = self._law.step(command, home_rad, self._felt(command, force), period_s)
-        self._rest(pressing, command, advance_m)
-        return LoopRun(np.array([*forces, pressing.force_n]), np.array([*commands, command]))
-
-    def _rest(self, pressing: WallPressing, command_rad: Array, advance_m: float) -> Array:
-        """The wall's force (3,) once arm and wall are at rest together."""
-        forces = np.zeros((self._mechanism.segment_count, 3))
-        for _ in range(_MOST_LOOKS):
-            before_n = pressing.force_n
-            angles = solve_equilibrium(self._mechanism, command_rad, forces).joint_angles_rad
-            point = contact_point_m(self._mechanism, angles, self._segment)
-            forces[self._segment - 1] = pressing.look(point, advance_m, 0.0)
-            if abs(pressing.force_n - before_n) <= _BALANCED_N:
-                break
-        return forces[self._segment - 1].copy()
-
-    def _felt(self, command_rad: Array, force_n: Array) -> FeltForce | None:
-        """An exact estimate: the part of the force that is normal to the segment."""
-        axis = kinematics.segment_rotations(self._mechanism, command_rad)[self._segment - 1][:, 0]
-        normal = force_n - axis * (axis @ force_n)
-        return FeltForce(self._segment, np.asarray(normal)) if normal.any() else None

@@ -152,7 +152,7 @@ class WallObserver(Observer):
     def moment(self) -> Moment:
         """What is seen now."""
         with self.lock:
-            sight = self._watch.look(time.monotonic())
+            sight = self._watch.update(time.monotonic())
             return Moment(self._true_n, self._estimated_n, self._command, sight)
 
     def _on_load(self, message: WrenchStamped) -> None:
@@ -168,11 +168,11 @@ class WallObserver(Observer):
         with suppress(CableSenseError), self.lock:
             felt = read_wrench(message, self._frames)
             self._estimated_n = float(np.linalg.norm(felt.force_n))
-            self._watch.heard_wrench(bool(felt.segment), 0.0, time.monotonic())
+            self._watch.received_wrench(bool(felt.segment), 0.0, time.monotonic())
 
     def _on_probabilities(self, _: Float64MultiArray) -> None:
         with self.lock:
-            self._watch.heard_probabilities(time.monotonic())
+            self._watch.received_probabilities(time.monotonic())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

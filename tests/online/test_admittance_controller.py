@@ -37,8 +37,8 @@ class Played:
             seeing = self.now_s >= self.mute_until_s
             clock_ns = CLOCK_OFFSET_NS + round(self.now_s * 1e9)
             if seeing:
-                self.controller.watch.heard_probabilities(self.now_s)
-            command = self.controller.heard_wrench(
+                self.controller.watch.received_probabilities(self.now_s)
+            command = self.controller.received_wrench(
                 segment if seeing else 0,
                 force if seeing else NONE,
                 clock_ns - round(age_s * 1e9),
@@ -47,7 +47,7 @@ class Played:
             )
             if command is not None:
                 self.sent.append((self.now_s, command))
-                self.controller.heard_command(command, self.now_s)
+                self.controller.received_command(command, self.now_s)
                 self.mute_until_s = self.now_s + self.mute_s
         return self.sent
 
@@ -93,7 +93,7 @@ def test_old_stamps_stop_it():
     played = Played()
     played.run(0.5)
     assert not played.run(1.0, 3, PUSH, age_s=0.3)
-    assert played.controller.watch.sight is ContactState.STOPPED
+    assert played.controller.watch.state is ContactState.STOPPED
     assert played.message().level is Level.ERROR
     assert "no wrench with a fresh stamp" in played.message().message
 
@@ -102,7 +102,7 @@ def test_another_nodes_command_becomes_home_and_silences_it():
     played = Played(yield_s=1.0)
     played.run(0.5)
     elsewhere = np.full(8, 0.02)
-    assert played.controller.heard_command(elsewhere, played.now_s)
+    assert played.controller.received_command(elsewhere, played.now_s)
     assert not played.run(0.95, 3, PUSH)
     assert "another node commands" in played.message().message
     sent = played.run(0.5, 3, PUSH)
@@ -115,13 +115,13 @@ def test_its_own_commands_are_no_other_nodes_even_when_heard_late():
     played.run(0.5)
     played.run(2.0, 3, PUSH)
     for _, command in played.sent:
-        assert not played.controller.heard_command(command, played.now_s)
+        assert not played.controller.received_command(command, played.now_s)
 
 
 def test_it_takes_no_step_from_beyond_its_reach():
     played = Played(yield_s=0.0)
     played.run(0.5)
-    played.controller.heard_command(np.full(8, 0.2), played.now_s)
+    played.controller.received_command(np.full(8, 0.2), played.now_s)
     played.run(2.0, 3, PUSH)
     assert not played.sent
     assert "beyond joint_limit_deg" in played.message().message
@@ -131,7 +131,7 @@ def test_it_waits_for_a_first_command_when_told_to():
     played = Played(await_command=True)
     assert not played.run(2.0, 3, PUSH)
     assert "first command" in played.message().message
-    played.controller.heard_command(np.zeros(8), played.now_s)
+    played.controller.received_command(np.zeros(8), played.now_s)
     assert played.run(1.0, 3, PUSH)
 
 

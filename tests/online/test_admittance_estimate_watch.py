@@ -36,17 +36,17 @@ class Estimator:
         seen = []
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            self.watch.heard_wrench(contact, age_s, self.now_s)
+            self.watch.received_wrench(contact, age_s, self.now_s)
             if estimates:
-                self.watch.heard_probabilities(self.now_s)
-            seen.append(self.watch.look(self.now_s))
+                self.watch.received_probabilities(self.now_s)
+            seen.append(self.watch.update(self.now_s))
         return seen
 
     def silence(self, seconds):
         seen = []
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            seen.append(self.watch.look(self.now_s))
+            seen.append(self.watch.update(self.now_s))
         return seen
 
 
@@ -92,7 +92,7 @@ def test_silence_stops_within_the_limit_and_estimates_resume(estimator):
     assert seen[18] is not ContactState.STOPPED
     assert seen[21] is ContactState.STOPPED
     assert "no wrench" in estimator.watch.reason
-    assert not estimator.watch.speaking(estimator.now_s)
+    assert not estimator.watch.publishing(estimator.now_s)
     assert estimator.says(0.9)[-1] is ContactState.STOPPED
     assert estimator.says(0.2)[-1] is ContactState.FREE
 
@@ -103,8 +103,8 @@ def test_old_stamps_are_silence(estimator):
 
 def test_the_estimators_own_word_of_stale_samples_stops_until_estimates_come(estimator):
     estimator.silence(0.05)
-    estimator.watch.heard_of_input(True, estimator.now_s)
-    assert estimator.watch.look(estimator.now_s) is ContactState.STOPPED
+    estimator.watch.received_input_state(True, estimator.now_s)
+    assert estimator.watch.update(estimator.now_s) is ContactState.STOPPED
     assert "stale" in estimator.watch.reason
     assert estimator.says(1.2)[-1] is ContactState.FREE
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
     AdmittanceSettings,
-    FeltForce,
+    ContactForce,
     ForceAverage,
     Reach,
 )
@@ -37,7 +37,7 @@ angles = st.floats(0.0, 360.0)
 
 def felt_force(command, segment, angle_deg, magnitude_n):
     force = normal_force_n(ARM, command, segment, angle_deg, magnitude_n)[segment - 1]
-    return FeltForce(segment, force)
+    return ContactForce(segment, force)
 
 
 def contact_jacobian(command, segment):

@@ -1,9 +1,12 @@
 """Where wall and arm meet: touching at advance 0, and the arm's compliance as statics has it.
 
-The wall: Hooke with damping, never a pull, and in one look at rest with an elastic arm.
+The wall: Hooke with damping, never a pull, and in one update at rest with an elastic arm.
 
 The loop of law, wall and arm at rest: monotone below the assumed stiffness, not far above.
 """
+
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +18,6 @@ from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, 
 from cablesense_online.admittance.wall import (
     Approach,
     ElasticWall,
-    SampledLoop,
     WallPressing,
     compliance_m_n,
     contact_point_m,
@@ -24,6 +26,10 @@ from cablesense_online.admittance.wall import (
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from admittance import run_loop
 
 POSE = np.deg2rad([3.0, -2.0, 1.0, 4.0, -3.0, 2.0, 0.0, 1.0])
 
@@ -71,7 +77,7 @@ def wall(stiffness=1e4, damping=0.0):
 @given(st.floats(1.0, 1e6), st.floats(0.0, 0.01), st.floats(-0.05, 0.05))
 def test_on_a_rigid_arm_force_is_stiffness_times_penetration(stiffness, advance, aside):
     sideways = aside * np.array([1.0, 0.8, -0.6])
-    force = WallPressing(wall(stiffness), 0.0).look(POINT + sideways, advance, 0.01)
+    force = WallPressing(wall(stiffness), 0.0).update(POINT + sideways, advance, 0.01)
     assert force == pytest.approx(stiffness * advance * NORMAL, abs=1e-5)
 
 
@@ -80,7 +86,7 @@ def test_it_never_pulls_and_is_not_felt_from_afar(advances, damping, compliance)
     pressing = WallPressing(wall(damping=damping), compliance)
     for advance in advances:
         before = pressing.force_n
-        force = pressing.look(POINT, advance, 0.01)
+        force = pressing.update(POINT, advance, 0.01)
         assert force @ NORMAL >= 0.0
         if advance <= 0.0 and not before:
             assert not force.any()
@@ -88,20 +94,20 @@ def test_it_never_pulls_and_is_not_felt_from_afar(advances, damping, compliance)
 
 def test_damping_adds_while_it_closes_and_takes_away_while_it_opens():
     pressing = WallPressing(wall(1000.0, 50.0), 0.0)
-    assert pressing.look(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0 + 5.0)
-    assert pressing.look(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0)
-    assert pressing.look(POINT, 0.008, 0.1) @ NORMAL == pytest.approx(8.0 - 1.0)
-    assert pressing.look(POINT, 0.001, 0.01) @ NORMAL == 0.0
+    assert pressing.update(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0 + 5.0)
+    assert pressing.update(POINT, 0.010, 0.1) @ NORMAL == pytest.approx(10.0)
+    assert pressing.update(POINT, 0.008, 0.1) @ NORMAL == pytest.approx(8.0 - 1.0)
+    assert pressing.update(POINT, 0.001, 0.01) @ NORMAL == 0.0
 
 
 @given(st.floats(100.0, 1e6), st.floats(1e-8, 1e-3), st.floats(1e-4, 0.01))
-def test_against_an_elastic_arm_one_look_finds_the_rest(stiffness, compliance, advance):
+def test_against_an_elastic_arm_one_update_finds_the_equilibrium(stiffness, compliance, advance):
     """Springs in series: F = advance / (1/k + c), whatever the wall pressed with before."""
     pressing = WallPressing(wall(stiffness), compliance)
     expected = advance / (1.0 / stiffness + compliance)
     for _ in range(3):
         point = POINT + compliance * pressing.force_n * NORMAL
-        force = pressing.look(point, advance, 0.0)
+        force = pressing.update(point, advance, 0.0)
         if pressing.force_n:
             assert pressing.force_n == pytest.approx(expected, rel=1e-6)
     assert np.allclose(force, pressing.force_n * NORMAL)
@@ -109,8 +115,8 @@ def test_against_an_elastic_arm_one_look_finds_the_rest(stiffness, compliance, a
 
 def test_the_wall_lets_go_at_once_when_the_arm_has_left_it():
     pressing = WallPressing(wall(), 1e-5)
-    assert pressing.look(POINT, 0.003, 0.01).any()
-    assert not pressing.look(POINT + 0.004 * NORMAL, 0.003, 0.01).any()
+    assert pressing.update(POINT, 0.003, 0.01).any()
+    assert not pressing.update(POINT + 0.004 * NORMAL, 0.003, 0.01).any()
 
 
 def test_it_approaches_at_its_speed_stops_and_returns():
@@ -139,7 +145,7 @@ def run(mechanism, law_settings, home, segment, angle_deg, stiffness, force_n, s
         wall = ElasticWall(wall.point_m, normal, stiffness)
     compliance = compliance_m_n(mechanism, home, segment, wall.normal)
     advance = force_n * (1.0 / stiffness + compliance)
-    return SampledLoop(mechanism, law, wall, segment).run(home, advance, steps, PERIOD_S)
+    return run_loop(mechanism, law, wall, segment, home, advance, steps, PERIOD_S)
 
 
 poses = st.lists(st.floats(-6.0, 6.0), min_size=8, max_size=8).map(np.deg2rad)
@@ -159,14 +165,14 @@ def test_up_to_the_assumed_stiffness_the_force_only_falls(
     mechanism, home, segment, angle, stiffness, force
 ):
     law_settings = AdmittanceSettings(step_limit_rad=float(np.deg2rad(10.0)))
-    course = run(mechanism, law_settings, home, segment, angle, stiffness, force, 25)
-    assert course.forces_n[0] > 0.5 * force
-    assert np.all(np.diff(course.forces_n) <= 0.02)
-    moved = np.linalg.norm(course.commands_rad[-1] - home)
+    forces, commands = run(mechanism, law_settings, home, segment, angle, stiffness, force, 25)
+    assert forces[0] > 0.5 * force
+    assert np.all(np.diff(forces) <= 0.02)
+    moved = np.linalg.norm(commands[-1] - home)
     lever = 0.065  # the shortest of any segment, so the largest share of the return spring
     rest = 2.0 + moved / lever + 1.0  # deadband, spring, and steps too small to be taken
     to_go = (1.0 - 0.9 * stiffness / 25_000.0) ** 25 if mechanism is STIFF else 0.5
-    assert course.forces_n[-1] <= rest + force * to_go
+    assert forces[-1] <= rest + force * to_go
 
 
 @pytest.mark.slow
@@ -175,34 +181,34 @@ def test_up_to_the_assumed_stiffness_the_force_only_falls(
 def test_up_to_twice_the_assumed_stiffness_it_may_overshoot_but_comes_to_rest(
     home, segment, angle, stiffness
 ):
-    course = run(STIFF, AdmittanceSettings(), home, segment, angle, stiffness, 30.0, 30)
-    assert course.forces_n[-1] <= 6.0
-    assert np.ptp(course.forces_n[-10:]) < 0.5
+    forces, _ = run(STIFF, AdmittanceSettings(), home, segment, angle, stiffness, 30.0, 30)
+    assert forces[-1] <= 6.0
+    assert np.ptp(forces[-10:]) < 0.5
 
 
 @pytest.mark.parametrize("segment", [1, 2, 3, 4])
 def test_far_beyond_the_bound_it_chatters(segment):
     """Off the wall at once, and back onto it harder than the deadband: a gain of six."""
     hasty = AdmittanceSettings(return_stiffness_n_m_rad=20.0, touch_n=1_000.0)
-    course = run(STIFF, hasty, np.zeros(8), segment, 90.0, 120_000.0, 60.0, 20)
-    assert course.forces_n[1] == 0.0
-    assert course.forces_n[1:].max() > 10.0
+    forces, _ = run(STIFF, hasty, np.zeros(8), segment, 90.0, 120_000.0, 60.0, 20)
+    assert forces[1] == 0.0
+    assert forces[1:].max() > 10.0
 
 
 def test_an_arm_softer_than_the_wall_makes_the_loop_calm_again():
     """Arm and wall are springs in series: the loop sees k / (1 + k c)."""
-    course = run(COMPLIANT, AdmittanceSettings(), np.zeros(8), 4, 90.0, 120_000.0, 30.0, 40)
-    assert np.all(np.diff(course.forces_n) <= 0.02)
-    assert course.forces_n[-1] < 6.0
+    forces, _ = run(COMPLIANT, AdmittanceSettings(), np.zeros(8), 4, 90.0, 120_000.0, 30.0, 40)
+    assert np.all(np.diff(forces) <= 0.02)
+    assert forces[-1] < 6.0
 
 
 @pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(poses, st.integers(2, 4), st.floats(0.0, 360.0), st.floats(-20.0, 20.0))
 def test_a_wall_that_leans_by_20_degrees_is_left_as_calmly(home, segment, angle, tilt):
-    course = run(STIFF, AdmittanceSettings(), home, segment, angle, 12_000.0, 30.0, 20, tilt)
-    assert np.all(np.diff(course.forces_n) <= 0.05)
-    assert course.forces_n[-1] < 10.0
+    forces, _ = run(STIFF, AdmittanceSettings(), home, segment, angle, 12_000.0, 30.0, 20, tilt)
+    assert np.all(np.diff(forces) <= 0.05)
+    assert forces[-1] < 10.0
 
 
 def test_the_measured_gain_is_the_one_the_law_states():
@@ -211,7 +217,7 @@ def test_the_measured_gain_is_the_one_the_law_states():
     )
     law = AdmittanceLaw(STIFF, Reach.of(STIFF, LIMIT_RAD), law_settings)
     for segment in (1, 2, 3, 4):
-        course = run(STIFF, law_settings, np.zeros(8), segment, 90.0, 10_000.0, 10.0, 2)
-        excess = course.forces_n - 0.5
+        forces, _ = run(STIFF, law_settings, np.zeros(8), segment, 90.0, 10_000.0, 10.0, 2)
+        excess = forces - 0.5
         stated = law.loop_gain(np.zeros(8), segment, np.eye(3)[1], 10_000.0, PERIOD_S)
         assert 1.0 - excess[1] / excess[0] == pytest.approx(stated, rel=0.03)
