@@ -1,25 +1,37 @@
-"""An arm with whatever is wrong with it, and the noise-free readings of its sensors."""
+"""An arm with whatever is wrong with it, the noise-free readings of its sensors, and its changes.
+
+A change is one thing that is wrong, in one physical form, at a place, of a size. What it does to
+the arm is data: which fields of which part it sets, and how its size enters.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Body, Nominal, rigid_body
-from cablesense_gap.plant.friction import Creep, Friction, no_creep, no_friction
+from cablesense_gap.plant.body import (
+    Body,
+    Creep,
+    Friction,
+    Nominal,
+    no_creep,
+    no_friction,
+    rigid_body,
+)
 from cablesense_gap.plant.geometry import cable_lengths_m
 from cablesense_gap.plant.protocol import Schedule
 from cablesense_gap.plant.quasi_static import QuasiStaticPath
 from cablesense_gap.plant.rest import follow_path
 from cablesense_gap.plant.sensing import Sensing, ideal_sensing
 
-_MASS_SHARE = 0.005
-_PRETENSION_N = 0.15
-_CONTACT_M = 0.0003
-_HOLE_DEG = 0.05
-_ZERO_N = 0.05
+UNKNOWN = "unknown"
+_MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
+"""Standard deviations of manufacturing."""
 
 
 @dataclass(frozen=True)
@@ -31,20 +43,19 @@ class Actuation:
         play_start: (M,) where in the play each begins, -1 to 1.
         ratio: (M,) metres paid out for one that is commanded.
         screw_m: (M,) amplitude of an error periodic in the length.
-        screw_pitch_m: its period.
         screw_phase_rad: (M,) its phase at the straight arm.
         slip_m: (M,) length that each clamp lets through at `slip_time_s`.
-        slip_time_s: when.
+        screw_pitch_m: period of the screws' error.
     """
 
     play_m: Array
     play_start: Array
     ratio: Array
     screw_m: Array
-    screw_pitch_m: float
     screw_phase_rad: Array
     slip_m: Array
-    slip_time_s: float
+    screw_pitch_m: float = 0.004
+    slip_time_s: float = np.inf
 
     def paid_out_m(self, commanded_m: Array, time_s: Array) -> Array:
         """(R, M) lengths given, of those commanded, both less that of the straight arm."""
@@ -68,7 +79,7 @@ class Actuation:
 def ideal_actuation(cables: int) -> Actuation:
     """Actuators that pay out exactly what is commanded."""
     zero = np.zeros(cables)
-    return Actuation(zero, zero, zero + 1.0, zero, 0.004, zero, zero, np.inf)
+    return Actuation(zero, zero, zero + 1.0, zero, zero, zero)
 
 
 @dataclass(frozen=True)
@@ -77,11 +88,6 @@ class RealArm:
 
     Attributes:
         nominal: the arm as drawn, by which its actuators are commanded.
-        body: joints, holes, masses, cables, springs.
-        actuation: faults of the actuators.
-        friction: of cables and joints.
-        creep: of the cables.
-        sensing: faults of the sensors.
         load_turn: (3, 3) from the load that is written down to the one that acts.
     """
 
@@ -96,7 +102,8 @@ class RealArm:
     @property
     def history_dependent(self) -> bool:
         """Whether a rest depends on those before."""
-        return self.friction.any or self.creep.any
+        friction = self.friction.coefficient.any() or self.friction.joint_nm.any()
+        return bool(friction or self.creep.compliance_m_n.any())
 
     def signals_n(self, schedule: Schedule, history: Schedule) -> Array:
         """(R, M) noise-free readings over a schedule, after a history that is not recorded.
@@ -125,7 +132,7 @@ class RealArm:
         state = path.start(command[0], paid_out[0], loads[0])
         tension = np.empty_like(paid_out)
         tension[0] = state.tension_n[0]
-        timeless = not self.creep.any and self.friction.breakaway == 1.0
+        timeless = not self.creep.compliance_m_n.any() and self.friction.breakaway == 1.0
         for row in range(1, len(tension)):
             still = np.array_equal(paid_out[row], paid_out[row - 1])
             if not (timeless and still and np.array_equal(loads[row], loads[row - 1])):
@@ -137,16 +144,9 @@ class RealArm:
 
 def ideal_arm(nominal: Nominal) -> RealArm:
     """The arm exactly as drawn."""
-    body = rigid_body(nominal)
-    return RealArm(
-        nominal=nominal,
-        body=body,
-        actuation=ideal_actuation(nominal.cable_count),
-        friction=no_friction(body),
-        creep=no_creep(body),
-        sensing=ideal_sensing(nominal.cable_count, nominal.pretension_n),
-        load_turn=np.eye(3),
-    )
+    body, cables = rigid_body(nominal), nominal.cable_count
+    free = ideal_actuation(cables), no_friction(body), no_creep(body)
+    return RealArm(nominal, body, *free, ideal_sensing(cables, nominal.pretension_n), np.eye(3))
 
 
 def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
@@ -177,3 +177,102 @@ def turned(points_m: Array, by_rad: Array) -> Array:
     sine, cosine = np.sin(by_rad), np.cos(by_rad)
     x, y, z = np.moveaxis(points_m, -1, 0)
     return np.stack([x, cosine * y + sine * z, cosine * z - sine * y], axis=-1)
+
+
+Draw = Callable[[np.random.Generator, Nominal], "Change"]
+"""Draws the form and the place of a change; its size comes later."""
+
+Apply = Callable[[RealArm, float], RealArm]
+"""Gives the arm with a change of a size; cases go to other processes, so it can be pickled."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is wrong, but for how much.
+
+    Attributes:
+        effect: its name in verdicts, `unknown` outside the list.
+        form: what it physically is.
+        unit: of its size.
+        least: smallest size that is worth drawing.
+        most: largest size that an arm would still be used with.
+        apply: gives the arm that has it, by size.
+        where: places (`cable_3`, `segment_2`, `joint_1`); none for the whole arm.
+        details: what else was drawn, for the answers.
+    """
+
+    effect: str
+    form: str
+    unit: str
+    least: float
+    most: float
+    apply: Apply
+    where: tuple[str, ...] = ()
+    details: Mapping[str, float | str] = field(default_factory=dict)
+
+
+def sets(part: str, **fields: Any) -> Apply:
+    """Sets fields of a part of the arm (`body` …), each to a value, or as a tuple has it.
+
+    A tuple is a law, as `scaled`, and what it takes beside the field's old value and the size.
+    """
+    return partial(_with_fields, part=part, fields=fields)
+
+
+def _with_fields(arm: RealArm, size: float, part: str, fields: Mapping[str, Any]) -> RealArm:
+    whole = getattr(arm, part)
+    new = {
+        name: value[0](getattr(whole, name), size, *value[1:]) if type(value) is tuple else value
+        for name, value in fields.items()
+    }
+    return replace(arm, **{part: replace(whole, **new)})
+
+
+def scaled(_old: Any, size: float, share: Any) -> Any:
+    """A share of the size."""
+    return size * share
+
+
+def added(old: Any, size: float, share: Any) -> Any:
+    """A share of the size added."""
+    return old + size * share
+
+
+def grown(old: Any, size: float, share: Any) -> Any:
+    """The old value times 1 and a share of the size."""
+    return old * (1.0 + size * share)
+
+
+def sized(old: Any, size: float, value: Any, name: str) -> Any:
+    """A value, or a tuple of one where there was a tuple, with one field times the size."""
+    new = replace(value, **{name: size * getattr(value, name)})
+    return (new,) if isinstance(old, tuple) else new
+
+
+def some(rng: np.random.Generator, count: int, least: int, most: int) -> list[int]:
+    """Between `least` and `most` of the positions below `count`, ascending."""
+    number = int(rng.integers(least, min(most, count) + 1))
+    return sorted(int(i) for i in rng.choice(count, number, replace=False))
+
+
+def places(kind: str, positions: Sequence[int], count: int) -> tuple[str, ...]:
+    """Names of positions counted from 0; none where they are all."""
+    return () if len(positions) == count else tuple(f"{kind}_{i + 1}" for i in positions)
+
+
+def weights(
+    rng: np.random.Generator, positions: list[int], count: int, signed: bool = False
+) -> Array:
+    """(count,) of 0, and of numbers between 0.5 and 1 at the positions; one is 1 or -1."""
+    result = np.zeros(count)
+    drawn = rng.uniform(0.5, 1.0, len(positions))
+    drawn /= drawn.max()
+    result[positions] = drawn * rng.choice([-1.0, 1.0], len(drawn)) if signed else drawn
+    return result
+
+
+def marked(positions: Any, count: int, value: float = 1.0) -> Array:
+    """(count,) of 0, and of a value at the positions."""
+    result = np.zeros(count)
+    result[positions] = value
+    return result

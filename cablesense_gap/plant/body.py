@@ -1,4 +1,4 @@
-"""An arm as the plant sees it: the numbers of an arm file, and from them a body as arrays.
+"""An arm as the plant sees it: numbers of an arm file, body, friction and creep as arrays.
 
 The arm file is read here and nowhere else, without the simulator's description of it.
 """
@@ -6,6 +6,7 @@ The arm file is read here and nowhere else, without the simulator's description 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,11 @@ class PlantError(CableSenseError):
 
 @dataclass(frozen=True)
 class Nominal:
-    """The arm as drawn: N segments, M cables.
+    """The arm as drawn: N segments, each with its mass on the axis at half length, and M cables.
 
     Attributes:
         gravity_m_s2: (3,) base frame.
-        segment_count: N.
         length_m: joint centre to joint centre.
-        mass_kg: of each segment, on the axis at half length.
         plate_offset_m: from a guide plate to its joint's centre; joint 1 is that far from x = 0.
         contact_m: from a segment's joint centre to its contact point, on the axis.
         per_segment: cables that end on a segment.
@@ -43,9 +42,7 @@ class Nominal:
         stiffness_n_m: of cable and actuator in series.
         pretension_n: with the arm straight and weightless.
         run_m: from actuator to base plate.
-        rate_hz: of the sensors.
-        noise_std_n: of a reading.
-        step_n: of a reading.
+        noise_std_n: of a reading, before it is rounded to whole steps `step_n`.
     """
 
     gravity_m_s2: Array
@@ -104,22 +101,17 @@ def _nominal(text: Any) -> Nominal:
     angle = cables["angle_deg"]
     segment, cable = np.divmod(np.arange(count * per_segment), per_segment)
     angles = angle["first"] + angle["per_segment"] * segment + angle["per_cable"] * cable
+    lengths = ("length_m", "mass_kg", "plate_offset_m", "contact_m")
+    numbers = {name: float(segments[name]) for name in lengths}
+    numbers |= {name: float(cables[name]) for name in ("stiffness_n_m", "pretension_n", "run_m")}
+    numbers |= {name: float(sensors[name]) for name in ("rate_hz", "noise_std_n", "step_n")}
     return Nominal(
         gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
         segment_count=count,
-        length_m=float(segments["length_m"]),
-        mass_kg=float(segments["mass_kg"]),
-        plate_offset_m=float(segments["plate_offset_m"]),
-        contact_m=float(segments["contact_m"]),
         per_segment=per_segment,
         radius_m=float(cables["routing_radius_m"]),
         hole_angle_rad=np.deg2rad(angles.astype(float)),
-        stiffness_n_m=float(cables["stiffness_n_m"]),
-        pretension_n=float(cables["pretension_n"]),
-        run_m=float(cables["run_m"]),
-        rate_hz=float(sensors["rate_hz"]),
-        noise_std_n=float(sensors["noise_std_n"]),
-        step_n=float(sensors["step_n"]),
+        **numbers,
     )
 
 
@@ -150,6 +142,13 @@ class TipSpring:
     normal: tuple[float, float, float] | None = None
 
 
+class Onset(StrEnum):
+    """How friction builds up before it slides."""
+
+    SHARP = "sharp"
+    ROUNDED = "rounded"
+
+
 @dataclass(frozen=True)
 class Body:
     """J universal joints in a chain, M cables through holes, point masses, springs.
@@ -177,8 +176,6 @@ class Body:
         hardening_nm_rad3: (J, 2) their cubic part.
         cogging_nm: (J, 2) amplitude of a torque periodic in the angle.
         cogging_per_turn: its periods a turn.
-        cable_contacts: what lengthens cables at some poses.
-        tip_springs: what holds the arm's end.
         driven: (N,) the commanded joints, among the J.
     """
 
@@ -196,11 +193,11 @@ class Body:
     tip_at_m: Array
     stiffness_n_m: Array
     pretension_n: Array
-    exponent: float
     spring_nm_rad: Array
     hardening_nm_rad3: Array
     cogging_nm: Array
     driven: Ints
+    exponent: float = 1.0
     cogging_per_turn: float = 60.0
     cable_contacts: tuple[CableContact, ...] = ()
     tip_springs: tuple[TipSpring, ...] = ()
@@ -216,6 +213,59 @@ class Body:
         return len(self.pretension_n)
 
 
+@dataclass(frozen=True)
+class Friction:
+    """Friction of M cables and J joints.
+
+    Attributes:
+        coefficient: (M,) of each cable on its guides.
+        joint_nm: (J, 2) torque of the joints' friction while they turn.
+        pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
+        reach_m: sliding over which the cables' friction builds up.
+        spread: whether cables stretch all along, or at their run alone.
+        joint_reach_rad: angle over which the joints' friction builds up.
+        breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
+        speed_rad_s: over which that decays.
+    """
+
+    coefficient: Array
+    joint_nm: Array
+    pulley_rad: float = 0.0
+    onset: Onset = Onset.SHARP
+    reach_m: float = 5e-6
+    spread: bool = False
+    joint_onset: Onset = Onset.SHARP
+    joint_reach_rad: float = 2e-4
+    breakaway: float = 1.0
+    speed_rad_s: float = 0.02
+
+
+@dataclass(frozen=True)
+class Creep:
+    """Kelvin-Voigt elements in series with the cables, K of them.
+
+    Attributes:
+        compliance_m_n: (K, M) each one's lengthening when it has settled.
+        time_s: (K,) in which it does.
+        settled: share of the lengthening under the first tension that came before the arm was
+            tensioned; 1 leaves a rest constant, 0 is a new cable.
+    """
+
+    compliance_m_n: Array
+    time_s: Array
+    settled: float
+
+
+def no_friction(body: Body) -> Friction:
+    """Joints and cables that slide freely."""
+    return Friction(np.zeros(body.cable_count), np.zeros((body.joint_count, 2)))
+
+
+def no_creep(body: Body) -> Creep:
+    """Cables without creep."""
+    return Creep(np.zeros((1, body.cable_count)), np.ones(1), 1.0)
+
+
 def rigid_body(nominal: Nominal) -> Body:
     """The arm as drawn, one joint a segment."""
     n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
@@ -223,26 +273,24 @@ def rigid_body(nominal: Nominal) -> Body:
     holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1) * nominal.radius_m
     before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
     before[..., 0], after[..., 0] = -offset, offset
-    ends_on = np.arange(m) // nominal.per_segment
-    on_axis = np.array([1.0, 0.0, 0.0])
+    on_axis, joints, free = np.array([1.0, 0.0, 0.0]), np.arange(n), np.zeros((n, 2))
     return Body(
         gravity_m_s2=nominal.gravity_m_s2,
         spacing_m=np.array([offset] + [nominal.length_m] * (n - 1)),
         before_m=before,
         after_m=after,
-        passes=np.arange(n)[:, None] <= ends_on,
+        passes=joints[:, None] <= np.arange(m) // nominal.per_segment,
         skew=np.tile(np.eye(3), (n, 1, 1)),
         mass_kg=np.full(n, nominal.mass_kg),
-        mass_joint=np.arange(n),
+        mass_joint=joints,
         mass_at_m=np.tile(0.5 * nominal.length_m * on_axis, (n, 1)),
-        contact_joint=np.arange(n),
+        contact_joint=joints,
         contact_at_m=np.tile(nominal.contact_m * on_axis, (n, 1)),
         tip_at_m=nominal.length_m * on_axis,
         stiffness_n_m=np.full(m, nominal.stiffness_n_m),
         pretension_n=np.full(m, nominal.pretension_n),
-        exponent=1.0,
-        spring_nm_rad=np.zeros((n, 2)),
-        hardening_nm_rad3=np.zeros((n, 2)),
-        cogging_nm=np.zeros((n, 2)),
-        driven=np.arange(n),
+        spring_nm_rad=free,
+        hardening_nm_rad3=free,
+        cogging_nm=free,
+        driven=joints,
     )

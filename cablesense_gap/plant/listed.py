@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -10,11 +9,10 @@ from types import MappingProxyType
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.arm import RealArm, turned
-from cablesense_gap.plant.body import Nominal
-from cablesense_gap.plant.changes import (
+from cablesense_gap.plant.arm import (
     Change,
     Draw,
+    RealArm,
     added,
     grown,
     marked,
@@ -23,9 +21,10 @@ from cablesense_gap.plant.changes import (
     sets,
     sized,
     some,
+    turned,
     weights,
 )
-from cablesense_gap.plant.friction import Creep, Onset
+from cablesense_gap.plant.body import Creep, Nominal, Onset
 from cablesense_gap.plant.sensing import Drift, DriftShape, Filter
 
 Rng = np.random.Generator
@@ -37,22 +36,22 @@ _CREEP_TIMES = {
 }
 
 
-def _backlash(rng: Rng, nominal: Nominal) -> Change:
+def actuator_backlash(rng: Rng, nominal: Nominal) -> Change:
     """Play in one to four actuators, equal or uneven; where in it each begins is unknown."""
     count = nominal.cable_count
     chosen = some(rng, count, 1, 4)
     uneven = len(chosen) > 1 and rng.random() < 0.5
-    share = weights(rng, chosen, count)
-    share = share if uneven else (share > 0.0).astype(float)
+    uneven_share = weights(rng, chosen, count)
+    share = uneven_share if uneven else marked(chosen, count)
     start = rng.uniform(-1.0, 1.0, count)
     return Change(
         "actuator_backlash", "uneven play" if uneven else "equal play", "m", 1e-6, 1e-3,
-        sets("actuation", play_m=scaled(share), play_start=start),
+        sets("actuation", play_m=(scaled, share), play_start=start),
         where=places("cable", chosen, count),
     )  # fmt: skip
 
 
-def _capstan_friction(rng: Rng, nominal: Nominal) -> Change:
+def capstan_friction(rng: Rng, nominal: Nominal) -> Change:
     """T2 <= T1 exp(mu theta) at every guide: sharp or rounded, with or without a pulley."""
     onset = Onset.SHARP if rng.random() < 0.5 else Onset.ROUNDED
     spread, pulley = bool(rng.random() < 0.5), bool(rng.random() < 0.4)
@@ -63,14 +62,14 @@ def _capstan_friction(rng: Rng, nominal: Nominal) -> Change:
         "capstan_friction", f"{onset} onset, {stretch}, {'with' if pulley else 'no'} pulley",
         "1", 0.003, 0.4,
         sets(
-            "friction", coefficient=scaled(np.ones(nominal.cable_count)),
+            "friction", coefficient=(scaled, np.ones(nominal.cable_count)),
             pulley_rad=wrap, onset=onset, reach_m=reach_m, spread=spread,
         ),
         details={"reach_m": reach_m, "pulley_rad": wrap},
     )  # fmt: skip
 
 
-def _creep(rng: Rng, nominal: Nominal) -> Change:
+def cable_creep(rng: Rng, nominal: Nominal) -> Change:
     """Kelvin-Voigt elements in series: one, three or many times, new cables or settled ones."""
     form = str(rng.choice(list(_CREEP_TIMES)))
     time_s = float(np.exp(rng.uniform(*np.log([8.0, 80.0]))))
@@ -92,19 +91,19 @@ def _creeping(arm: RealArm, size: float, cables: Array, time_s: Array, settled: 
     return replace(arm, creep=Creep(compliance, time_s, settled))
 
 
-def _stiffness(rng: Rng, nominal: Nominal) -> Change:
+def cable_stiffness(rng: Rng, nominal: Nominal) -> Change:
     """Softer or harder cables, all or those that end on a segment."""
     cables, where = _all_or_segment(rng, nominal)
     softer = bool(rng.random() < 0.5)
     return Change(
         "cable_stiffness", "softer" if softer else "harder",
         "of the nominal", 0.01, 0.5 if softer else 1.5,
-        sets("body", stiffness_n_m=grown(-cables if softer else cables)),
+        sets("body", stiffness_n_m=(grown, -cables if softer else cables)),
         where=where,
     )  # fmt: skip
 
 
-def _pretension(rng: Rng, nominal: Nominal) -> Change:
+def pretension_error(rng: Rng, nominal: Nominal) -> Change:
     """One to all cables tensioned to another value, all by the same or each by its own."""
     count = nominal.cable_count
     chosen = some(rng, count, 1, 4) if rng.random() < 0.7 else some(rng, count, 1, count)
@@ -114,7 +113,7 @@ def _pretension(rng: Rng, nominal: Nominal) -> Change:
     least = 0.1 * nominal.pretension_n
     return Change(
         "pretension_error", "all by the same" if alike else "each by its own", "N", 0.3, 30.0,
-        sets("body", pretension_n=partial(_added_above, share=share, least=least)),
+        sets("body", pretension_n=(_added_above, share, least)),
         where=places("cable", chosen, count),
     )  # fmt: skip
 
@@ -123,7 +122,7 @@ def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
     return np.maximum(old + size * share, least)
 
 
-def _joint_friction(rng: Rng, nominal: Nominal) -> Change:
+def joint_friction(rng: Rng, nominal: Nominal) -> Change:
     """Dry friction in both axes of one, two or all joints: sharp, rounded or Stribeck's."""
     count = nominal.segment_count
     chosen = list(range(count)) if rng.random() < 0.3 else some(rng, count, 1, 2)
@@ -134,7 +133,7 @@ def _joint_friction(rng: Rng, nominal: Nominal) -> Change:
     return Change(
         "joint_friction", form, "N m", 0.005, 2.0,
         sets(
-            "friction", joint_nm=scaled(_of_joints(chosen, count)),
+            "friction", joint_nm=(scaled, _of_joints(chosen, count)),
             joint_onset=Onset.ROUNDED if rounded else Onset.SHARP,
             joint_reach_rad=reach_rad, breakaway=breakaway,
         ),
@@ -142,7 +141,7 @@ def _joint_friction(rng: Rng, nominal: Nominal) -> Change:
     )  # fmt: skip
 
 
-def _joint_elasticity(rng: Rng, nominal: Nominal) -> Change:
+def joint_elasticity(rng: Rng, nominal: Nominal) -> Change:
     """Joints that spring back to straight, linearly or hardening a little."""
     count = nominal.segment_count
     one = rng.random() < 0.6
@@ -151,12 +150,12 @@ def _joint_elasticity(rng: Rng, nominal: Nominal) -> Change:
     share = _of_joints(chosen, count)
     return Change(
         "joint_elasticity", "hardening" if hardening else "linear", "N m/rad", 0.05, 80.0,
-        sets("body", spring_nm_rad=scaled(share), hardening_nm_rad3=scaled(hardening * share)),
+        sets("body", spring_nm_rad=(scaled, share), hardening_nm_rad3=(scaled, hardening * share)),
         where=places("joint", chosen, count), details={"hardening_rad2": hardening},
     )  # fmt: skip
 
 
-def _payload(rng: Rng, nominal: Nominal) -> Change:
+def payload(rng: Rng, nominal: Nominal) -> Change:
     """A mass on a segment's axis, anywhere along it."""
     segment = int(rng.integers(nominal.segment_count))
     at_m = float(rng.uniform(0.0, nominal.length_m))
@@ -168,18 +167,14 @@ def _payload(rng: Rng, nominal: Nominal) -> Change:
 
 def _loaded(arm: RealArm, size: float, segment: int, at_m: float) -> RealArm:
     body = arm.body
-    body = replace(
-        body,
-        mass_kg=np.append(body.mass_kg, size),
-        mass_joint=np.append(body.mass_joint, body.driven[segment]),
-        mass_at_m=np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]]),
-    )
-    return replace(arm, body=body)
+    joint = np.append(body.mass_joint, body.driven[segment])
+    at = np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]])
+    mass = np.append(body.mass_kg, size)
+    return replace(arm, body=replace(body, mass_kg=mass, mass_joint=joint, mass_at_m=at))
 
 
-def _base_tilt(rng: Rng, nominal: Nominal) -> Change:
+def base_tilt(rng: Rng, nominal: Nominal) -> Change:
     """A base that is not level: rolled, pitched or both; loads stay in base axes."""
-    del nominal
     form = str(rng.choice(["roll", "pitch", "roll and pitch"]))
     angle = rng.uniform(0.0, 2.0 * np.pi)
     axis = {"roll": (1.0, 0.0), "pitch": (0.0, 1.0)}.get(form, (np.cos(angle), np.sin(angle)))
@@ -187,7 +182,7 @@ def _base_tilt(rng: Rng, nominal: Nominal) -> Change:
     x, y = sign * float(axis[0]), sign * float(axis[1])
     return Change(
         "base_tilt", form, "deg", 0.1, 30.0,
-        sets("body", gravity_m_s2=partial(_tilted, axis=(x, y, 0.0))),
+        sets("body", gravity_m_s2=(_tilted, (x, y, 0.0))),
         details={"about_x": x, "about_y": y},
     )  # fmt: skip
 
@@ -199,7 +194,7 @@ def _tilted(gravity: Array, size: float, axis: tuple[float, float, float]) -> Ar
     return np.asarray(base.inv().apply(gravity), dtype=float)
 
 
-def _contact_offset(rng: Rng, nominal: Nominal) -> Change:
+def contact_offset(rng: Rng, nominal: Nominal) -> Change:
     """Loads that act nearer to the base or to the tip, on one segment or on all."""
     count = nominal.segment_count
     one = bool(rng.random() < 0.6)
@@ -207,13 +202,13 @@ def _contact_offset(rng: Rng, nominal: Nominal) -> Change:
     shift = marked(segment if one else slice(None), count, rng.choice([-1.0, 1.0]))
     return Change(
         "contact_offset", "one segment" if one else "all segments", "m", 0.0005, 0.05,
-        sets("body", contact_at_m=added(np.outer(shift, [1.0, 0.0, 0.0]))),
+        sets("body", contact_at_m=(added, np.outer(shift, [1.0, 0.0, 0.0]))),
         where=(f"segment_{segment + 1}",) if one else (),
         details={"toward_tip": float(shift[segment])},
     )  # fmt: skip
 
 
-def _routing(rng: Rng, nominal: Nominal) -> Change:
+def routing_geometry(rng: Rng, nominal: Nominal) -> Change:
     """A segment's holes on another radius or at another angle, by either reading of "a segment's".
 
     Those of the cables that end on it, in every plate they pass; or those of all cables in the
@@ -235,7 +230,7 @@ def _routing(rng: Rng, nominal: Nominal) -> Change:
     return Change(
         "routing_geometry", f"{'radius' if radius else 'angle'}, {of}",
         "m" if radius else "deg", 5e-5 if radius else 0.1, 0.012 if radius else 15.0,
-        sets("body", before_m=partial(move, share=before), after_m=partial(move, share=after)),
+        sets("body", before_m=(move, before), after_m=(move, after)),
         where=(f"segment_{segment + 1}",),
     )  # fmt: skip
 
@@ -251,29 +246,25 @@ def _further_out(points_m: Array, size: float, share: Array) -> Array:
     return moved
 
 
-def _sensor_gain(rng: Rng, nominal: Nominal) -> Change:
+def sensor_gain(rng: Rng, nominal: Nominal) -> Change:
     """Wrong scale on one to four sensors."""
-    count = nominal.cable_count
-    chosen = some(rng, count, 1, 4)
-    share = weights(rng, chosen, count, signed=True)
+    share, where = _some_sensors(rng, nominal)
     return Change(
-        "sensor_gain", "each by its own", "1", 0.001, 0.4, sets("sensing", gain=grown(share)),
-        where=places("cable", chosen, count),
+        "sensor_gain", "each by its own", "1", 0.001, 0.4,
+        sets("sensing", gain=(grown, share)), where=where,
     )  # fmt: skip
 
 
-def _sensor_offset(rng: Rng, nominal: Nominal) -> Change:
+def sensor_offset(rng: Rng, nominal: Nominal) -> Change:
     """Zero errors on one to four sensors."""
-    count = nominal.cable_count
-    chosen = some(rng, count, 1, 4)
-    share = weights(rng, chosen, count, signed=True)
+    share, where = _some_sensors(rng, nominal)
     return Change(
-        "sensor_offset", "each by its own", "N", 0.1, 30.0, sets("sensing", offset_n=added(share)),
-        where=places("cable", chosen, count),
+        "sensor_offset", "each by its own", "N", 0.1, 30.0,
+        sets("sensing", offset_n=(added, share)), where=where,
     )  # fmt: skip
 
 
-def _sensor_drift(rng: Rng, nominal: Nominal) -> Change:
+def sensor_drift(rng: Rng, nominal: Nominal) -> Change:
     """Zeros that drift: steadily, slowly to and fro, at random, or while warming up."""
     count = nominal.cable_count
     chosen = some(rng, count, 1, 4)
@@ -284,12 +275,12 @@ def _sensor_drift(rng: Rng, nominal: Nominal) -> Change:
     drift = Drift(share, shape, time_s, phase_rad, int(rng.integers(2**31)))
     return Change(
         "sensor_drift", str(shape), "N", 0.1, 40.0,
-        sets("sensing", drift=sized(drift, "size_n")),
+        sets("sensing", drift=(sized, drift, "size_n")),
         where=places("cable", chosen, count), details={"time_s": time_s},
     )  # fmt: skip
 
 
-def _sensor_crosstalk(rng: Rng, nominal: Nominal) -> Change:
+def sensor_crosstalk(rng: Rng, nominal: Nominal) -> Change:
     """A share of one channel in its neighbours, or of every channel in its neighbours.
 
     The place is the channel whose signal leaks.
@@ -304,21 +295,28 @@ def _sensor_crosstalk(rng: Rng, nominal: Nominal) -> Change:
     return Change(
         "sensor_crosstalk",
         "one channel into its neighbours" if one else "all channels into their neighbours",
-        "1", 0.0005, 0.3, sets("sensing", leak=scaled(leak)),
+        "1", 0.0005, 0.3, sets("sensing", leak=(scaled, leak)),
         where=(f"cable_{source + 1}",) if one else (),
     )  # fmt: skip
 
 
-def _sensor_lag(rng: Rng, nominal: Nominal) -> Change:
+def sensor_lag(rng: Rng, nominal: Nominal) -> Change:
     """All or some sensors that follow late, through one of three filters."""
     count = nominal.cable_count
     chosen = list(range(count)) if rng.random() < 0.4 else some(rng, count, 1, 4)
     kind = Filter(str(rng.choice([str(kind) for kind in Filter])))
     return Change(
         "sensor_lag", str(kind), "s", 0.01, 8.0,
-        sets("sensing", lag_s=scaled(marked(chosen, count)), lag_filter=kind),
+        sets("sensing", lag_s=(scaled, marked(chosen, count)), lag_filter=kind),
         where=places("cable", chosen, count),
     )  # fmt: skip
+
+
+def _some_sensors(rng: Rng, nominal: Nominal) -> tuple[Array, tuple[str, ...]]:
+    """(M,) signed weights of one to four sensors, and their places."""
+    chosen = some(rng, nominal.cable_count, 1, 4)
+    share = weights(rng, chosen, nominal.cable_count, signed=True)
+    return share, places("cable", chosen, nominal.cable_count)
 
 
 def _all_or_segment(rng: Rng, nominal: Nominal) -> tuple[Array, tuple[str, ...]]:
@@ -338,24 +336,11 @@ def _of_joints(chosen: list[int], count: int) -> Array:
     return np.repeat(marked(chosen, count)[:, None], 2, axis=1)
 
 
-LISTED: Mapping[str, Draw] = MappingProxyType(
-    {
-        "actuator_backlash": _backlash,
-        "base_tilt": _base_tilt,
-        "cable_creep": _creep,
-        "cable_stiffness": _stiffness,
-        "capstan_friction": _capstan_friction,
-        "contact_offset": _contact_offset,
-        "joint_elasticity": _joint_elasticity,
-        "joint_friction": _joint_friction,
-        "payload": _payload,
-        "pretension_error": _pretension,
-        "routing_geometry": _routing,
-        "sensor_crosstalk": _sensor_crosstalk,
-        "sensor_drift": _sensor_drift,
-        "sensor_gain": _sensor_gain,
-        "sensor_lag": _sensor_lag,
-        "sensor_offset": _sensor_offset,
-    }
-)
+_DRAWS: tuple[Draw, ...] = (
+    actuator_backlash, base_tilt, cable_creep, cable_stiffness, capstan_friction,
+    contact_offset, joint_elasticity, joint_friction, payload, pretension_error,
+    routing_geometry, sensor_crosstalk, sensor_drift, sensor_gain, sensor_lag,
+    sensor_offset,
+)  # fmt: skip
+LISTED = MappingProxyType({draw.__name__: draw for draw in _DRAWS})
 """By the name of the effect; the order is part of what a seed makes."""

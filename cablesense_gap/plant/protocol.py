@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ _SWEEP_DEG, _POSE_DEG = (6.0, 9.5), (3.0, 9.0)
 _HISTORY_KNOTS, _HISTORY_ROWS, _HISTORY_DEG = 6, 8, 6.0
 
 
-@dataclass(frozen=True)
-class Schedule:
+class Schedule(NamedTuple):
     """Rows of a recording before anything is read.
 
     Attributes:
@@ -46,13 +45,7 @@ class Schedule:
 
     def rows(self, chosen: slice) -> Schedule:
         """The chosen rows."""
-        return Schedule(
-            self.time_s[chosen],
-            self.trial[chosen],
-            self.command_rad[chosen],
-            self.load_segment[chosen],
-            self.load_n[chosen],
-        )
+        return Schedule._make(column[chosen] for column in self)
 
 
 class _Script:
@@ -67,11 +60,9 @@ class _Script:
         self.loads: list[Array] = []
 
     def trial(self, commands: Array, segment: int = 0, loads: Array | None = None) -> None:
-        load = (
-            np.zeros((len(commands), 3))
-            if loads is None
-            else np.round(self.strength * loads, 3) + 0.0
-        )
+        load = np.zeros((len(commands), 3))
+        if loads is not None:
+            load = np.round(self.strength * loads, 3) + 0.0
         self.commands.append(np.round(commands, 6) + 0.0)
         self.loads.append(load)
         self.segments.append(np.where((load != 0.0).any(axis=1), segment, 0))
@@ -103,7 +94,7 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
             peak = rng.uniform(*_STRAIGHT_N) * sides[side]
             script.pushed(straight, int(segment), peak, _CYCLE)
     script.trial(_sweep(script.angles, rng))
-    pose = _pose(script.angles, rng)
+    pose = np.deg2rad(rng.uniform(*_POSE_DEG)) * rng.uniform(-1.0, 1.0, script.angles)
     ease = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _MOVE_ROWS + 1) / _MOVE_ROWS)
     script.trial(np.outer(np.concatenate([ease, np.ones(_STAY_ROWS)]), pose))
     for segment in segments:
@@ -132,13 +123,7 @@ def draw_history(nominal: Nominal, rng: np.random.Generator) -> Schedule:
         script.trial(start + share * (end - start), segment, bump)
     script.trial(np.zeros((2, script.angles)))
     past = script.schedule()
-    return Schedule(
-        past.time_s - len(past.time_s) * script.period_s,
-        past.trial,
-        past.command_rad,
-        past.load_segment,
-        past.load_n,
-    )
+    return past._replace(time_s=past.time_s - len(past.time_s) * script.period_s)
 
 
 def _strength(nominal: Nominal) -> float:
@@ -155,11 +140,6 @@ def _sweep(angles: int, rng: np.random.Generator) -> Array:
         height = np.deg2rad(rng.uniform(*_SWEEP_DEG)) * rng.choice([-1.0, 1.0])
         commands[own, angle] = height * np.sin(2.0 * np.pi * np.arange(1, len(own) + 1) / len(own))
     return commands
-
-
-def _pose(angles: int, rng: np.random.Generator) -> Array:
-    most = np.deg2rad(rng.uniform(*_POSE_DEG))
-    return most * rng.uniform(-1.0, 1.0, angles)
 
 
 def _oblique_n(rng: np.random.Generator) -> Array:

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Body, PlantError
-from cablesense_gap.plant.friction import Creep, Friction, friction_state, piece_compliance_m_n
+from cablesense_gap.plant.body import Body, Creep, Friction, Onset, PlantError
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
 from cablesense_gap.plant.rest import (
     add_blocks,
@@ -24,6 +23,8 @@ from cablesense_gap.plant.rest import (
     require_room,
 )
 
+_ACTUATOR_SHARE = 0.3
+"""Part of a cable's compliance that is its actuator's, where the rest is spread."""
 _ENOUGH_NM, _ENOUGH_N = 1e-7, 1e-6
 _NEWTON_STEPS, _DAMPED_STEPS = 10, 60
 _DEEPEST = 6
@@ -335,3 +336,41 @@ def _moved(
         paid_out_m=paid_out_m,
         loads_n=loads_n,
     )
+
+
+def friction_state(onset: Onset, state: Array, moved: Array, reach: float) -> tuple[Array, Array]:
+    """New state and its derivative by the distance moved since the state was left.
+
+    Sharp friction is a spring of `reach` that then slides (Prandtl 1928); rounded friction nears
+    its full value as exp(-moved / reach) (Dahl 1968). Neither depends on time: what does not
+    move keeps its state.
+    """
+    if onset is Onset.SHARP:
+        free = state + moved / reach
+        return np.clip(free, -1.0, 1.0), (np.abs(free) < 1.0) / reach
+    full = np.sign(moved)
+    remaining = (full - state) * np.exp(-np.abs(moved) / reach)
+    new = np.where(moved == 0.0, state, full - remaining)
+    slope = np.where(moved == 0.0, 1.0, np.abs(remaining)) / reach
+    return new, slope
+
+
+def piece_compliance_m_n(body: Body, run_m: float, spread: bool) -> Array:
+    """(2J + 2, M) compliance of the pieces: at the sensor, the run, then by joint across, inside.
+
+    They add up to the cable's 1 / stiffness. Not spread, all of it is the run's.
+    """
+    joints = body.joint_count
+    length = np.zeros((2 * joints + 2, body.cable_count))
+    length[1] = run_m
+    if spread:
+        across = np.linalg.norm(body.after_m - body.before_m, axis=-1)
+        length[2::2] = across * body.passes
+        inside = body.before_m[1:] - body.after_m[:-1]
+        inside[..., 0] += body.spacing_m[1:, None]
+        length[3:-1:2] = np.linalg.norm(inside, axis=-1) * body.passes[1:]
+    share = length / length.sum(axis=0)
+    if spread:
+        share *= 1.0 - _ACTUATOR_SHARE
+        share[0] = _ACTUATOR_SHARE
+    return share / body.stiffness_n_m

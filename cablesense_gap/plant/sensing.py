@@ -9,6 +9,9 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 
+_FINE = 10
+"""Samples of a filter between two readings."""
+
 
 @dataclass(frozen=True)
 class Dropouts:
@@ -81,15 +84,10 @@ class Drift:
             case DriftShape.WARM_UP:
                 shape = 1.0 - np.exp(-since / self.time_s)[:, None]
             case DriftShape.WALK:
-                steps = np.random.default_rng(self.seed).standard_normal(
-                    (len(time_s), len(self.size_n))
-                )
-                walk = np.cumsum(steps, axis=0)
+                rng = np.random.default_rng(self.seed)
+                walk = np.cumsum(rng.standard_normal((len(time_s), len(self.size_n))), axis=0)
                 shape = (walk - walk[0]) / np.abs(walk - walk[0]).max(axis=0)
         return shape * self.size_n
-
-
-_FINE = 10
 
 
 class Filter(StrEnum):
@@ -110,13 +108,9 @@ class Sensing:
         ceiling_n: (M,) where a soft saturation sets in.
         leak: (M, M) share of the column's signal in the row's.
         lag_s: (M,) time constant, or half the window of an average.
-        lag_filter: which of the filters.
         offset_n: (M,) zero errors.
-        drift: of the zeros.
-        hum_n: (M,) amplitude of an interference.
-        hum_hz: its frequency.
+        hum_n: (M,) amplitude of an interference of `hum_hz`.
         hum_phase_rad: (M,) its phase.
-        dropouts: when channels repeat their last value.
         bow_from_n: tension at which the nonlinearity is zero.
     """
 
@@ -125,14 +119,14 @@ class Sensing:
     ceiling_n: Array
     leak: Array
     lag_s: Array
-    lag_filter: Filter
     offset_n: Array
     drift: Drift
     hum_n: Array
-    hum_hz: float
     hum_phase_rad: Array
     dropouts: Dropouts
     bow_from_n: float
+    lag_filter: Filter = Filter.FIRST_ORDER
+    hum_hz: float = 0.3
 
     def signals_n(self, tension_n: Array, time_s: Array) -> Array:
         """(R, M) noise-free readings of tensions (R, M) at times (R,)."""
@@ -155,11 +149,9 @@ def ideal_sensing(cables: int, pretension_n: float) -> Sensing:
         ceiling_n=zero + np.inf,
         leak=np.zeros((cables, cables)),
         lag_s=zero,
-        lag_filter=Filter.FIRST_ORDER,
         offset_n=zero,
         drift=Drift(zero),
         hum_n=zero,
-        hum_hz=0.3,
         hum_phase_rad=zero,
         dropouts=Dropouts(zero),
         bow_from_n=pretension_n,
@@ -176,6 +168,8 @@ def _lagged(signal_n: Array, time_s: Array, lag_s: Array, kind: Filter) -> Array
     """Each column through its filter, settled at the first value before."""
     if not lag_s.any():
         return signal_n
+    from scipy.signal import lfilter
+
     steps = len(time_s) - 1
     fine_s = np.interp(np.arange(steps * _FINE + 1) / _FINE, np.arange(steps + 1), time_s)
     period_s = float(fine_s[1] - fine_s[0])
@@ -186,25 +180,17 @@ def _lagged(signal_n: Array, time_s: Array, lag_s: Array, kind: Filter) -> Array
             fine = _averaged(fine, max(1.0, 2.0 * lag_s[column] / period_s))
         else:
             order = 1 if kind is Filter.FIRST_ORDER else 2
-            for _ in range(order):
-                fine = _first_order(fine, period_s, lag_s[column] / order)
+            kept = np.exp(-period_s / (lag_s[column] / order))
+            for _stage in range(order):
+                fine, _ = lfilter([1.0 - kept], [1.0, -kept], fine, zi=[kept * fine[0]])
         late[:, column] = fine[::_FINE]
     return late
-
-
-def _first_order(signal: Array, period_s: float, lag_s: float) -> Array:
-    from scipy.signal import lfilter
-
-    kept = np.exp(-period_s / lag_s)
-    out, _ = lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])
-    return np.asarray(out)
 
 
 def _averaged(signal: Array, window: float) -> Array:
     """Mean over the last `window` samples, which need not be a whole number."""
     whole = int(np.ceil(window))
-    padded = np.concatenate([np.full(whole, signal[0]), signal])
-    total = np.concatenate([[0.0], np.cumsum(padded)])
+    total = np.concatenate([[0.0], np.cumsum(np.pad(signal, (whole, 0), mode="edge"))])
     ends = whole + np.arange(1, len(signal) + 1)
     starts = np.interp(ends - window, np.arange(len(total)), total)
     return (total[ends] - starts) / window

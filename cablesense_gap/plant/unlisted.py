@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -10,12 +9,11 @@ from types import MappingProxyType
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.arm import RealArm
-from cablesense_gap.plant.body import Body, CableContact, Nominal, TipSpring
-from cablesense_gap.plant.changes import (
+from cablesense_gap.plant.arm import (
     UNKNOWN,
     Change,
     Draw,
+    RealArm,
     added,
     marked,
     scaled,
@@ -24,15 +22,14 @@ from cablesense_gap.plant.changes import (
     some,
     weights,
 )
-from cablesense_gap.plant.friction import no_creep, no_friction
+from cablesense_gap.plant.body import Body, CableContact, Nominal, TipSpring, no_creep, no_friction
 from cablesense_gap.plant.sensing import Dropouts
 
 Rng = np.random.Generator
 
 
-def _load_direction(rng: Rng, nominal: Nominal) -> Change:
+def load_direction(rng: Rng, nominal: Nominal) -> Change:
     """A load frame that is turned against the base: loads do not point as they are labelled."""
-    del nominal
     vector = np.array([1.0, 0.0, 0.0]) * rng.choice([-1.0, 1.0]) + rng.uniform(-0.4, 0.4, 3)
     return Change(
         UNKNOWN, "load_direction", "deg", 0.3, 40.0, partial(_load_turned, vector=vector)
@@ -44,9 +41,8 @@ def _load_turned(arm: RealArm, size: float, vector: Array) -> RealArm:
     return replace(arm, load_turn=turn @ arm.load_turn)
 
 
-def _load_scale(rng: Rng, nominal: Nominal) -> Change:
+def load_scale(rng: Rng, nominal: Nominal) -> Change:
     """A load cell of the wrong scale: loads are weaker or stronger than written down."""
-    del nominal
     sign = float(rng.choice([-1.0, 1.0]))
     return Change(UNKNOWN, "load_scale", "1", 0.003, 0.5, partial(_load_scaled, sign=sign))
 
@@ -55,20 +51,22 @@ def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
     return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
 
 
-def _sensor_bow(rng: Rng, nominal: Nominal) -> Change:
+def sensor_bow(rng: Rng, nominal: Nominal) -> Change:
     """Sensors whose scale changes with the tension."""
     count = nominal.cable_count
     bow = marked(_all_or_some(rng, count), count, rng.choice([-1.0, 1.0]))
-    return Change(UNKNOWN, "sensor_bow", "1/N", 2e-5, 0.01, sets("sensing", bow_per_n=scaled(bow)))
+    return Change(
+        UNKNOWN, "sensor_bow", "1/N", 2e-5, 0.01, sets("sensing", bow_per_n=(scaled, bow))
+    )
 
 
-def _sensor_ceiling(rng: Rng, nominal: Nominal) -> Change:
+def sensor_ceiling(rng: Rng, nominal: Nominal) -> Change:
     """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
     full_n = 5.0 * nominal.pretension_n
     sensors = marked(_all_or_some(rng, nominal.cable_count), nominal.cable_count)
     return Change(
         UNKNOWN, "sensor_ceiling", "N", 0.12 * full_n, 0.78 * full_n,
-        sets("sensing", ceiling_n=partial(_ceiling, sensors=sensors, full_n=full_n)),
+        sets("sensing", ceiling_n=(_ceiling, sensors, full_n)),
     )  # fmt: skip
 
 
@@ -76,18 +74,18 @@ def _ceiling(old: Array, size: float, sensors: Array, full_n: float) -> Array:
     return np.where(sensors > 0.0, full_n - size, old)
 
 
-def _sensor_dropouts(rng: Rng, nominal: Nominal) -> Change:
+def sensor_dropouts(rng: Rng, nominal: Nominal) -> Change:
     """Channels that now and then repeat their last value for a while."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 1, 6), count)
     dropouts = Dropouts(share, float(rng.uniform(8.0, 40.0)), int(rng.integers(2**31)))
     return Change(
         UNKNOWN, "sensor_dropouts", "of the rows", 0.01, 0.6,
-        sets("sensing", dropouts=sized(dropouts, "share")),
+        sets("sensing", dropouts=(sized, dropouts, "share")),
     )  # fmt: skip
 
 
-def _sensor_hum(rng: Rng, nominal: Nominal) -> Change:
+def sensor_hum(rng: Rng, nominal: Nominal) -> Change:
     """An interference of a few tenths of a hertz on several channels."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 3, 8), count)
@@ -95,13 +93,12 @@ def _sensor_hum(rng: Rng, nominal: Nominal) -> Change:
     phase_rad = np.full(count, rng.uniform(0.0, 2.0 * np.pi))
     return Change(
         UNKNOWN, "sensor_hum", "N", 0.1, 15.0,
-        sets("sensing", hum_n=scaled(share), hum_hz=hz, hum_phase_rad=phase_rad),
+        sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad),
     )  # fmt: skip
 
 
-def _limber_segments(rng: Rng, nominal: Nominal) -> Change:
+def limber_segments(rng: Rng, nominal: Nominal) -> Change:
     """Segments that bend in their middle under what they carry."""
-    del rng, nominal
     return Change(UNKNOWN, "limber_segments", "rad/(N m)", 1e-4, 0.05, _limber)
 
 
@@ -113,20 +110,16 @@ def _limber(arm: RealArm, size: float) -> RealArm:
 def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     """Each joint followed by a sprung one halfway to the next; what hung on it hangs behind."""
     count = body.joint_count
-    ends = np.append(body.spacing_m[1:], body.tip_at_m[0])
-    half = 0.5 * ends
-    spacing = np.empty(2 * count)
+    half = 0.5 * np.append(body.spacing_m[1:], body.tip_at_m[0])
+    spacing = np.repeat(half, 2)
     spacing[0::2] = np.append(body.spacing_m[0], half[:-1])
-    spacing[1::2] = half
-    before = np.repeat(body.before_m, 2, axis=0)
-    after = np.repeat(body.after_m, 2, axis=0)
-    before[1::2], after[1::2] = body.after_m, body.after_m
+    before, after = np.repeat(body.before_m, 2, axis=0), np.repeat(body.after_m, 2, axis=0)
+    before[1::2] = body.after_m
     before[1::2, :, 0] -= half[:, None]
     after[1:-1:2] = body.before_m[1:]
     after[1:-1:2, :, 0] += half[:-1, None]
-    passes = np.zeros((2 * count, body.cable_count), dtype=bool)
-    passes[0::2] = body.passes
-    passes[1:-1:2] = body.passes[1:]
+    passes = np.repeat(body.passes, 2, axis=0)
+    passes[1::2] = np.append(body.passes[1:], np.zeros((1, body.cable_count), dtype=bool), axis=0)
     back = np.outer(half, [1.0, 0.0, 0.0])
 
     def doubled(values: Array, middle: float = 0.0) -> Array:
@@ -153,41 +146,38 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     )
 
 
-def _link_length(rng: Rng, nominal: Nominal) -> Change:
+def link_length(rng: Rng, nominal: Nominal) -> Change:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     joint = int(rng.integers(1, nominal.segment_count))
     share = marked(joint, nominal.segment_count, rng.choice([-1.0, 1.0]))
-    return Change(UNKNOWN, "link_length", "m", 5e-4, 0.045, sets("body", spacing_m=added(share)))
+    return Change(UNKNOWN, "link_length", "m", 5e-4, 0.045, sets("body", spacing_m=(added, share)))
 
 
-def _skewed_axes(rng: Rng, nominal: Nominal) -> Change:
+def skewed_axes(rng: Rng, nominal: Nominal) -> Change:
     """Joints whose axes are turned against the plates."""
     vector = np.zeros((nominal.segment_count, 3))
     chosen = some(rng, nominal.segment_count, 1, 2)
     directions = rng.standard_normal((len(chosen), 3))
     vector[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Change(
-        UNKNOWN, "skewed_axes", "deg", 1.0, 30.0, sets("body", skew=partial(_skew, vector=vector))
-    )
+    return Change(UNKNOWN, "skewed_axes", "deg", 1.0, 30.0, sets("body", skew=(_skew, vector)))
 
 
-def _skew(old: Array, size: float, vector: Array) -> Array:
-    del old
+def _skew(_old: Array, size: float, vector: Array) -> Array:
     return _rotation(np.deg2rad(size) * vector)
 
 
-def _cogging(rng: Rng, nominal: Nominal) -> Change:
+def cogging(rng: Rng, nominal: Nominal) -> Change:
     """Joints with notches: a torque periodic in their angle."""
     share = np.zeros((nominal.segment_count, 2))
     share[some(rng, nominal.segment_count, 1, 2)] = 1.0
     per_turn = float(rng.uniform(40.0, 90.0))
     return Change(
         UNKNOWN, "cogging", "N m", 0.005, 3.0,
-        sets("body", cogging_nm=scaled(share), cogging_per_turn=per_turn),
+        sets("body", cogging_nm=(scaled, share), cogging_per_turn=per_turn),
     )  # fmt: skip
 
 
-def _tether(rng: Rng, nominal: Nominal) -> Change:
+def tether(rng: Rng, nominal: Nominal) -> Change:
     """A hose or a band from the arm's end to somewhere beside it."""
     angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.4)
     x, y, z = (
@@ -195,27 +185,29 @@ def _tether(rng: Rng, nominal: Nominal) -> Change:
         float(away_m * np.sin(angle)),
         float(away_m * np.cos(angle)),
     )
-    spring = sized(TipSpring((x, y, z), 1.0), "stiffness_n_m")
+    spring = (sized, TipSpring((x, y, z), 1.0), "stiffness_n_m")
     return Change(UNKNOWN, "tether", "N/m", 0.3, 300.0, sets("body", tip_springs=spring))
 
 
-def _wall(rng: Rng, nominal: Nominal) -> Change:
+def wall(rng: Rng, nominal: Nominal) -> Change:
     """An elastic wall that the arm's end touches on one side."""
     angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
     anchor = (_reach_m(nominal), away_m * normal[1], away_m * normal[2])
-    spring = sized(TipSpring(anchor, 1.0, normal), "stiffness_n_m")
+    spring = (sized, TipSpring(anchor, 1.0, normal), "stiffness_n_m")
     return Change(UNKNOWN, "wall", "N/m", 5.0, 2e4, sets("body", tip_springs=spring))
 
 
-def _actuator_ratio(rng: Rng, nominal: Nominal) -> Change:
+def actuator_ratio(rng: Rng, nominal: Nominal) -> Change:
     """Actuators that pay out more or less than is commanded."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 1, 3), count, signed=True)
-    return Change(UNKNOWN, "actuator_ratio", "1", 5e-4, 0.3, sets("actuation", ratio=added(share)))
+    return Change(
+        UNKNOWN, "actuator_ratio", "1", 5e-4, 0.3, sets("actuation", ratio=(added, share))
+    )
 
 
-def _screw_error(rng: Rng, nominal: Nominal) -> Change:
+def screw_error(rng: Rng, nominal: Nominal) -> Change:
     """Screws with an error that repeats every turn."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 2, 6), count)
@@ -224,32 +216,31 @@ def _screw_error(rng: Rng, nominal: Nominal) -> Change:
     return Change(
         UNKNOWN, "screw_error", "m", 2e-6, 1e-3,
         sets(
-            "actuation", screw_m=scaled(share), screw_pitch_m=pitch_m, screw_phase_rad=phase_rad
+            "actuation", screw_m=(scaled, share), screw_pitch_m=pitch_m, screw_phase_rad=phase_rad
         ),
     )  # fmt: skip
 
 
-def _clamp_slip(rng: Rng, nominal: Nominal) -> Change:
+def clamp_slip(rng: Rng, nominal: Nominal) -> Change:
     """A clamp or two that let cable through at one moment of the recording."""
     count = nominal.cable_count
     share = weights(rng, some(rng, count, 1, 2), count)
     time_s = float(rng.uniform(60.0, 220.0))
     return Change(
         UNKNOWN, "clamp_slip", "m", 5e-6, 2e-3,
-        sets("actuation", slip_m=scaled(share), slip_time_s=time_s),
+        sets("actuation", slip_m=(scaled, share), slip_time_s=time_s),
     )  # fmt: skip
 
 
-def _hardening_cables(rng: Rng, nominal: Nominal) -> Change:
+def hardening_cables(rng: Rng, nominal: Nominal) -> Change:
     """Cables stiffer the more they carry, as drawn at the pretension."""
-    del rng, nominal
     return Change(
         UNKNOWN, "hardening_cables", "of the exponent", 0.01, 3.0,
-        sets("body", exponent=added(1.0)),
+        sets("body", exponent=(added, 1.0)),
     )  # fmt: skip
 
 
-def _snagging_cables(rng: Rng, nominal: Nominal) -> Change:
+def snagging_cables(rng: Rng, nominal: Nominal) -> Change:
     """Cables that touch and push each other aside where a joint bends one way."""
     joint = int(rng.integers(nominal.segment_count))
     passing = np.arange(joint * nominal.per_segment, nominal.cable_count)
@@ -260,7 +251,7 @@ def _snagging_cables(rng: Rng, nominal: Nominal) -> Change:
     contact = CableContact(joint, toward, pair, 1.0, float(rng.uniform(0.0, 0.06)))
     return Change(
         UNKNOWN, "snagging_cables", "m/rad^2", 1e-3, 1.0,
-        sets("body", cable_contacts=sized(contact, "depth_m_rad2")),
+        sets("body", cable_contacts=(sized, contact, "depth_m_rad2")),
     )  # fmt: skip
 
 
@@ -278,25 +269,10 @@ def _rotation(vector_rad: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(vector_rad).as_matrix(), dtype=float)
 
 
-UNLISTED: Mapping[str, Draw] = MappingProxyType(
-    {
-        "actuator_ratio": _actuator_ratio,
-        "clamp_slip": _clamp_slip,
-        "hardening_cables": _hardening_cables,
-        "screw_error": _screw_error,
-        "snagging_cables": _snagging_cables,
-        "limber_segments": _limber_segments,
-        "link_length": _link_length,
-        "skewed_axes": _skewed_axes,
-        "cogging": _cogging,
-        "tether": _tether,
-        "wall": _wall,
-        "load_direction": _load_direction,
-        "load_scale": _load_scale,
-        "sensor_bow": _sensor_bow,
-        "sensor_ceiling": _sensor_ceiling,
-        "sensor_dropouts": _sensor_dropouts,
-        "sensor_hum": _sensor_hum,
-    }
-)
+_DRAWS: tuple[Draw, ...] = (
+    actuator_ratio, clamp_slip, hardening_cables, screw_error, snagging_cables,
+    limber_segments, link_length, skewed_axes, cogging, tether, wall, load_direction,
+    load_scale, sensor_bow, sensor_ceiling, sensor_dropouts, sensor_hum,
+)  # fmt: skip
+UNLISTED = MappingProxyType({draw.__name__: draw for draw in _DRAWS})
 """By the form of the change; the order is part of what a seed makes."""

@@ -1,10 +1,14 @@
-"""Sets of cases as files: recordings as CSV, what is hidden in them as a table beside."""
+"""Cases: arms with something hidden in them, what is done to them, and their recordings.
+
+A set of cases becomes files: recordings as CSV, what is hidden in them as a table beside.
+"""
 
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from math import ceil
 from pathlib import Path
 
@@ -13,11 +17,27 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_base.files import written_whole
 from cablesense_base.workers import WorkerPool
+from cablesense_gap.plant.arm import UNKNOWN, Change, RealArm, ideal_arm, with_tolerances
 from cablesense_gap.plant.body import Nominal, PlantError
-from cablesense_gap.plant.case import NONE, Answer, CaseRecording, draw_case, record_case
 from cablesense_gap.plant.listed import LISTED
+from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
+from cablesense_gap.plant.sensing import read_n
 from cablesense_gap.plant.unlisted import UNLISTED
 
+NONE = "none"
+
+_FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
+_SHARES = (0.1, 0.78, 0.12)
+"""Size of a change as the gap it makes, by the error of one reading."""
+_PLAIN = (8.0, 60.0)
+"""The same of changes that are not in the list, or one of two."""
+_VISIBLE_FLOORS = 5.0
+_CHANGE_REDRAWS = 8
+
+_TRIES = 6
+_NEAR = 1.25
+_STRIDE = 6
+_RETREAT = 0.4
 _NONE_SHARE, _UNKNOWN_SHARE, _DOUBLE_SHARE = 0.2, 0.2, 0.12
 _REDRAWS = 5
 
@@ -132,3 +152,215 @@ def _texts(values: Array, decimals: int) -> list[list[str]]:
 
 def _text(value: object) -> str:
     return f"{value:.4f}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True)
+class Case:
+    """All of a recording but its noise.
+
+    Attributes:
+        name: of the recording.
+        schedule: what is done.
+        history: what was done before.
+        plain_arm: the arm with manufacturing tolerances alone.
+        changes: what is hidden, and of which size.
+        noise_seed: of the sensors' noise.
+    """
+
+    name: str
+    schedule: Schedule
+    history: Schedule
+    plain_arm: RealArm
+    changes: tuple[tuple[Change, float], ...]
+    noise_seed: int
+
+    @property
+    def arm(self) -> RealArm:
+        """The arm with what is hidden."""
+        arm = self.plain_arm
+        for change, size in self.changes:
+            arm = change.apply(arm, size)
+        return arm
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in a recording.
+
+    Attributes:
+        recording: its name.
+        effects: names joined by `+` in alphabetical order, `none` or `unknown`.
+        where: places joined by spaces; empty for the whole arm.
+        form: what it physically is, joined by ` + `.
+        sizes: of each, with units, as JSON.
+        gap_n: root mean square of what the hidden changes make of the noise-free readings.
+        gap_over_floor: the same by the error of one reading.
+        scatter_gap_n: of the arm with manufacturing tolerances alone against the arm as drawn.
+        each_gap_n: of each change alone, joined by spaces; where an arm is history-dependent,
+            from every sixth row.
+    """
+
+    recording: str
+    effects: str
+    where: str
+    form: str
+    sizes: str
+    gap_n: float
+    gap_over_floor: float
+    scatter_gap_n: float
+    each_gap_n: str
+
+
+@dataclass(frozen=True)
+class CaseRecording:
+    """What is handed out of a case, and what is kept back."""
+
+    schedule: Schedule
+    tensions_n: Array
+    answer: Answer
+
+
+def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str) -> Case:
+    """Draw an arm, what is hidden in it and what is done to it.
+
+    Args:
+        rng: all of the case comes from it.
+        index: number in the name, `case_001`.
+        nominal: the arm as drawn.
+        kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
+            inside it joined by `+`.
+
+    Raises:
+        PlantError: a kind that is none of those.
+    """
+    draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
+    names = [] if kind == NONE else kind.split("+")
+    if names == [UNKNOWN]:
+        names = [str(rng.choice(list(UNLISTED)))]
+    strange = [name for name in names if name not in draws]
+    if strange:
+        raise PlantError(
+            f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
+            "several of the list joined by +"
+        )
+    schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
+    plain_arm = with_tolerances(ideal_arm(nominal), rng)
+    changes = []
+    for name in sorted(names):
+        for _ in range(_CHANGE_REDRAWS):
+            change = draws[name](rng, nominal)
+            plain = len(names) > 1 or change.effect == UNKNOWN
+            bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
+            wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
+            size = size_for(change, plain_arm, wanted_n, schedule, history)
+            visible_n = _VISIBLE_FLOORS * nominal.floor_n
+            if not plain or _alone_n(change, size, plain_arm, schedule, history) >= visible_n:
+                break
+        changes.append((change, size))
+    return Case(
+        name=f"case_{index:03d}",
+        schedule=schedule,
+        history=history,
+        plain_arm=plain_arm,
+        changes=tuple(changes),
+        noise_seed=int(rng.integers(2**63)),
+    )
+
+
+def size_for(
+    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
+) -> float:
+    """Size within the change's bounds whose gap against the arm without it is nearest.
+
+    By secants in the logarithms, to within some percent; a history-dependent arm is tried on every
+    sixth row. A size that leaves no rest lowers the upper bound.
+    """
+    low, high = np.log(change.least), np.log(change.most)
+    rows = _rows_to_try(change, arm, schedule)
+    without = arm.signals_n(rows, history)
+    at, best, nearest = 0.5 * (low + high), low, np.inf
+    steepness, last = 1.0, None
+    for _ in range(_TRIES):
+        try:
+            gap = gap_n(change.apply(arm, float(np.exp(at))).signals_n(rows, history), without)
+        except PlantError:
+            high = at + np.log(_RETREAT)
+            at = min(0.5 * (low + at), high)
+            continue
+        off = np.log(max(gap, 1e-6) / wanted_n)
+        if abs(off) < nearest:
+            best, nearest = float(np.clip(at - off, low, high)), abs(off)
+        if nearest < np.log(_NEAR):
+            break
+        if last is not None and abs(at - last[0]) > 1e-6:
+            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
+        last = at, off
+        at = float(np.clip(at - off / steepness, low, high))
+        if abs(at - last[0]) < 1e-6:
+            break
+    return float(np.exp(best))
+
+
+def gap_n(first_n: Array, second_n: Array) -> float:
+    """Root mean square difference of two recordings over rows and cables."""
+    return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
+
+
+def record_case(case: Case) -> CaseRecording:
+    """Record a case.
+
+    Raises:
+        PlantError: its arm finds no rest in some row.
+    """
+    nominal, did = case.plain_arm.nominal, (case.schedule, case.history)
+    signals = case.arm.signals_n(*did)
+    plain = case.plain_arm.signals_n(*did)
+    gap = gap_n(signals, plain)
+    each = [gap]
+    if len(case.changes) > 1:
+        each = [_alone_n(change, size, case.plain_arm, *did) for change, size in case.changes]
+    changes = [change for change, _ in case.changes]
+    sizes = [
+        {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
+        | {
+            key: value if isinstance(value, str) else float(f"{value:.6g}")
+            for key, value in change.details.items()
+        }
+        for change, size in case.changes
+    ]
+    answer = Answer(
+        recording=case.name,
+        effects="+".join(sorted(change.effect for change in changes)) or NONE,
+        where=_places(changes),
+        form=" + ".join(change.form for change in changes),
+        sizes=json.dumps(sizes),
+        gap_n=gap,
+        gap_over_floor=gap / nominal.floor_n,
+        scatter_gap_n=gap_n(plain, ideal_arm(nominal).signals_n(*did)),
+        each_gap_n=" ".join(f"{value:.4f}" for value in each),
+    )
+    rng = np.random.default_rng(case.noise_seed)
+    readings = read_n(signals, nominal.noise_std_n, nominal.step_n, rng)
+    return CaseRecording(case.schedule, readings, answer)
+
+
+def _alone_n(
+    change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
+) -> float:
+    rows = _rows_to_try(change, arm, schedule)
+    changed = change.apply(arm, size).signals_n(rows, history)
+    return gap_n(changed, arm.signals_n(rows, history))
+
+
+def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+    """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
+    history_dependent = change.apply(arm, change.least).history_dependent
+    return schedule.rows(slice(None, None, _STRIDE)) if history_dependent else schedule
+
+
+def _places(changes: list[Change]) -> str:
+    """Every place once, cables before joints before segments, each by number."""
+    found = {place for change in changes for place in change.where}
+    return " ".join(
+        sorted(found, key=lambda place: (place.split("_")[0], int(place.split("_")[1])))
+    )

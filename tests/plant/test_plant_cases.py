@@ -13,11 +13,17 @@ from plant_arm import NOMINAL
 
 from cablesense_gap.plant.arm import ideal_arm
 from cablesense_gap.plant.body import PlantError, read_nominal
-from cablesense_gap.plant.case import draw_case, gap_n, record_case, size_for
 from cablesense_gap.plant.listed import LISTED
 from cablesense_gap.plant.protocol import draw_history, draw_schedule
 from cablesense_gap.plant.unlisted import UNLISTED
-from cablesense_gap.plant.withhold import draw_kinds, make_case
+from cablesense_gap.plant.withhold import (
+    draw_case,
+    draw_kinds,
+    gap_n,
+    make_case,
+    record_case,
+    size_for,
+)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -8,18 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_arm import BODY, NOMINAL
 
-from cablesense_gap.plant.body import Body, PlantError
-from cablesense_gap.plant.friction import (
+from cablesense_gap.plant.body import (
+    Body,
     Creep,
     Friction,
     Onset,
-    friction_state,
+    PlantError,
     no_creep,
     no_friction,
-    piece_compliance_m_n,
 )
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
-from cablesense_gap.plant.quasi_static import Balances, QuasiStaticPath, State
+from cablesense_gap.plant.quasi_static import (
+    Balances,
+    QuasiStaticPath,
+    State,
+    friction_state,
+    piece_compliance_m_n,
+)
 from cablesense_gap.plant.rest import follow_path
 
 RUN_M = NOMINAL.run_m
