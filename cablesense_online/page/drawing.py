@@ -67,14 +67,8 @@ def cable_pieces(
     return CablePieces(np.array(ends), np.array(cables))
 
 
-def piece_lengths_m(pieces: CablePieces, cable_count: int) -> Array:
-    """(M,) length of each cable, the sum over its pieces."""
-    lengths = np.linalg.norm(pieces.ends_m[:, 1] - pieces.ends_m[:, 0], axis=-1)
-    return np.asarray(np.bincount(pieces.cable, lengths, cable_count), dtype=float)
-
-
 def unit(vector: Array) -> Array:
-    """The unit vector (3,) along a vector that is not zero."""
+    """The unit vector along a vector that is not zero."""
     return np.asarray(vector / np.linalg.norm(vector))
 
 
@@ -95,22 +89,10 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
 
 
 def quaternion_z_to(direction: Array) -> Array:
-    """Quaternion (..., 4), w x y z, of the shortest turn from +z to `direction` (..., 3).
-
-    The direction need not be of unit length.
-    """
-    way = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    half = np.stack([1.0 + way[..., 2], -way[..., 1], way[..., 0], np.zeros_like(way[..., 0])], -1)
-    opposite = half[..., 0] < 1e-14
-    half[opposite] = (0.0, 1.0, 0.0, 0.0)
-    return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))
-
-
-def quaternion_of(rotation: Array) -> Array:
-    """Quaternion (4,), w x y z, of a rotation matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+    """Quaternion (4,), w x y z, of the shortest turn from +z to `direction` (3,), of any length."""
+    x, y, z = unit(direction)
+    opposite = 1.0 + z < 1e-14
+    return unit(np.array([0.0, 1.0, 0.0, 0.0] if opposite else [1.0 + z, -y, x, 0.0]))
 
 
 Rgb = tuple[int, int, int]
@@ -119,21 +101,13 @@ TRUE_RGB: Rgb = (230, 159, 0)
 ESTIMATE_RGB: Rgb = (86, 180, 233)
 SEGMENT_RGB: tuple[Rgb, ...] = ((86, 180, 233), (0, 178, 128), (240, 228, 66), (224, 140, 190))
 
-_TENSION_STOPS = np.array(
-    [
-        (72, 36, 117),
-        (65, 68, 135),
-        (53, 95, 141),
-        (42, 120, 142),
-        (33, 145, 140),
-        (34, 168, 132),
-        (68, 191, 112),
-        (122, 209, 81),
-        (189, 223, 38),
-        (253, 231, 37),
-    ],
-    dtype=float,
+_TENSION_CSS = (
+    *("#482475", "#414487", "#355f8d", "#2a788e", "#21918c"),
+    *("#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"),
 )
+TENSION_GRADIENT_CSS = f"linear-gradient(90deg, {', '.join(_TENSION_CSS)})"
+"""The tension map, slack on the left."""
+_TENSION_STOPS = np.array([list(bytes.fromhex(stop[1:])) for stop in _TENSION_CSS], dtype=float)
 
 
 def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
@@ -142,9 +116,8 @@ def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]
     place = share * (len(_TENSION_STOPS) - 1)
     low = np.minimum(place.astype(int), len(_TENSION_STOPS) - 2)
     blend = (place - low)[..., None]
-    return np.rint((1 - blend) * _TENSION_STOPS[low] + blend * _TENSION_STOPS[low + 1]).astype(
-        np.uint8
-    )
+    rgb = (1 - blend) * _TENSION_STOPS[low] + blend * _TENSION_STOPS[low + 1]
+    return np.rint(rgb).astype(np.uint8)
 
 
 def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -159,11 +132,8 @@ def full_scale_n(peak_n: float) -> float:
     if not peak_n > 100.0:
         return 100.0
     power = 10.0 ** math.floor(math.log10(peak_n))
-    return next(
-        step * power
-        for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
-        if step * power >= peak_n
-    )
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
+    return next(step * power for step in steps if step * power >= peak_n)
 
 
 def segment_rgb(segment: int) -> Rgb:
@@ -171,18 +141,12 @@ def segment_rgb(segment: int) -> Rgb:
     return SEGMENT_RGB[(segment - 1) % len(SEGMENT_RGB)]
 
 
-def css(rgb: Rgb | NDArray[np.uint8]) -> str:
+def css(rgb: Rgb) -> str:
     """A colour as `#rrggbb`."""
-    return "#{:02x}{:02x}{:02x}".format(*(int(channel) for channel in rgb))
+    return f"#{bytes(rgb).hex()}"
 
 
-def tension_gradient_css() -> str:
-    """The tension map as a CSS gradient, slack on the left."""
-    stops = ", ".join(css(stop.astype(np.uint8)) for stop in _TENSION_STOPS)
-    return f"linear-gradient(90deg, {stops})"
-
-
-X_FROM_Z = trimesh.transformations.rotation_matrix(np.pi / 2, [0.0, 1.0, 0.0])
+_X_FROM_Z = trimesh.transformations.rotation_matrix(np.pi / 2, [0.0, 1.0, 0.0])
 PLATE_THICKNESS_M = 0.004
 PLATE_MARGIN = 1.18
 BODY_SHARE = 0.34
@@ -196,7 +160,7 @@ def routing_radius_m(mechanism: Mechanism) -> float:
 
 def _disc(x_m: float, radius_m: float, thickness_m: float) -> trimesh.Trimesh:
     disc = trimesh.creation.cylinder(radius_m, thickness_m, sections=48)
-    disc.apply_transform(X_FROM_Z)
+    disc.apply_transform(_X_FROM_Z)
     disc.apply_translation([x_m, 0.0, 0.0])
     return disc
 
@@ -252,13 +216,8 @@ def joint(mechanism: Mechanism) -> trimesh.Trimesh:
     return trimesh.creation.icosphere(subdivisions=3, radius=0.62 * radius)
 
 
-def unit_cylinder() -> trimesh.Trimesh:
-    """Radius 1, from the origin to +z = 1: scaled into cable pieces and shafts."""
-    cylinder = trimesh.creation.cylinder(1.0, 1.0, sections=12)
-    cylinder.apply_translation([0.0, 0.0, 0.5])
-    return cylinder
-
-
-def unit_cone() -> trimesh.Trimesh:
-    """Radius 1 at the origin, tip at +z = 1: scaled into arrow heads."""
-    return trimesh.creation.cone(1.0, 1.0, sections=32)
+def unit_arrow() -> dict[str, trimesh.Trimesh]:
+    """Its `shaft` and its `head`, each of radius 1 from the origin to +z = 1, to be scaled."""
+    shaft = trimesh.creation.cylinder(1.0, 1.0, sections=12)
+    shaft.apply_translation([0.0, 0.0, 0.5])
+    return {"shaft": shaft, "head": trimesh.creation.cone(1.0, 1.0, sections=32)}

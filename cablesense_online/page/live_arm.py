@@ -7,14 +7,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from cablesense_base.arrays import Array
+from cablesense_msgs_py.diagnostics import Level
 from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
 from cablesense_msgs_py.topics import Frames
 from cablesense_msgs_py.wrenches import Load, read_load
@@ -42,15 +42,6 @@ class Contact:
     force_base_n: Array
 
 
-class Level(Enum):
-    """How far the estimate can be trusted."""
-
-    OK = "ok"
-    WARNING = "warning"
-    ERROR = "error"
-    STALE = "stale"
-
-
 @dataclass(frozen=True)
 class Status:
     """The estimator's state: level, headline, and notes for a person."""
@@ -62,15 +53,15 @@ class Status:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One moment of the arm.
+    """One moment of the arm; None is not known.
 
     Attributes:
         time_s: of the newest tensions, any steady clock.
         joint_angles_rad: (2N,) measured or commanded.
-        tensions_n: (M,) or None before the first arrives.
-        true: the load that is really applied, where it is known.
-        estimate: the estimated contact; None when nothing touches or nothing is known.
-        probabilities: (N + 1,) of no contact and of each segment, or None.
+        tensions_n: (M,).
+        true: the load that is really applied.
+        estimate: the estimated contact; None also when nothing touches.
+        probabilities: (N + 1,) of no contact and of each segment.
         status: of the estimator.
     """
 
@@ -123,8 +114,8 @@ class Score:
 
     def reset(self) -> None:
         """Discards every comparison."""
-        self._count = self._right = self._contacts = 0
-        self._angle_sum_deg = self._magnitude_sum_n = 0.0
+        self._count = self._right = 0
+        self._contacts, self._sums = 0, np.zeros(2)  # of errors in degrees and newtons
 
     def add(self, snapshot: Snapshot) -> bool:
         """Compares one moment; gives whether it counted: load and pose must have stood still."""
@@ -136,14 +127,15 @@ class Score:
             return False
         true, estimate = snapshot.true, snapshot.estimate
         self._count += 1
-        true_segment = true.segment if true is not None else 0
-        estimated_segment = estimate.segment if estimate is not None else 0
-        if true_segment == estimated_segment:
+        if true is None or estimate is None:
+            self._right += true is estimate
+        elif true.segment == estimate.segment:
             self._right += 1
-            if true is not None and estimate is not None:
-                self._contacts += 1
-                self._angle_sum_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
-                self._magnitude_sum_n += abs(true.magnitude_n - estimate.magnitude_n)
+            self._contacts += 1
+            self._sums += (
+                angle_error_deg(true.angle_deg, estimate.angle_deg),
+                abs(true.magnitude_n - estimate.magnitude_n),
+            )
         return True
 
     def _changed(self, snapshot: Snapshot) -> bool:
@@ -162,18 +154,14 @@ class Score:
     @property
     def errors(self) -> Errors:
         """The errors so far."""
-        return Errors(
-            self._count,
-            self._right / self._count if self._count else None,
-            self._angle_sum_deg / self._contacts if self._contacts else None,
-            self._magnitude_sum_n / self._contacts if self._contacts else None,
-        )
+        right = self._right / self._count if self._count else None
+        means = (self._sums / self._contacts).tolist() if self._contacts else (None, None)
+        return Errors(self._count, right, *means)
 
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
-_LEVELS = (Level.OK, Level.WARNING, Level.ERROR, Level.STALE)
 
 
 @dataclass
@@ -187,7 +175,7 @@ class _Latest:
     estimate_s: float = -np.inf
     estimate: tuple[int, Array] | None = None
     probabilities: Array | None = None
-    health: dict[str, tuple[float, int, str]] = field(default_factory=dict)
+    health: dict[str, tuple[float, Level, str]] = field(default_factory=dict)
 
 
 class LiveArm:
@@ -262,14 +250,14 @@ class LiveArm:
             for status in message.status:
                 node, _, part = status.name.partition(": ")
                 if node.strip("/") == self._estimator and part:
-                    level = min(int.from_bytes(status.level, "little"), len(_LEVELS) - 1)
+                    level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
                     self._latest.health[part] = (now_s, level, status.message)
 
     def content_with(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
         with self._lock:
             latest = self._latest.health.get(part)
-        return latest is not None and latest[1] == 0
+        return latest is not None and latest[1] is Level.OK
 
     def loads_of(self, segment: int, angle_deg: float, magnitude_n: float) -> list[Load]:
         """The loads that make this push, and no other, the only one on the arm.
@@ -278,7 +266,7 @@ class LiveArm:
             LoadError: no such segment, or numbers that are not finite.
         """
         with self._lock:
-            command = self._command_rad()
+            command = self._motion.advance(0.0)
             pushed = {number for number, force in self._latest.loads.items() if force.any()}
         forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
@@ -287,12 +275,12 @@ class LiveArm:
     def snapshot(self, now_s: float) -> Snapshot:
         """The present state, as far as it is known."""
         with self._lock:
-            self._advance(now_s)
-            latest, command = self._latest, self._command_rad()
+            elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
+            self._motion_s = now_s
+            latest, command = self._latest, self._motion.advance(elapsed_s)
             rotations = segment_rotations(self.mechanism, command)
             fresh = now_s - latest.estimate_s <= STALE_S
             estimate = self._estimated(latest.estimate, command, rotations) if fresh else None
-            tensions_age_s = now_s - latest.tensions_s
             return Snapshot(
                 time_s=latest.tensions_s if latest.tensions_n is not None else now_s,
                 joint_angles_rad=(
@@ -302,16 +290,8 @@ class LiveArm:
                 true=self._true(latest.loads, command),
                 estimate=estimate,
                 probabilities=latest.probabilities if fresh else None,
-                status=_status(latest, estimate, tensions_age_s, now_s),
+                status=_status(latest, estimate, now_s),
             )
-
-    def _advance(self, now_s: float) -> None:
-        if self._motion_s is not None:
-            self._motion.advance(now_s - self._motion_s)
-        self._motion_s = now_s
-
-    def _command_rad(self) -> Array:
-        return self._motion.advance(0.0)
 
     def _true(self, loads: Mapping[int, Array], command_rad: Array) -> Contact | None:
         """The largest load, which is the only one as long as the page alone pushes."""
@@ -333,29 +313,21 @@ class LiveArm:
         return Contact(segment, angle, float(np.linalg.norm(local_n)), force)
 
 
-def _status(
-    latest: _Latest, estimate: Contact | None, tensions_age_s: float, now_s: float
-) -> Status:
+def _status(latest: _Latest, estimate: Contact | None, now_s: float) -> Status:
+    """With the estimator's warnings as notes; where there are none, its first status."""
     if latest.tensions_n is None:
         return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
-    if tensions_age_s > STALE_S:
-        return Status(Level.STALE, f"Tensions are stale, {tensions_age_s:.1f} s old")
+    if now_s - latest.tensions_s > STALE_S:
+        age_s = now_s - latest.tensions_s
+        return Status(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
     if not np.isfinite(latest.estimate_s):
         return Status(Level.STALE, "Waiting for the estimator", ("no estimate has come yet",))
-    if now_s - latest.estimate_s > STALE_S:
-        age = now_s - latest.estimate_s
-        return Status(Level.STALE, f"No estimate for {age:.1f} s", _notes(latest, now_s))
-    level = _LEVELS[max((h[1] for h in _present(latest, now_s)), default=0)]
+    present = [h for h in latest.health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
+    present.sort(key=lambda status: -status[1])
+    warnings = tuple(text for _, level, text in present if level is not Level.OK)
+    notes = warnings[:3] or tuple(text for _, _, text in present[:1])
+    age_s = now_s - latest.estimate_s
+    if age_s > STALE_S:
+        return Status(Level.STALE, f"No estimate for {age_s:.1f} s", notes)
     headline = "No contact" if estimate is None else f"Contact on segment {estimate.segment}"
-    return Status(level, headline, _notes(latest, now_s))
-
-
-def _present(latest: _Latest, now_s: float) -> Iterable[tuple[float, int, str]]:
-    return [h for h in latest.health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
-
-
-def _notes(latest: _Latest, now_s: float) -> tuple[str, ...]:
-    """The estimator's warnings; where there are none, its first status."""
-    lines = sorted(_present(latest, now_s), key=lambda h: -h[1])
-    warnings = tuple(message for _, level, message in lines if level > 0)
-    return warnings[:3] or tuple(message for _, _, message in lines[:1])
+    return Status(present[0][1] if present else Level.OK, headline, notes)

@@ -30,7 +30,7 @@ class PageError(CableSenseError):
 
 
 class Page:
-    """A live view of an arm, served until `close`."""
+    """A live view of an arm, served on `port` until `close`."""
 
     def __init__(
         self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
@@ -41,9 +41,9 @@ class Page:
             PageError: no port from `port` on can be bound on `host`.
         """
         mechanism = mechanism_of(arm)
-        self._port = free_port(host, port)
+        self.port = free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(host=host, port=self._port, verbose=False)
+            self._server = viser.ViserServer(host=host, port=self.port, verbose=False)
         self._host = host
         self._score = Score()
         self._lock = threading.Lock()
@@ -62,40 +62,32 @@ class Page:
         server.gui.main_panel.set_width(320)
         dock = server.gui.add_panel()
         with dock.add_tab("Estimate", viser.Icon.TARGET_ARROW):
-            self._status = server.gui.add_html("")
-            self._forces = server.gui.add_html("")
-            self._probabilities = server.gui.add_html("")
-            self._errors = server.gui.add_html("")
+            self._numbers = [server.gui.add_html("") for _ in range(4)]
             reset = server.gui.add_button(
                 "Reset the errors", icon=viser.Icon.REFRESH, color="gray"
             )
-            reset.on_click(lambda _: self.reset_errors())
-            self._legend = server.gui.add_html("")
+            reset.on_click(lambda _: self._reset_errors())
+            self._numbers.append(server.gui.add_html(""))
             self._traces = TracePlot(server.gui, mechanism)
             server.gui.add_html(panel.traces_legend_html(arm.segment_count))
         dock.dock_left()
         dock.set_width(400)
 
     @property
-    def port(self) -> int:
-        """The port that is served on."""
-        return self._port
-
-    @property
     def url(self) -> str:
         """Where a browser finds the page."""
         host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self._port}"
+        return f"http://{host}:{self.port}"
 
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment: the scene every time, numbers and traces a few times a second."""
         with self._lock:
             self._score.add(snapshot)
         if snapshot.tensions_n is not None:
-            self._traces.add(snapshot.time_s, snapshot.tensions_n)
+            self._traces.buffer.add(snapshot.time_s, snapshot.tensions_n)
         if not self._server.get_clients():
             return
-        scale_n = full_scale_n(self._traces.peak_n)
+        scale_n = full_scale_n(self._traces.buffer.peak_n)
         with self._server.atomic():
             self._scene.pose(snapshot.joint_angles_rad)
             if snapshot.tensions_n is not None:
@@ -105,8 +97,7 @@ class Page:
             self._numbers_due_s = time.monotonic() + NUMBERS_EVERY_S
             self._show_numbers(snapshot, scale_n)
 
-    def reset_errors(self) -> None:
-        """Starts the error so far anew."""
+    def _reset_errors(self) -> None:
         with self._lock:
             self._score.reset()
 
@@ -123,16 +114,14 @@ class Page:
     def _show_numbers(self, snapshot: Snapshot, scale_n: float) -> None:
         with self._lock:
             errors = self._score.errors
-        for handle, content in (
-            (self._status, panel.status_html(snapshot.status)),
-            (self._forces, panel.forces_html(snapshot.true, snapshot.estimate)),
-            (
-                self._probabilities,
-                panel.probabilities_html(snapshot.probabilities, self._segment_count),
-            ),
-            (self._errors, panel.errors_html(errors)),
-            (self._legend, panel.legend_html(scale_n, snapshot.tensions_n)),
-        ):
+        contents = (
+            panel.status_html(snapshot.status),
+            panel.forces_html(snapshot.true, snapshot.estimate),
+            panel.probabilities_html(snapshot.probabilities, self._segment_count),
+            panel.errors_html(errors),
+            panel.legend_html(scale_n, snapshot.tensions_n),
+        )
+        for handle, content in zip(self._numbers, contents, strict=True):
             if handle.content != content:
                 handle.content = content
         self._traces.draw()

@@ -11,14 +11,16 @@ import numpy as np
 import viser
 
 from cablesense_base.arrays import Array
+from cablesense_msgs_py.diagnostics import Level
 from cablesense_online.page.drawing import (
     ESTIMATE_RGB,
+    TENSION_GRADIENT_CSS,
     TRUE_RGB,
+    Rgb,
     css,
     segment_rgb,
-    tension_gradient_css,
 )
-from cablesense_online.page.live_arm import Contact, Errors, Level, Status
+from cablesense_online.page.live_arm import Contact, Errors, Status
 from cablesense_sim.mechanism import Mechanism
 
 FORCE_LIMIT_N = 200.0
@@ -42,13 +44,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Actions:
-    """Requests of the page to the nodes; each may be called from any thread.
-
-    Attributes:
-        push: takes a Push.
-        command: takes joint angles (2N,), rad.
-        tare: takes nothing.
-    """
+    """Requests of the page to the nodes, from any thread; `command` takes (2N,) angles, rad."""
 
     push: Callable[[Push], None]
     command: Callable[[Array], None]
@@ -58,12 +54,7 @@ class Actions:
 class Controls:
     """Sliders and buttons in the main panel; what a person sets goes to `Actions`."""
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        segment_count: int,
-        actions: Actions,
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, segment_count: int, actions: Actions) -> None:
         self._actions = actions
         self._pushing = False
         with gui.add_folder("Push the arm"):
@@ -85,37 +76,26 @@ class Controls:
             ]
             home = gui.add_button("Home", icon=viser.Icon.HOME)
         with gui.add_folder("Estimator"):
-            tare = gui.add_button(
-                "Tare",
-                icon=viser.Icon.SCALE,
-                hint="takes the present tensions as the unloaded state",
-            )
+            hint = "takes the present tensions as the unloaded state"
+            tare = gui.add_button("Tare", icon=viser.Icon.SCALE, hint=hint)
         self._button.on_click(lambda _: self._toggle())
         for handle in (self._segment, self._angle, self._newtons):
-            handle.on_update(lambda _: self._send_push())
+            handle.on_update(lambda _: self._send_push() if self._pushing else None)
         for joint in self._joints:
             joint.on_update(lambda event: self._send_command() if event.client else None)
         home.on_click(lambda _: self._go_home())
         tare.on_click(lambda _: actions.tare())
 
-    @property
-    def wanted(self) -> Push:
-        """The push as the sliders stand; 0 N unless the button is down."""
-        return Push(
-            int(self._segment.value),
-            float(self._angle.value),
-            float(self._newtons.value) if self._pushing else 0.0,
-        )
-
     def _toggle(self) -> None:
         self._pushing = not self._pushing
         self._button.label = "Release" if self._pushing else "Push"
         self._button.color = "gray" if self._pushing else "orange"
-        self._actions.push(self.wanted)
+        self._send_push()
 
     def _send_push(self) -> None:
-        if self._pushing:
-            self._actions.push(self.wanted)
+        """The push as the sliders stand; 0 N unless the button is down."""
+        force_n = float(self._newtons.value) if self._pushing else 0.0
+        self._actions.push(Push(int(self._segment.value), float(self._angle.value), force_n))
 
     def _send_command(self) -> None:
         self._actions.command(np.deg2rad([float(joint.value) for joint in self._joints]))
@@ -126,43 +106,46 @@ class Controls:
         self._send_command()
 
 
-LEVEL_CSS = {
+_GREY = "#8a93a3"
+_LEVEL_CSS = {
     Level.OK: "#00b280",
-    Level.WARNING: "#f0a832",
+    Level.WARN: "#f0a832",
     Level.ERROR: "#e8604c",
-    Level.STALE: "#8a93a3",
+    Level.STALE: _GREY,
 }
-_BOX = (
-    "padding:2px 10px 10px 10px;font-size:13px;line-height:1.45;font-variant-numeric:tabular-nums"
-)
-_DIM = "color:#8a93a3"
+_DIM = f"color:{_GREY}"
+_SMALL = f"{_DIM};font-size:11px"
+
+
+def _box(content: str, style: str = "") -> str:
+    return (
+        "<div style='padding:2px 10px 10px 10px;font-size:13px;line-height:1.45;"
+        f"font-variant-numeric:tabular-nums;{style}'>{content}</div>"
+    )
 
 
 def status_html(status: Status) -> str:
     """The estimator's state as a coloured badge with its notes."""
-    colour = LEVEL_CSS[status.level]
     notes = "".join(f"<div style='{_DIM};font-size:12px'>{escape(n)}</div>" for n in status.notes)
-    return (
-        f"<div style='{_BOX};padding-top:8px'>"
-        f"<span style='display:inline-block;width:10px;height:10px;border-radius:5px;"
-        f"background:{colour};margin-right:8px'></span>"
-        f"<b id='cablesense-status'>{escape(status.headline)}</b>{notes}</div>"
+    return _box(
+        "<span style='display:inline-block;width:10px;height:10px;border-radius:5px;"
+        f"background:{_LEVEL_CSS[status.level]};margin-right:8px'></span>"
+        f"<b id='cablesense-status'>{escape(status.headline)}</b>{notes}",
+        "padding-top:8px",
     )
 
 
 def forces_html(true: Contact | None, estimate: Contact | None) -> str:
     """True and estimated contact, side by side, with units."""
-    rows = _force_row("true", css(TRUE_RGB), true) + _force_row(
-        "estimated", css(ESTIMATE_RGB), estimate
-    )
-    return (
-        f"<div style='{_BOX}'><table style='width:100%;border-collapse:collapse'>"
-        f"<tr style='{_DIM};font-size:11px;text-align:right'><td></td><td>segment</td>"
-        f"<td>angle</td><td>force</td></tr>{rows}</table></div>"
+    rows = _force_row("true", TRUE_RGB, true) + _force_row("estimated", ESTIMATE_RGB, estimate)
+    return _box(
+        "<table style='width:100%;border-collapse:collapse'>"
+        f"<tr style='{_SMALL};text-align:right'><td></td><td>segment</td>"
+        f"<td>angle</td><td>force</td></tr>{rows}</table>"
     )
 
 
-def _force_row(word: str, colour: str, contact: Contact | None) -> str:
+def _force_row(word: str, rgb: Rgb, contact: Contact | None) -> str:
     if contact is None:
         cells = f"<td>none</td><td style='{_DIM}'>–</td><td style='{_DIM}'>0.0 N</td>"
     else:
@@ -172,7 +155,7 @@ def _force_row(word: str, colour: str, contact: Contact | None) -> str:
         )
     return (
         f"<tr id='cablesense-{word}' style='text-align:right;font-size:15px'>"
-        f"<td style='text-align:left;color:{colour};font-weight:600'>▶ {word}</td>{cells}</tr>"
+        f"<td style='text-align:left;color:{css(rgb)};font-weight:600'>▶ {word}</td>{cells}</tr>"
     )
 
 
@@ -182,39 +165,32 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
     for segment in range(segment_count + 1):
         share = 0.0 if probabilities is None else float(probabilities[segment])
         name = f"segment {segment}" if segment else "no contact"
-        colour = css(segment_rgb(segment)) if segment else "#8a93a3"
+        colour = css(segment_rgb(segment)) if segment else _GREY
         percent = "–" if probabilities is None else f"{100 * share:.1f} %"
         bars.append(
             f"<div style='display:flex;align-items:center;gap:8px;font-size:12px'>"
             f"<span style='width:74px'>{name}</span>"
-            "<span style='flex:1;height:9px;background:#30353f;border-radius:3px;"
-            "overflow:hidden'>"
-            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;"
-            f"background:{colour}'>"
+            "<span style='flex:1;height:9px;background:#30353f;border-radius:3px;overflow:hidden'>"
+            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;background:{colour}'>"
             f"</span></span><span style='width:52px;text-align:right'>{percent}</span></div>"
         )
-    title = f"<div style='{_DIM};font-size:11px'>contact probability</div>"
-    return f"<div style='{_BOX}'>{title}{''.join(bars)}</div>"
+    return _box(f"<div style='{_SMALL}'>contact probability</div>{''.join(bars)}")
 
 
 def errors_html(errors: Errors) -> str:
     """Mean errors so far."""
-    right = "–" if errors.segment_right is None else f"{100 * errors.segment_right:.1f} %"
-    angle = "–" if errors.angle_mae_deg is None else f"{errors.angle_mae_deg:.2f}°"
-    newtons = "–" if errors.magnitude_mae_n is None else f"{errors.magnitude_mae_n:.2f} N"
     cells = "".join(
-        f"<div style='flex:1'><div style='{_DIM};font-size:11px'>{name}</div>"
-        f"<div style='font-size:16px;font-weight:600'>{figure}</div></div>"
-        for name, figure in (
-            ("segment right", right),
-            ("direction error", angle),
-            ("force error", newtons),
+        f"<div style='flex:1'><div style='{_SMALL}'>{name}</div><div style='font-size:16px;"
+        f"font-weight:600'>{'–' if value is None else text.format(value)}</div></div>"
+        for name, value, text in (
+            ("segment right", errors.segment_right, "{:.1%}"),
+            ("direction error", errors.angle_mae_deg, "{:.2f}°"),
+            ("force error", errors.magnitude_mae_n, "{:.2f} N"),
         )
-    )
-    return (
-        f"<div style='{_BOX}'><div style='display:flex;gap:6px'>{cells}</div>"
-        f"<div style='{_DIM};font-size:11px'>mean over {errors.count} steady moments</div>"
-        "</div>"
+    ).replace("%<", " %<")
+    return _box(
+        f"<div style='display:flex;gap:6px'>{cells}</div>"
+        f"<div style='{_SMALL}'>mean over {errors.count} steady moments</div>"
     )
 
 
@@ -223,14 +199,14 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
     now = ""
     if tensions_n is not None:
         now = f"now {round(float(tensions_n.min()))} to {round(float(tensions_n.max()))} N"
-    return (
-        f"<div style='{_BOX};padding-bottom:2px'>"
+    return _box(
         "<div style='display:flex;justify-content:space-between'>"
         f"<span>cable tension</span><span style='{_DIM}'>{now}</span></div>"
-        f"<div style='height:10px;border-radius:3px;background:{tension_gradient_css()}'></div>"
-        f"<div style='display:flex;justify-content:space-between;{_DIM};font-size:11px'>"
+        f"<div style='height:10px;border-radius:3px;background:{TENSION_GRADIENT_CSS}'></div>"
+        f"<div style='display:flex;justify-content:space-between;{_SMALL}'>"
         f"<span>0 N (slack)</span><span>{full_scale_n / 2:.0f} N</span>"
-        f"<span>{full_scale_n:.0f} N</span></div></div>"
+        f"<span>{full_scale_n:.0f} N</span></div>",
+        "padding-bottom:2px",
     )
 
 
@@ -238,28 +214,24 @@ def traces_legend_html(segment_count: int) -> str:
     """The legend of the traces: a colour for each segment that a cable ends on."""
     marks = " ".join(
         "<span style='white-space:nowrap;margin-right:10px'>"
-        f"<b style='color:{css(segment_rgb(n))}'>━</b> "
-        f"ends on segment {n}</span>"
+        f"<b style='color:{css(segment_rgb(n))}'>━</b> ends on segment {n}</span>"
         for n in range(1, segment_count + 1)
     )
-    return f"<div style='{_BOX};font-size:11px;{_DIM};padding-bottom:4px'>{marks}</div>"
+    return _box(marks, f"{_SMALL};padding-bottom:4px")
 
 
-WINDOW_S = 12.0
-SAMPLES = 240
 _DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
 _AXIS_CSS = "#9aa3b2"
-_SOFT_ZERO = {"soft": 0.0, "mode": 1, "pad": 0.05}
-_SOFT_100 = {"soft": 100.0, "mode": 1, "pad": 0.05}
+_RANGE_N = {
+    end: {"soft": soft, "mode": 1, "pad": 0.05} for end, soft in (("min", 0.0), ("max", 100.0))
+}
 """The y axis covers 0 to 100 N and grows in the browser: new scales would rebuild the plot."""
 
 
 class TraceBuffer:
     """A ring of the last samples of M cables, thinned to an even spacing in time."""
 
-    def __init__(
-        self, cable_count: int, window_s: float = WINDOW_S, samples: int = SAMPLES
-    ) -> None:
+    def __init__(self, cable_count: int, window_s: float = 12.0, samples: int = 240) -> None:
         self._step_s = window_s / samples
         self._window_s = window_s
         self._times_s = np.full(samples, np.nan)
@@ -297,53 +269,38 @@ class TraceBuffer:
 
 
 class TracePlot:
-    """A TraceBuffer drawn in the page."""
+    """A TraceBuffer drawn in the page; `draw` shows what it holds."""
 
     def __init__(self, gui: viser.GuiApi, mechanism: Mechanism) -> None:
-        self._buffer = TraceBuffer(mechanism.cable_count)
+        self.buffer = TraceBuffer(mechanism.cable_count)
         self._plot = gui.add_uplot(
-            self._buffer.columns,
+            self.buffer.columns,
             ({"label": "s"}, *_series(mechanism)),
-            scales={"x": {"time": False}, "y": {"range": {"min": _SOFT_ZERO, "max": _SOFT_100}}},
-            axes=(
-                _axis("x", "time, s", 28),
-                _axis("y", "tension, N", 46),
-            ),
+            scales={"x": {"time": False}, "y": {"range": _RANGE_N}},
+            axes=(_axis("x", "time, s", 28), _axis("y", "tension, N", 46)),
             legend={"show": False},
             cursor={"show": False},
             height=290,
             padding=(10, 14, 0, 0),
         )
 
-    @property
-    def peak_n(self) -> float:
-        """The largest tension in the plot, N."""
-        return self._buffer.peak_n
-
-    def add(self, time_s: float, tensions_n: Array) -> None:
-        """Keeps a sample; `draw` shows it."""
-        self._buffer.add(time_s, tensions_n)
-
     def draw(self) -> None:
         """Sends the traces to the page."""
-        self._plot.data = self._buffer.columns
+        self._plot.data = self.buffer.columns
 
 
 def _series(mechanism: Mechanism) -> list[Any]:
-    series: list[Any] = []
-    seen: dict[int, int] = {}
-    for cable, segment in enumerate(mechanism.cable_segment):
-        turn = seen[int(segment)] = seen.get(int(segment), -1) + 1
-        series.append(
-            {
-                "label": f"cable_{cable + 1}",
-                "stroke": css(segment_rgb(int(segment))),
-                "width": 1.5,
-                "dash": _DASHES[turn % len(_DASHES)],
-                "points": {"show": False},
-            }
-        )
-    return series
+    segments = mechanism.cable_segment.tolist()
+    return [
+        {
+            "label": f"cable_{cable + 1}",
+            "stroke": css(segment_rgb(segment)),
+            "width": 1.5,
+            "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
+            "points": {"show": False},
+        }
+        for cable, segment in enumerate(segments)
+    ]
 
 
 def _axis(scale: str, label: str, size: int) -> Any:

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 import viser
+from scipy.spatial.transform import Rotation
 
 from cablesense_base.arrays import Array
 from cablesense_online.page import drawing
@@ -14,12 +15,10 @@ from cablesense_online.page.drawing import (
     ARROWS_APART_M,
     ESTIMATE_RGB,
     TRUE_RGB,
-    CablePieces,
     Rgb,
     arrow_tail_m,
     cable_pieces,
     linear_rgb,
-    quaternion_of,
     quaternion_z_to,
     tension_rgb,
 )
@@ -51,10 +50,7 @@ class _ForceArrow:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            for part, mesh in (
-                ("shaft", drawing.unit_cylinder()),
-                ("head", drawing.unit_cone()),
-            )
+            for part, mesh in drawing.unit_arrow().items()
         )
         self._label = scene.add_label(
             f"{name}/label", "", anchor=label_anchor, font_screen_scale=1.05, visible=True
@@ -62,7 +58,6 @@ class _ForceArrow:
         self._shown: tuple[float, ...] | None = None
 
     def hide(self) -> None:
-        """Takes the arrow out of sight."""
         if self._shown is not None:
             self._root.visible = False
             self._shown = None
@@ -110,7 +105,11 @@ class ArmScene:
         ]
         self._add_base(scene)
         straight = np.zeros(mechanism.joint_count)
-        pieces = self._pieces(straight)
+        pieces = cable_pieces(
+            mechanism,
+            joint_positions_m(mechanism, straight),
+            segment_rotations(mechanism, straight),
+        )
         self._piece_cable = pieces.cable
         self._colours = np.full((len(pieces.cable), 2, 3), 128, dtype=np.uint8)
         self._cables = scene.add_line_segments(
@@ -129,10 +128,12 @@ class ArmScene:
         positions = joint_positions_m(self._mechanism, self._pose_rad)
         self._rotations = rotations = segment_rotations(self._mechanism, self._pose_rad)
         self._contacts_m = contact_points_m(self._mechanism, self._pose_rad)
-        for frame, position, rotation in zip(self._segments, positions, rotations, strict=True):
+        turns = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
+        for frame, position, turn in zip(self._segments, positions, turns, strict=True):
             frame.position = position
-            frame.wxyz = quaternion_of(rotation)
-        self._cables.points = self._pieces(self._pose_rad).ends_m.astype(np.float32)
+            frame.wxyz = turn
+        pieces = cable_pieces(self._mechanism, positions, rotations)
+        self._cables.points = pieces.ends_m.astype(np.float32)
 
     def tensions(self, tensions_n: Array, full_scale_n: float) -> None:
         """Colours the cables; (M,) in N, against the legend's full scale."""
@@ -159,15 +160,7 @@ class ArmScene:
                     f"{label} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
                 )
 
-    def _pieces(self, joint_angles_rad: Array) -> CablePieces:
-        return cable_pieces(
-            self._mechanism,
-            joint_positions_m(self._mechanism, joint_angles_rad),
-            segment_rotations(self._mechanism, joint_angles_rad),
-        )
-
     def _add_ground(self, scene: viser.SceneApi) -> None:
-        height = -0.32
         scene.add_grid(
             "/ground",
             width=3.0,
@@ -182,61 +175,44 @@ class ArmScene:
             shadow_opacity=0.35,
             fade_distance=2.6,
             fade_strength=1.2,
-            position=(0.25, 0.0, height),
+            position=(0.25, 0.0, -0.32),
         )
-        scene.add_label(
-            "/ground/scale",
-            "squares of 5 cm",
-            position=(0.35, -0.3, 0.0),
-            anchor="center-center",
-            font_screen_scale=0.75,
-        )
+        _add_label(scene, "/ground/scale", "squares of 5 cm", (0.35, -0.3, 0.0), "center-center")
 
     def _add_base(self, scene: viser.SceneApi) -> None:
-        self._add_part(scene, "/base/plate", drawing.plates(self._mechanism, 0), PLATE_RGB)
-        self._add_part(scene, "/base/grommets", drawing.grommets(self._mechanism, 0), GROMMET_RGB)
-        scene.add_label(
-            "/base/label",
-            "base",
-            position=(0.0, 0.0, 1.5 * drawing.routing_radius_m(self._mechanism)),
-            anchor="bottom-center",
-            font_screen_scale=0.75,
-        )
+        _add_part(scene, "/base/plate", drawing.plates(self._mechanism, 0), PLATE_RGB)
+        _add_part(scene, "/base/grommets", drawing.grommets(self._mechanism, 0), GROMMET_RGB)
+        height_m = 1.5 * drawing.routing_radius_m(self._mechanism)
+        _add_label(scene, "/base/label", "base", (0.0, 0.0, height_m), "bottom-center")
 
     def _add_segment(self, scene: viser.SceneApi, segment: int) -> viser.FrameHandle:
         name = f"/arm/segment_{segment}"
         frame = scene.add_frame(name, show_axes=False)
         mechanism = self._mechanism
-        self._add_part(scene, f"{name}/body", drawing.body(mechanism, segment), BODY_RGB)
-        self._add_part(scene, f"{name}/joint", drawing.joint(mechanism), JOINT_RGB)
-        self._add_part(
-            scene, f"{name}/plates", drawing.plates(mechanism, segment), PLATE_RGB, opacity=0.55
-        )
-        self._add_part(
-            scene, f"{name}/grommets", drawing.grommets(mechanism, segment), GROMMET_RGB
-        )
-        scene.add_label(
-            f"{name}/label",
-            f"segment {segment}",
-            position=(
-                float(mechanism.contact_m[segment - 1]),
-                0.0,
-                -1.9 * drawing.routing_radius_m(mechanism),
-            ),
-            anchor="top-center",
-            font_screen_scale=0.75,
-        )
+        _add_part(scene, f"{name}/body", drawing.body(mechanism, segment), BODY_RGB)
+        _add_part(scene, f"{name}/joint", drawing.joint(mechanism), JOINT_RGB)
+        _add_part(scene, f"{name}/plates", drawing.plates(mechanism, segment), PLATE_RGB, 0.55)
+        _add_part(scene, f"{name}/grommets", drawing.grommets(mechanism, segment), GROMMET_RGB)
+        depth_m = -1.9 * drawing.routing_radius_m(mechanism)
+        place_m = (float(mechanism.contact_m[segment - 1]), 0.0, depth_m)
+        _add_label(scene, f"{name}/label", f"segment {segment}", place_m, "top-center")
         return frame
 
-    def _add_part(
-        self,
-        scene: viser.SceneApi,
-        name: str,
-        mesh: trimesh.Trimesh,
-        rgb: tuple[int, int, int],
-        opacity: float | None = None,
-    ) -> None:
-        if len(mesh.vertices):
-            scene.add_mesh_simple(
-                name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, side="double"
-            )
+
+def _add_part(
+    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, rgb: Rgb, opacity: float | None = None
+) -> None:
+    if len(mesh.vertices):
+        scene.add_mesh_simple(
+            name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, side="double"
+        )
+
+
+def _add_label(
+    scene: viser.SceneApi,
+    name: str,
+    text: str,
+    place_m: tuple[float, float, float],
+    anchor: Literal["center-center", "bottom-center", "top-center"],
+) -> None:
+    scene.add_label(name, text, position=place_m, anchor=anchor, font_screen_scale=0.75)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.diagnostics import Level
 from cablesense_online.page.live_arm import (
     STALE_S,
     Contact,
-    Level,
     LiveArm,
     Score,
     Snapshot,
