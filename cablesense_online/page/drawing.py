@@ -89,7 +89,7 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
 
 
 def quaternion_z_to(direction: Array) -> Array:
-    """Quaternion (4,), w x y z, of the shortest turn from +z to `direction` (3,), of any length."""
+    """Quaternion (4,), w x y z, of the shortest turn from +z to a direction (3,)."""
     x, y, z = unit(direction)
     opposite = 1.0 + z < 1e-14
     return unit(np.array([0.0, 1.0, 0.0, 0.0] if opposite else [1.0 + z, -y, x, 0.0]))

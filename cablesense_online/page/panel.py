@@ -171,23 +171,25 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
             f"<div style='display:flex;align-items:center;gap:8px;font-size:12px'>"
             f"<span style='width:74px'>{name}</span>"
             "<span style='flex:1;height:9px;background:#30353f;border-radius:3px;overflow:hidden'>"
-            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;background:{colour}'>"
-            f"</span></span><span style='width:52px;text-align:right'>{percent}</span></div>"
+            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;"
+            f"background:{colour}'></span></span>"
+            f"<span style='width:52px;text-align:right'>{percent}</span></div>"
         )
     return _box(f"<div style='{_SMALL}'>contact probability</div>{''.join(bars)}")
 
 
 def errors_html(errors: Errors) -> str:
     """Mean errors so far."""
+    right = errors.segment_right
     cells = "".join(
         f"<div style='flex:1'><div style='{_SMALL}'>{name}</div><div style='font-size:16px;"
         f"font-weight:600'>{'–' if value is None else text.format(value)}</div></div>"
         for name, value, text in (
-            ("segment right", errors.segment_right, "{:.1%}"),
+            ("segment right", None if right is None else 100 * right, "{:.1f} %"),
             ("direction error", errors.angle_mae_deg, "{:.2f}°"),
             ("force error", errors.magnitude_mae_n, "{:.2f} N"),
         )
-    ).replace("%<", " %<")
+    )
     return _box(
         f"<div style='display:flex;gap:6px'>{cells}</div>"
         f"<div style='{_SMALL}'>mean over {errors.count} steady moments</div>"
