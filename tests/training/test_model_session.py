@@ -25,7 +25,7 @@ def test_a_small_model_opens(tmp_path):
     session = ModelSession.open(written(tmp_path, small_model()), OUTPUTS, CDSM)
     answers = session.run(np.ones((3, 12)), np.zeros((3, 8)))
     assert [answer.shape for answer in answers] == [(3, 5), (3, 2), (3,), (3,), (3,)]
-    assert not session.tells_taut
+    assert not session.gives_taut
 
 
 def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
@@ -33,7 +33,7 @@ def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
     taut = value(TAUT, DOUBLE, ["batch", 12])
     model.graph.output.append(taut)
     session = ModelSession.open(written(tmp_path, model), OUTPUTS, CDSM)
-    assert session.tells_taut
+    assert session.gives_taut
     assert len(session.run(np.ones((3, 12)), None)) == len(OUTPUTS)
     model.graph.output.append(taut)
     assert TAUT in refused(written(tmp_path, model))

@@ -21,7 +21,7 @@ POSES, PUSHES = 3, 12
 @pytest.fixture(scope="module")
 def session():
     session = ModelSession.open(find_model("cdsm"), OUTPUTS, CDSM)
-    assert session.tells_taut
+    assert session.gives_taut
     return session
 
 

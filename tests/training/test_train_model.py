@@ -89,10 +89,7 @@ def test_the_figures_are_plain_json_values(single, tmp_path, stub_export):
     assert len(figures["single"]["bins"]) == 5
 
 
-@pytest.mark.parametrize(
-    ("name", "stored"), [("temporal", "temporal"), ("momentary", "memoryless")]
-)
-def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(name, stored, tmp_path):
+def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path):
     arm = open_arm("cdsm_lab")
     sequences = draw_sequences(arm, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
     settings = SequenceFitSettings(epochs=1, batch_size=4, threads=1)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,13 +80,7 @@ class Estimates:
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
-        """From a model's `OUTPUTS` with any leading axes.
-
-        Raises:
-            EstimateError: one is not finite.
-        """
-        if not all(np.isfinite(output).all() for output in outputs):
-            raise EstimateError(NO_ANSWER)
+        """From a model's `OUTPUTS` with any leading axes."""
         probability, direction, magnitude, std, angle_std = outputs
         return cls(
             probabilities=probability,
@@ -98,27 +92,27 @@ class Estimates:
         )
 
 
-class Estimator:
-    """A single-contact model, opened; not for use from several threads at once.
+class OpenedModel:
+    """A model file, opened; not for use from several threads at once.
 
     Attributes:
-        metadata: what the model file says about itself.
+        metadata: the model's description, as its file has it.
     """
+
+    outputs: ClassVar[Sequence[str]]
 
     def __init__(self, session: ModelSession) -> None:
         self.metadata: ModelMetadata = session.metadata
         self._session = session
-        self._single = SingleRun(session)
-        self._command = b""
 
     @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> Estimator:
+    def load(cls, path: str | Path, arm: Arm | None = None) -> Self:
         """Open a model file, for a certain arm where one is given.
 
         Raises:
-            ModelFileError: the file is no single-contact model, or not one for this arm.
+            ModelFileError: the file is no model of this kind, or not one for this arm.
         """
-        return cls(ModelSession.open(path, OUTPUTS, arm))
+        return cls(ModelSession.open(path, cls.outputs, arm))
 
     @property
     def arm_identity(self) -> str:
@@ -135,6 +129,75 @@ class Estimator:
         """Order of the tension differences."""
         return self.metadata.cable_names
 
+    def _answers(self, tensions_n: ArrayLike, commands_rad: ArrayLike | None) -> list[Array]:
+        """The outputs for tension differences (B, M) or (M,) and commands (B, 2N) or (2N,)."""
+        tension = self._tensions(tensions_n)
+        commands = self._commands(commands_rad, len(tension)) if self.pose_aware else None
+        outputs = self._session.run(tension, commands)
+        require_finite(outputs)
+        return outputs
+
+    def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
+        count = self.metadata.arm.cable_count
+        return finite_table(values, count, "tension differences", rows)
+
+    def _commands(self, values: ArrayLike | None, rows: int) -> Array:
+        """(B, 2N), one command for all where only one is given."""
+        count = self.metadata.arm.joint_count
+        if values is None:
+            raise EstimateError(f"this model needs the {count} commanded joint angles")
+        command = finite_table(values, count, "commanded joint angles")
+        if len(command) not in (1, rows):
+            raise EstimateError(
+                f"{len(command)} commands for {rows} samples; this model needs {count} joint "
+                "angles, once or for each sample"
+            )
+        return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
+
+
+def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
+    """Finite numbers (B, columns) from (B, columns) or (columns,), of `rows` rows or any number.
+
+    Raises:
+        EstimateError: a wrong shape, or numbers that are not finite.
+    """
+    try:
+        table = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise EstimateError(f"{what} must be numbers, equally many a sample ({error})") from error
+    if table.ndim == 1:
+        table = table[None]
+    if table.ndim != 2 or not len(table):
+        raise EstimateError(
+            f"{what} of shape {table.shape}; needed is at least one row of numbers"
+        )
+    if table.shape[1] != columns or (rows is not None and len(table) != rows):
+        raise EstimateError(f"{what} of shape {np.shape(values)}; this model needs {columns}")
+    if not np.isfinite(table).all():
+        raise EstimateError(f"{what} must be finite; one is NaN or infinite")
+    return table
+
+
+def require_finite(outputs: Sequence[Array]) -> None:
+    """Refuse answers that are not numbers.
+
+    Raises:
+        EstimateError: one is not finite.
+    """
+    if not all(np.isfinite(output).all() for output in outputs):
+        raise EstimateError(NO_ANSWER)
+
+
+class Estimator(OpenedModel):
+    """A single-contact model, opened; not for use from several threads at once."""
+
+    outputs = OUTPUTS
+
+    def __init__(self, session: ModelSession) -> None:
+        super().__init__(session)
+        self._single = SingleRun(session)
+        self._command = b""
+
     def estimate(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None = None
     ) -> Estimate:
@@ -146,7 +209,11 @@ class Estimator:
             EstimateError: see its docstring.
         """
         single = self._single
-        if not self._fits(tension_difference_n):
+        if not (
+            isinstance(tension_difference_n, np.ndarray)
+            and tension_difference_n.dtype == np.float64
+            and tension_difference_n.shape == single.tension_difference_n.shape
+        ):  # what is not finite shows in the answer
             tension_difference_n = self._tensions(tension_difference_n, 1)[0]
         if self.metadata.pose_aware:
             self._follow(joint_command_rad)
@@ -166,20 +233,10 @@ class Estimator:
         Raises:
             EstimateError: see its docstring.
         """
-        tension = self._tensions(tension_differences_n)
-        commands = self._commands(joint_commands_rad, len(tension)) if self.pose_aware else None
-        return Estimates.of_outputs(self._session.run(tension, commands))
-
-    def _fits(self, values: ArrayLike) -> bool:
-        """Whether the values can be taken as they are; what is not finite shows in the answer."""
-        return (
-            isinstance(values, np.ndarray)
-            and values.dtype == np.float64
-            and values.shape == self._single.tension_difference_n.shape
-        )
+        return Estimates.of_outputs(self._answers(tension_differences_n, joint_commands_rad))
 
     def _follow(self, joint_command_rad: ArrayLike | None) -> None:
-        """Compute what the command alone decides, if it is not the one before."""
+        """Compute what depends on the command alone, if it is not the one before."""
         if (
             isinstance(joint_command_rad, np.ndarray)
             and joint_command_rad.dtype == np.float64
@@ -190,49 +247,6 @@ class Estimator:
         self._command = b""
         self._single.set_command(command)
         self._command = command.tobytes()
-
-    def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
-        """(B, M), of one row or of any number."""
-        count = self.metadata.arm.cable_count
-        tension = finite_table(values, "tension differences")
-        if tension.shape[1] != count or (rows is not None and len(tension) != rows):
-            raise EstimateError(
-                f"tension differences of shape {np.shape(values)}; this model needs {count}, "
-                f"in the order {self.cable_names[0]} … {self.cable_names[-1]}"
-            )
-        return tension
-
-    def _commands(self, values: ArrayLike | None, rows: int) -> Array:
-        """(B, 2N), one command for all where only one is given."""
-        count = self.metadata.arm.joint_count
-        if values is None:
-            raise EstimateError(f"this model needs the {count} commanded joint angles")
-        command = finite_table(values, "commanded joint angles")
-        if command.shape[1] != count or len(command) not in (1, rows):
-            raise EstimateError(
-                f"commanded joint angles of shape {np.shape(values)}; "
-                f"this model needs {count}, once or for each of {rows} samples"
-            )
-        if len(command) == rows:
-            return command
-        return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
-
-
-def finite_table(values: ArrayLike, what: str) -> Array:
-    """Finite numbers (B, K) from (B, K) or (K,)."""
-    try:
-        table = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise EstimateError(f"{what} must be numbers, equally many a sample ({error})") from error
-    if table.ndim == 1:
-        table = table[None]
-    if table.ndim != 2 or not len(table):
-        raise EstimateError(
-            f"{what} of shape {table.shape}; needed is at least one row of numbers"
-        )
-    if not np.isfinite(table).all():
-        raise EstimateError(f"{what} must be finite; one is NaN or infinite")
-    return table
 
 
 @dataclass(frozen=True)
@@ -250,61 +264,17 @@ class MultiEstimates:
     magnitude_std_n: Array
 
 
-class MultiEstimator:
-    """A multi-contact model, opened.
+class MultiEstimator(OpenedModel):
+    """A multi-contact model, opened."""
 
-    Attributes:
-        metadata: what the model file says about itself.
-    """
-
-    def __init__(self, session: ModelSession) -> None:
-        self.metadata = session.metadata
-        self._session = session
-
-    @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> MultiEstimator:
-        """Open a model file, for a certain arm where one is given.
-
-        Raises:
-            ModelFileError: the file is no multi-contact model, or not one for this arm.
-        """
-        return cls(ModelSession.open(path, MULTI_OUTPUTS, arm))
+    outputs = MULTI_OUTPUTS
 
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M) or (M,).
-
-        A pose-aware model needs the commanded angles, (B, 2N) or (2N,), too.
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
 
         Raises:
             EstimateError: wrong shape, not finite, or a command that is missing.
         """
-        arm = self.metadata.arm
-        tension = _columns(tension_differences_n, arm.cable_count, "tension differences")
-        commands = None
-        if self.metadata.pose_aware:
-            if joint_commands_rad is None:
-                raise EstimateError(
-                    f"this model needs the {arm.joint_count} commanded joint angles"
-                )
-            command = _columns(joint_commands_rad, arm.joint_count, "commanded joint angles")
-            if len(command) not in (1, len(tension)):
-                raise EstimateError(
-                    f"{len(command)} commands for {len(tension)} samples; give one, or one each"
-                )
-            command = np.broadcast_to(command, (len(tension), arm.joint_count))
-            commands = np.ascontiguousarray(command)
-        probability, magnitude, std = self._session.run(tension, commands)
-        if not all(np.isfinite(part).all() for part in (probability, magnitude, std)):
-            raise EstimateError(NO_ANSWER)
-        return MultiEstimates(probability, magnitude, std)
-
-
-def _columns(values: ArrayLike, columns: int, what: str) -> Array:
-    table = finite_table(values, what)
-    if table.shape[1] != columns:
-        raise EstimateError(
-            f"{what} of shape {np.shape(values)}; this model needs {columns} a sample"
-        )
-    return table
+        return MultiEstimates(*self._answers(tension_differences_n, joint_commands_rad))

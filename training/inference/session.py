@@ -57,8 +57,8 @@ class ModelSession:
     ) -> ModelSession:
         """Read a model file that gives `outputs` and, where an arm is named, fits it.
 
-        A model made for the same arm without its effects fits as well: so answers who does not
-        know of them.
+        A model made for the same arm without its effects fits as well: it answers without
+        knowledge of them.
 
         Raises:
             ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
@@ -79,14 +79,12 @@ class ModelSession:
         except ModelFileError:
             raise
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise ModelFileError(
-                f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
-            ) from error
+            raise cannot_run(source, error) from error
         session._require_answers(dict(zip(outputs, _widths(outputs, metadata), strict=True)))
         return session
 
     @property
-    def tells_taut(self) -> bool:
+    def gives_taut(self) -> bool:
         """Whether the model gives `TAUT` beside its answers."""
         return any(entry.name == TAUT for entry in self.model.graph.output)
 
@@ -101,34 +99,27 @@ class ModelSession:
             inputs[COMMAND] = joint_commands_rad
         return self.run_inputs(inputs)
 
-    def run_inputs(self, inputs: Mapping[str, Array]) -> list[Array]:
+    def run_inputs(
+        self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
+    ) -> list[Array]:
         """The same for all the inputs that `input_widths` names, each (B, width)."""
-        return self._ask(self.outputs, inputs)
-
-    def _ask(self, outputs: Sequence[str], inputs: Mapping[str, Array]) -> list[Array]:
         parts = []
         for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
             part = {name: value[rows] for name, value in inputs.items()}
             try:
-                parts.append(self._whole.run(list(outputs), part))
+                parts.append(self._whole.run(list(outputs or self.outputs), part))
             except Exception as error:  # ONNX Runtime's classes have no common base
-                raise self.cannot_run(error) from error
+                raise cannot_run(self.source, error) from error
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
-
-    def cannot_run(self, error: Exception) -> ModelFileError:
-        """The error for a model on which ONNX Runtime gave up."""
-        return ModelFileError(
-            f"{self.source}: ONNX Runtime cannot run it ({_line(error)}); train it again"
-        )
 
     def _require_answers(self, widths: Mapping[str, tuple[int, ...]]) -> None:
         """A file that opens may still not run; two idle arms at once show it."""
         arm = self.metadata.arm
-        if self.tells_taut:
+        if self.gives_taut:
             widths = {**widths, TAUT: (arm.cable_count,)}
         idle = {name: np.zeros((2, width)) for name, width in input_widths(self.metadata).items()}
-        answers = self._ask(list(widths), idle)
+        answers = self.run_inputs(idle, list(widths))
         for (name, width), answer in zip(widths.items(), answers, strict=True):
             if answer.dtype != np.float64 or answer.shape != (2, *width):
                 raise ModelFileError(
@@ -159,12 +150,6 @@ def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
     Raises:
         ModelFileError: unreadable, not ONNX, or not a CableSense model.
     """
-    model = _read(path)
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    return model, ModelMetadata.from_properties(properties, str(path))
-
-
-def _read(path: str | Path) -> onnx.ModelProto:
     content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
     try:
         model = onnx.load_model_from_string(content)
@@ -177,7 +162,8 @@ def _read(path: str | Path) -> onnx.ModelProto:
             f"{path}: not a valid ONNX file ({_line(error)}); needed is a model file, "
             "as `cablesense train` writes it"
         ) from error
-    return model
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    return model, ModelMetadata.from_properties(properties, str(path))
 
 
 def _require_outputs(
@@ -219,6 +205,11 @@ def _widths(outputs: Sequence[str], metadata: ModelMetadata) -> list[tuple[int, 
         NEXT_STATE: (metadata.memory,),
     }
     return [widths.get(name, ()) for name in outputs]
+
+
+def cannot_run(source: str, error: Exception) -> ModelFileError:
+    """The error for a model on which ONNX Runtime gave up."""
+    return ModelFileError(f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again")
 
 
 def _line(error: Exception) -> str:

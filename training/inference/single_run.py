@@ -24,6 +24,7 @@ from cablesense_training.inference.session import (
     TAUT,
     TENSION,
     ModelSession,
+    cannot_run,
     open_session,
 )
 
@@ -144,15 +145,15 @@ class SingleRun:
         Raises:
             ModelFileError: it answers for two samples, but its parts cannot for one.
         """
-        self._session = session
+        self._source = session.source
         try:
             self._bind(session)
         except Exception as error:  # onnx and ONNX Runtime have families of their own
-            raise session.cannot_run(error) from error
+            raise cannot_run(session.source, error) from error
 
     def _bind(self, session: ModelSession) -> None:
         arm = session.metadata.arm
-        held = TAUT if session.tells_taut else None
+        held = TAUT if session.gives_taut else None
         parts = split_graph(session.model, TENSION, held)
         self._buffers = {
             TENSION: np.zeros((1, arm.cable_count)),
@@ -224,4 +225,4 @@ class SingleRun:
         try:
             session.run_with_iobinding(binding)
         except Exception as error:  # ONNX Runtime's classes have no common base
-            raise self._session.cannot_run(error) from error
+            raise cannot_run(self._source, error) from error

@@ -16,15 +16,14 @@ from numpy.typing import ArrayLike
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import (
-    NO_ANSWER,
     OUTPUTS,
     Estimate,
-    EstimateError,
     Estimates,
     Estimator,
+    OpenedModel,
     finite_table,
+    require_finite,
 )
-from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import (
     ACCELERATION,
     COMMAND,
@@ -64,15 +63,8 @@ class TemporalState:
     @property
     def parts(self) -> tuple[int, ...]:
         """Sizes of the parts in their order."""
-        return (
-            self.hidden,
-            self.shares,
-            self.cables,
-            self.joints,
-            self.shares,
-            self.joints,
-            1,
-        )
+        shares, joints = self.shares, self.joints
+        return (self.hidden, shares, self.cables, joints, shares, joints, 1)
 
     @property
     def size(self) -> int:
@@ -99,36 +91,23 @@ _EARLY = 0.25
 """A tick may come so much early, in ticks: stamps jitter."""
 
 
-class TemporalEstimator:
+class TemporalEstimator(OpenedModel):
     """A single-contact model that carries a state from tick to tick; for one thread at a time.
 
     Its state follows from the samples given since `forget`, their times and their set-points
     alone, so the same samples give the same answers again.
-
-    Attributes:
-        metadata: what the model file says about itself.
     """
 
-    pose_aware = True
+    outputs = TEMPORAL_OUTPUTS
 
     def __init__(self, session: ModelSession) -> None:
-        self.metadata: ModelMetadata = session.metadata
-        self._session = session
-        arm = session.metadata.arm
+        super().__init__(session)
+        arm, memory = self.metadata.arm, self.metadata.memory
         self._layout = TemporalState.of_size(
-            session.metadata.memory, session.metadata.hidden, arm.cable_count, arm.joint_count
+            memory, self.metadata.hidden, arm.cable_count, arm.joint_count
         )
-        self._state = np.zeros((1, session.metadata.memory))
+        self._state = np.zeros((1, memory))
         self._tick_s: float | None = None
-
-    @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> TemporalEstimator:
-        """Open a model file, for a certain arm where one is given.
-
-        Raises:
-            ModelFileError: no history-dependent single-contact model, or not one for this arm.
-        """
-        return cls(ModelSession.open(path, TEMPORAL_OUTPUTS, arm))
 
     def forget(self) -> None:
         """Begin without a past."""
@@ -158,19 +137,18 @@ class TemporalEstimator:
             EstimateError: a wrong shape, or numbers that are not finite.
         """
         ticks = self._ticks(time_s)
-        arm = self.metadata.arm
+        joints = self.metadata.arm.joint_count
         inputs = {
-            TENSION: _row(tension_difference_n, arm.cable_count, "tension differences"),
-            COMMAND: _row(joint_command_rad, arm.joint_count, "set-point angles"),
-            SPEED: _row(joint_speed_rad_s, arm.joint_count, "set-point speeds"),
-            ACCELERATION: _row(joint_acceleration_rad_s2, arm.joint_count, "accelerations"),
+            TENSION: self._tensions(tension_difference_n, 1),
+            COMMAND: finite_table(joint_command_rad, joints, "set-point angles", 1),
+            SPEED: finite_table(joint_speed_rad_s, joints, "set-point speeds", 1),
+            ACCELERATION: finite_table(joint_acceleration_rad_s2, joints, "accelerations", 1),
         }
         state = self._state
         answers = self._session.run_inputs({**inputs, STATE: state})
         for _ in range(1, ticks):
             answers = self._session.run_inputs({**inputs, STATE: answers[-1]})
-        if not all(np.isfinite(answer).all() for answer in answers):
-            raise EstimateError(NO_ANSWER)
+        require_finite(answers)
         if ticks:
             self._state = answers[-1]
             # from where the tick is due, not from where it came: early ones would add up
@@ -194,25 +172,24 @@ class TemporalEstimator:
         Raises:
             EstimateError: an answer is not finite.
         """
-        inputs = (
-            tension_differences_n,
-            joint_commands_rad,
-            joint_speeds_rad_s,
-            joint_accelerations_rad_s2,
-        )
-        names = (TENSION, COMMAND, SPEED, ACCELERATION)
+        inputs = {
+            TENSION: tension_differences_n,
+            COMMAND: joint_commands_rad,
+            SPEED: joint_speeds_rad_s,
+            ACCELERATION: joint_accelerations_rad_s2,
+        }
         state = self._drawn_before(before_rad, joint_commands_rad[:, 0])
         ticks = []
         for tick in range(tension_differences_n.shape[1]):
             now = {
                 name: np.ascontiguousarray(values[:, tick], dtype=np.float64)
-                for name, values in zip(names, inputs, strict=True)
+                for name, values in inputs.items()
             }
-            *answers, state = self._session.run_inputs({**now, STATE: state})
-            ticks.append(answers)
-        return Estimates.of_outputs(
-            [np.stack(answer, axis=1) for answer in zip(*ticks, strict=True)]
-        )
+            *answer, state = self._session.run_inputs({**now, STATE: state})
+            ticks.append(answer)
+        answers = [np.stack(parts, axis=1) for parts in zip(*ticks, strict=True)]
+        require_finite(answers)
+        return Estimates.of_outputs(answers)
 
     def _drawn_before(self, before_rad: Array, first_rad: Array) -> Array:
         """States (S, memory) at the tare, after set-points (S, W, 2N) and then (S, 2N)."""
@@ -235,13 +212,6 @@ class TemporalEstimator:
             self.forget()
             return 1
         return max(0, math.floor(passed_s / self.metadata.tick_s + _EARLY))
-
-
-def _row(values: ArrayLike, count: int, what: str) -> Array:
-    table = finite_table(values, what)
-    if table.shape != (1, count):
-        raise EstimateError(f"{what} of shape {np.shape(values)}; this model needs {count}")
-    return table
 
 
 def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | TemporalEstimator:

@@ -35,7 +35,6 @@ from cablesense_training.networks.compact import CompactKinematics, Pose
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
-
 NUDGE_N = 1e-6
 """Added to weighed forces to keep them off zero, so that they always have a direction."""
 
@@ -62,7 +61,7 @@ def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
 
 
 class Candidates(NamedTuple):
-    """What statics says, one hypothesis per segment, in units of newtons.
+    """The estimates by statics, one hypothesis per segment.
 
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
@@ -86,7 +85,7 @@ class Candidates(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """Candidates with the belief in each.
+    """Candidates with the evidence for each.
 
     Attributes:
         force_n, covariance_n2, taut: as in `Candidates`.
@@ -136,7 +135,7 @@ class ClosedForm(nn.Module):
         pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
             command as the pose.
         unexplained_n2: what effects that no statics carries add to that variance; a slack cable
-            is told by the sensor's own.
+            is recognised by the sensor's own.
         held_by: the arm whose cable lengths the actuators hold at a command, where that is not
             `mechanism`: an arm whose holes are elsewhere than its controller believes.
     """
@@ -156,10 +155,10 @@ class ClosedForm(nn.Module):
     ) -> None:
         super().__init__()
         self.kinematics = CompactKinematics(mechanism)
-        told_n2 = max(reading_variance_n2, 1e-12)
-        self.reading_variance_n2 = told_n2 + unexplained_n2
+        sensor_n2 = max(reading_variance_n2, 1e-12)
+        self.reading_variance_n2 = sensor_n2 + unexplained_n2
         self.pose_corrections = pose_corrections
-        self.slack_below_n = 4.0 * told_n2**0.5
+        self.slack_below_n = 4.0 * sensor_n2**0.5
         compliance = 1.0 / mechanism.stiffness_n_m
         self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
         self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))
@@ -188,7 +187,7 @@ class ClosedForm(nn.Module):
         return Weighed(found.force_n + NUDGE_N, found.covariance_n2, found.taut, evidence[:, None])
 
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
-        """What the joints feel of the environment at the true pose."""
+        """Torques of the environment on the joints at the true pose."""
         n = self.kinematics.segment_count
         angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
         commanded = self.kinematics(angles)
@@ -300,3 +299,9 @@ def inverse(matrix: Tensor) -> Tensor:
         )
         return inverted
     return torch.linalg.inv(matrix)
+
+
+def own_blocks(matrix: Tensor, segments: int) -> Tensor:
+    """The 2 by 2 blocks (B, N, 2, 2) on the diagonal of (B, 2N, 2N)."""
+    blocks = matrix.reshape(-1, segments, 2, segments, 2)
+    return torch.stack([blocks[:, s, :, s] for s in range(segments)], dim=1)

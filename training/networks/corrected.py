@@ -1,7 +1,7 @@
 """The closed form, weighed and corrected by a small network: the estimator that CableSense ships.
 
 Statics gives one candidate per segment with its information. What is left to learn is little: how
-strongly to believe it, what speaks for "no contact", where many slack cables bend the estimate,
+much its evidence counts against "no contact", where many slack cables bend the estimate,
 and how wide the error really is. Corrections are counted in standard deviations of the closed form
 and bounded, so that an arm unlike the training data still gets an answer by statics.
 

@@ -6,8 +6,9 @@ beside the answers that cannot disturb them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -169,3 +170,35 @@ class Standardiser(nn.Module):
         """Rows in physical units from standardised ones."""
         physical: Tensor = values * self.std + self.mean
         return physical
+
+
+Output = TypeVar("Output", SingleContactOutput, MultiContactOutput)
+
+
+class ContactNetwork(nn.Module, ABC, Generic[Output]):
+    """Raw tension differences in newtons in, contacts in physical units out.
+
+    Attributes:
+        pose_aware: whether `forward` needs the commanded joint angles.
+        magnitude: scaling of the force magnitudes in the loss.
+        spread: head for the stated standard deviations, see `StatedSpread`.
+    """
+
+    pose_aware: ClassVar[bool] = False
+    spread: StatedSpread
+
+    def __init__(self, cable_count: int, segment_count: int, magnitudes: int) -> None:
+        super().__init__()
+        self.cable_count = cable_count
+        self.segment_count = segment_count
+        self.magnitude = Standardiser(magnitudes)
+
+    @abstractmethod
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Set the scaling from training samples: tension differences (B, M), magnitudes (B, …)."""
+
+    @abstractmethod
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> Output:
+        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""

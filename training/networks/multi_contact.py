@@ -5,22 +5,22 @@ By a learnt network, or by statics: all segments' forces in one fit, then of tho
 N segments with two force components each are 2N unknowns for 2N joint torques: solvable, without
 redundancy. A segment is touched where its force is too large for its own uncertainty. Leaving the
 untouched ones out gives the redundancy back, so the second fit, over the touched segments alone,
-tells their forces better.
+gives their forces more precisely.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from cablesense_sim.arm import Arm
-from cablesense_training.networks.closed_form import ClosedForm, inverse
+from cablesense_training.networks.closed_form import ClosedForm, inverse, own_blocks
 from cablesense_training.networks.corrected import exact_statics
 from cablesense_training.networks.layers import (
+    ContactNetwork,
     MultiContactOutput,
     Spread,
     Standardiser,
@@ -29,78 +29,17 @@ from cablesense_training.networks.layers import (
 )
 
 
-class MultiAnswer(NamedTuple):
-    """Logits (B, N), magnitudes (B, N) and the hidden features (B, F) that tell their spread."""
-
-    contact_logits: Tensor
-    magnitude_n: Tensor
-    features: Tensor
-
-
-class MultiContactNetwork(nn.Module, ABC):
-    """Raw tension differences in newtons in, `MultiContactOutput` in physical units out.
-
-    Attributes:
-        pose_aware: whether `forward` needs the commanded joint angles.
-        magnitude: scaling of the force magnitudes in the loss.
-        spread: head for the standard deviations of the magnitudes.
-    """
-
-    pose_aware: ClassVar[bool] = False
-    spread: StatedSpread
+class MultiContactNetwork(ContactNetwork[MultiContactOutput]):
+    """Any number of contacts; `spread` states the deviations of the N magnitudes."""
 
     def __init__(self, cable_count: int, segment_count: int) -> None:
-        super().__init__()
-        self.cable_count = cable_count
-        self.segment_count = segment_count
-        self.magnitude = Standardiser(segment_count)
-
-    @abstractmethod
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Set the scaling from samples: tension differences (B, M) and magnitudes (B, N)."""
-
-    @abstractmethod
-    def forward(
-        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
-    ) -> MultiContactOutput:
-        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""
+        super().__init__(cable_count, segment_count, magnitudes=segment_count)
 
 
-class LearntMultiContactNetwork(MultiContactNetwork):
-    """A network without physics in it; subclasses give `answer`.
-
-    Attributes:
-        tension: scaling of the M tension differences, in buffers that `adapt` sets.
-    """
+class TwoStageMultiContactNetwork(MultiContactNetwork):
+    """The paper's network: a sigmoid per segment, whose decision joins the input of stage two."""
 
     spread: Spread
-
-    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
-        super().__init__(cable_count, segment_count)
-        self.tension = Standardiser(cable_count)
-        self.spread = Spread(features, outputs=segment_count)
-
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Set the scaling from samples: tension differences (B, M) and magnitudes (B, N)."""
-        self.tension.adapt(tension_difference_n)
-        self.magnitude.adapt(magnitude_n)
-        self.spread.unit.copy_(self.magnitude.std)
-
-    @abstractmethod
-    def answer(self, tension_difference_n: Tensor) -> MultiAnswer:
-        """Contacts and magnitudes for raw tension differences (B, M)."""
-
-    def forward(
-        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
-    ) -> MultiContactOutput:
-        """Answers for tension differences (B, M); the commanded angles are not used."""
-        answer = self.answer(tension_difference_n)
-        std = self.spread(answer.features, tension_difference_n)
-        return MultiContactOutput(answer.contact_logits, answer.magnitude_n, std)
-
-
-class TwoStageMultiContactNetwork(LearntMultiContactNetwork):
-    """The paper's network: a sigmoid per segment, whose verdict joins the input of stage two."""
 
     def __init__(
         self,
@@ -109,19 +48,30 @@ class TwoStageMultiContactNetwork(LearntMultiContactNetwork):
         contact_widths: Sequence[int] = (192, 192),
         widths: Sequence[int] = (192, 192, 192),
     ) -> None:
-        super().__init__(cable_count, segment_count, features=widths[-1])
+        super().__init__(cable_count, segment_count)
+        self.tension = Standardiser(cable_count)
+        self.spread = Spread(widths[-1], outputs=segment_count)
         self.contact_trunk = perceptron(cable_count, contact_widths)
         self.contact_head = nn.Linear(contact_widths[-1], segment_count)
         self.trunk = perceptron(cable_count + segment_count, widths)
         self.magnitude_head = nn.Linear(widths[-1], segment_count)
 
-    def answer(self, tension_difference_n: Tensor) -> MultiAnswer:
-        """See the base class."""
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Set the scaling from samples: tension differences (B, M) and magnitudes (B, N)."""
+        self.tension.adapt(tension_difference_n)
+        self.magnitude.adapt(magnitude_n)
+        self.spread.unit.copy_(self.magnitude.std)
+
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> MultiContactOutput:
+        """Answers for tension differences (B, M); the commanded angles are not used."""
         x = self.tension(tension_difference_n)
         logits = self.contact_head(self.contact_trunk(x))
         touched = (logits > 0.0).to(x.dtype)
         hidden = self.trunk(torch.cat([x, touched], dim=-1))
-        return MultiAnswer(logits, self.magnitude.undo(self.magnitude_head(hidden)), hidden)
+        magnitude = self.magnitude.undo(self.magnitude_head(hidden))
+        return MultiContactOutput(logits, magnitude, self.spread(hidden, tension_difference_n))
 
 
 UNTOUCHED_PRECISION = 1e6
@@ -140,11 +90,7 @@ class MultiContactClosedForm(MultiContactNetwork):
 
     pose_aware: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        closed_form: ClosedForm,
-        width: int = 32,
-    ) -> None:
+    def __init__(self, closed_form: ClosedForm, width: int = 32) -> None:
         segments = closed_form.kinematics.segment_count
         super().__init__(closed_form.kinematics.cable_count, segments)
         self.spread = StatedSpread(segments)
@@ -196,20 +142,14 @@ class MultiContactClosedForm(MultiContactNetwork):
 
 def _own_chi2(force: Tensor, covariance: Tensor, segments: int) -> Tensor:
     """(B, N) f' C^-1 f of each segment's own two components, the others unknown."""
-    own = _own_blocks(covariance, segments)
+    own = own_blocks(covariance, segments)
     pairs = force.reshape(-1, segments, 2, 1)
     return (pairs * (inverse(own) @ pairs)).sum((2, 3))
-
-
-def _own_blocks(covariance: Tensor, segments: int) -> Tensor:
-    """The 2 by 2 blocks (B, N, 2, 2) on the diagonal."""
-    blocks = covariance.reshape(-1, segments, 2, segments, 2)
-    return torch.stack([blocks[:, s, :, s] for s in range(segments)], dim=1)
 
 
 def _radial_std(force: Tensor, magnitude: Tensor, covariance: Tensor) -> Tensor:
     """(B, N) standard deviation of each force along itself, at least a millinewton."""
     radial = (force / magnitude[..., None])[..., None]
-    own = _own_blocks(covariance, force.shape[1])
+    own = own_blocks(covariance, force.shape[1])
     variance = (radial * (own @ radial)).sum((2, 3))
     return torch.sqrt(variance.clamp(min=0.0) + 1e-6)

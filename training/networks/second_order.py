@@ -32,6 +32,7 @@ from cablesense_training.networks.closed_form import (
     Weighed,
     Weighing,
     inverse,
+    own_blocks,
 )
 from cablesense_training.networks.compact import Pose
 
@@ -112,7 +113,7 @@ class SecondOrderClosedForm(nn.Module):
             1.0 / self.reading_variance_n2
         )
         weighted = about.lever @ precision
-        information = _own(weighted @ about.lever.transpose(1, 2), n)
+        information = own_blocks(weighted @ about.lever.transpose(1, 2), n)
         covariance = inverse(information)
         gain = covariance @ weighted.reshape(-1, n, 2, 2 * n)
         constant, bilinear, linear = self._give(about, weight)
@@ -213,9 +214,3 @@ def _of_products(blocks: Tensor) -> Tensor:
     """Coefficients (B, N, 3, c) of the products yy, yz, zz from bilinear ones (B, N, 2, c, 2)."""
     mixed = blocks[:, :, 0, :, 1] + blocks[:, :, 1, :, 0]
     return torch.stack([blocks[:, :, 0, :, 0], mixed, blocks[:, :, 1, :, 1]], dim=2)
-
-
-def _own(matrix: Tensor, segments: int) -> Tensor:
-    """The 2 by 2 blocks (B, N, 2, 2) on the diagonal of (B, 2N, 2N)."""
-    blocks = matrix.reshape(-1, segments, 2, segments, 2)
-    return torch.stack([blocks[:, s, :, s] for s in range(segments)], dim=1)

@@ -5,18 +5,18 @@ No contact is a class of its own in all of them.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from cablesense_training.networks.layers import (
+    ContactNetwork,
     SingleContactOutput,
     Spread,
     Standardiser,
-    StatedSpread,
     gated_perceptron,
     one_hot_of_argmax,
     perceptron,
@@ -40,33 +40,11 @@ class Answer(NamedTuple):
     features: Tensor
 
 
-class SingleContactNetwork(nn.Module, ABC):
-    """Raw tension differences in newtons in, `SingleContactOutput` in physical units out.
-
-    Attributes:
-        pose_aware: whether `forward` needs the commanded joint angles.
-        magnitude: scaling of the force magnitude in the loss.
-        spread: head for the standard deviations of (magnitude, N; angle, degrees).
-    """
-
-    pose_aware: ClassVar[bool] = False
-    spread: StatedSpread
+class SingleContactNetwork(ContactNetwork[SingleContactOutput]):
+    """One contact; `spread` states the deviations of (magnitude, N; angle, degrees)."""
 
     def __init__(self, cable_count: int, segment_count: int) -> None:
-        super().__init__()
-        self.cable_count = cable_count
-        self.segment_count = segment_count
-        self.magnitude = Standardiser(1)
-
-    @abstractmethod
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Set the scaling from training samples: tension differences (B, M), magnitudes (B,)."""
-
-    @abstractmethod
-    def forward(
-        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
-    ) -> SingleContactOutput:
-        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""
+        super().__init__(cable_count, segment_count, magnitudes=1)
 
 
 class LearntNetwork(SingleContactNetwork):

@@ -111,7 +111,7 @@ class Ticks(NamedTuple):
 
 
 class CorrectedAnswer(NamedTuple):
-    """What the network says of B ticks.
+    """Answers for B ticks.
 
     Attributes:
         output: contacts with their uncertainty.
@@ -127,7 +127,7 @@ class CorrectedAnswer(NamedTuple):
 
 
 class TemporalNetwork(nn.Module):
-    """One contact from a course of ticks.
+    """One contact from a sequence of ticks.
 
     Args:
         arm: the arm.
