@@ -7,9 +7,9 @@ step of a channel or jumps while nothing is done.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,25 +22,49 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 
-FEWEST_ROWS = 100
-LEAST_SHARE = 0.25
-"""Of what is not smooth in the pose, beyond what a wave of any period explains."""
-AS_GOOD = 0.7
+_FEWEST_ROWS = 100
+_LEAST_SHARE = 0.25
+_AS_GOOD = 0.7
 """The waves of all cables together can follow that of one joint, which is the simpler."""
-ABOVE_FLOORS = 1.5
+_WAVE_FLOORS = 1.5
 _WAVES = np.arange(2.5, 20.0, 0.2)
 """Periods that a range of motion may hold; slower waves count as smooth."""
 
+_STEP_SHARE = 0.6
+"""Of a channel's scatter, that one step must explain."""
+_STEP_FLOORS = 4.0
+_EDGE = 0.05
+"""Share of the rows at either end where a step cannot be distinguished from a few rows."""
+_JUMP_FLOORS = 8.0
+_FEWEST_JUMPS = 2
+_AFTERMATH = 0.25
+"""What goes on in the same direction by more than this share is no jump, but late."""
 
-@dataclass(frozen=True)
-class Wave:
-    """What repeats.
+_WITHIN_FLOORS = 1.2
+_MOST_OF_IT = 0.8
+_ALIKE, _AGAINST = 1.8, 0.3
+"""Times the share of the common mode that chance would give, one over the cables of a segment."""
+_SELF_STRESS = 0.6
+"""Share of the square, from which the rest is secondary."""
+_LOOP_SHARE = 0.4
+_GROWS = 2.0
+_GOES_WITH, _REPEATS = 0.3, 0.2
 
-    Attributes:
-        along: the joint angle, or the cable that has most of it, by name.
-        period: in `unit`.
-        unit: `rad` or `m`.
-        share: of what is not smooth in the pose, beyond what a wave of any period explains.
+_GROUPS = {
+    "pose": "the commanded pose",
+    "load": "the applied load",
+    "tension": "the cables' tensions",
+    "motion": "the direction in which cables move",
+    "history": "where tensions last turned back",
+    "time": "time",
+}
+
+
+class Wave(NamedTuple):
+    """A residual that repeats along a joint angle (rad) or along cable lengths (m).
+
+    `along` is the joint angle, or the cable that has most of it, `share` is of what is not smooth
+    in the pose, beyond what a wave of any period explains.
     """
 
     along: str
@@ -53,50 +77,39 @@ def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) 
     """The wave that explains most of a residual (R, M) without load; None where none stands out.
 
     What is smooth, a polynomial of second degree in all commands, is taken out first. A wave is
-    sought in the readings of all cables: what one does, the arm passes on to the others.
+    sought in the readings of all cables: what one does, the arm passes on to the others. All
+    cables share a period, as their screws are alike.
     """
     free = recording.load_segment == 0
     command, residual = recording.command_rad[free], residual_n[free]
     moving = np.ptp(command, axis=0) > 0.0 if len(command) else np.zeros(0, dtype=bool)
-    if len(command) < FEWEST_ROWS or not moving.any():
+    if len(command) < _FEWEST_ROWS or not moving.any():
         return None
     smooth = _smooth(command[:, moving])
     rest = residual - smooth @ (smooth.T @ residual)
-    if np.sqrt((rest**2).mean()) < ABOVE_FLOORS * floor_n:
+    if np.sqrt((rest**2).mean()) < _WAVE_FLOORS * floor_n:
         return None
-    total = float((rest**2).sum())
-    found = [
-        _of_joint(name, angle, rest, smooth, total)
+    joints = [
+        _wave((name,), "rad", angle[:, None], rest, smooth)
         for name, angle in zip(arm.joint_names, command.T, strict=True)
         if np.ptp(angle) > 0.0
     ]
     held_m = held_lengths_m(mechanism_of(arm), command)
-    cables = _of_cables(arm.cable_names, held_m, rest, smooth, total)
-    joint = max(found, key=lambda wave: wave.share)
-    best = joint if joint.share >= AS_GOOD * cables.share else cables
-    return best if best.share >= LEAST_SHARE else None
+    cables = _wave(arm.cable_names, "m", held_m, rest, smooth)
+    joint = max(joints, key=lambda wave: wave.share)
+    best = joint if joint.share >= _AS_GOOD * cables.share else cables
+    return best if best.share >= _LEAST_SHARE else None
 
 
-def _of_joint(name: str, angle: Array, rest: Array, smooth: Array, total: float) -> Wave:
-    periods = float(np.ptp(angle)) / _WAVES
-    shares = [_explained(angle[:, None] / each, rest, smooth) / total for each in periods]
-    most = int(np.argmax(shares))
-    return Wave(name, float(periods[most]), "rad", _beyond_any(shares))
-
-
-def _of_cables(
-    names: tuple[str, ...], held_m: Array, rest: Array, smooth: Array, total: float
-) -> Wave:
-    """One period for all cables, as their screws are alike, and the cable that has most of it."""
-    periods = float(np.ptp(held_m, axis=0).max()) / _WAVES
-    shares = [_explained(held_m / each, rest, smooth) / total for each in periods]
-    most = int(np.argmax(shares))
-    alone = [_explained(length[:, None] / periods[most], rest, smooth) for length in held_m.T]
-    return Wave(names[int(np.argmax(alone))], float(periods[most]), "m", _beyond_any(shares))
-
-
-def _beyond_any(shares: list[float]) -> float:
-    return float(max(shares) - np.median(shares))
+def _wave(names: Sequence[str], unit: str, along: Array, rest: Array, smooth: Array) -> Wave:
+    """The best of one period for all of the coordinates (R, K), and which has most of it."""
+    periods = float(np.ptp(along, axis=0).max()) / _WAVES
+    total = float((rest**2).sum())
+    shares = [_explained(along / each, rest, smooth) / total for each in periods]
+    period = float(periods[int(np.argmax(shares))])
+    alone = [_explained(column[:, None] / period, rest, smooth) for column in along.T]
+    beyond_any = float(max(shares) - np.median(shares))
+    return Wave(names[int(np.argmax(alone))], period, unit, beyond_any)
 
 
 def _explained(turns: Array, rest: Array, smooth: Array) -> float:
@@ -109,28 +122,13 @@ def _explained(turns: Array, rest: Array, smooth: Array) -> float:
 
 def _smooth(command: Array) -> Array:
     """Orthonormal columns that span the polynomials of second degree."""
-    count = command.shape[1]
-    products = [
-        command[:, i] * command[:, j] for i, j in combinations_with_replacement(range(count), 2)
-    ]
+    products = [one * other for one, other in combinations_with_replacement(command.T, 2)]
     columns = np.column_stack([np.ones(len(command)), command, *products])
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, size > 1e-9 * size[0]])
 
 
-STEP_SHARE = 0.6
-"""Of a channel's scatter, that one step must explain."""
-STEP_FLOORS = 4.0
-EDGE = 0.05
-"""Share of the rows at either end where a step cannot be distinguished from a few rows."""
-JUMP_FLOORS = 8.0
-FEWEST_JUMPS = 2
-_AFTERMATH = 0.25
-"""What goes on in the same direction by more than this share is no jump, but late."""
-
-
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A channel that changed once and stayed."""
 
     channel: int
@@ -138,8 +136,7 @@ class Step:
     size_n: float
 
 
-@dataclass(frozen=True)
-class Jumps:
+class Jumps(NamedTuple):
     """Jumps of one channel between rows of one command and one load."""
 
     channel: int
@@ -155,13 +152,13 @@ def steps(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Step
     weight = (rows * (len(residual_n) - rows) / len(residual_n))[:, None]
     apart = -before * len(residual_n) / (rows * (len(residual_n) - rows))[:, None]
     explained = weight * apart**2 / np.maximum((centred**2).sum(0), 1e-12)
-    inside = (rows > EDGE * len(residual_n)) & (rows < (1.0 - EDGE) * len(residual_n))
+    inside = (rows > _EDGE * len(residual_n)) & (rows < (1.0 - _EDGE) * len(residual_n))
     explained[~inside] = 0.0
     at = explained.argmax(0)
     found = [
         Step(c, float(recording.time_s[row + 1]), float(apart[row, c]))
         for c, row in enumerate(at.tolist())
-        if explained[row, c] >= STEP_SHARE and abs(apart[row, c]) >= STEP_FLOORS * floor_n
+        if explained[row, c] >= _STEP_SHARE and abs(apart[row, c]) >= _STEP_FLOORS * floor_n
     ]
     return tuple(sorted(found, key=lambda step: -abs(step.size_n)))
 
@@ -175,33 +172,13 @@ def jumps(recording: Recording, residual_n: Array, floor_n: float) -> tuple[Jump
     beside = np.stack([change[:-2], change[2:]])
     goes_on = (np.sign(beside) == np.sign(here)) & (np.abs(beside) > _AFTERMATH * size)
     settled = still & np.append(False, still[:-1])
-    far = settled[:, None] & (size > JUMP_FLOORS * floor_n) & ~goes_on.any(0)
+    far = settled[:, None] & (size > _JUMP_FLOORS * floor_n) & ~goes_on.any(0)
     found = [
         Jumps(c, int(far[:, c].sum()), float(np.median(size[far[:, c], c])))
         for c in range(residual_n.shape[1])
-        if far[:, c].sum() >= FEWEST_JUMPS
+        if far[:, c].sum() >= _FEWEST_JUMPS
     ]
     return tuple(sorted(found, key=lambda each: -each.count))
-
-
-WITHIN_FLOORS = 1.2
-MOST_OF_IT = 0.8
-ALIKE, AGAINST = 1.8, 0.3
-"""Times the share of the common mode that chance would give, one over the cables of a segment."""
-SELF_STRESS = 0.6
-"""Share of the square, from which the rest is secondary."""
-LOOP_SHARE = 0.4
-GROWS = 2.0
-GOES_WITH, REPEATS = 0.3, 0.2
-
-_GROUPS = {
-    "pose": "the commanded pose",
-    "load": "the applied load",
-    "tension": "the cables' tensions",
-    "motion": "the direction in which cables move",
-    "history": "where tensions last turned back",
-    "time": "time",
-}
 
 
 def residual_patterns(
@@ -215,14 +192,13 @@ def residual_patterns(
         ValueError: the residual is of other shape than the readings.
     """
     parts = decompose(recording, residual_n, floor_n, arm)
-    if parts.rms_n < WITHIN_FLOORS * floor_n:
+    if parts.rms_n < _WITHIN_FLOORS * floor_n:
         return ()
     return (
         _cables(parts),
         *_modes(parts, arm.cables.per_segment),
         *_goes_with(found),
-        *_grows(parts),
-        *_loop(parts),
+        *_with_load(parts),
         *_waves(recording, residual_n, floor_n, arm),
         *_sudden(recording, residual_n, floor_n, arm),
     )
@@ -232,7 +208,7 @@ def _cables(parts: Decomposition) -> str:
     """The fewest cables that hold most of it, if these are few."""
     ranked = sorted(parts.of_group(CABLE), key=lambda part: -part.rms_n)
     square = np.array([part.rms_n for part in ranked]) ** 2
-    few = int(np.searchsorted(np.cumsum(square), MOST_OF_IT * square.sum())) + 1
+    few = int(np.searchsorted(np.cumsum(square), _MOST_OF_IT * square.sum())) + 1
     if few > len(ranked) // 3:
         return (
             f"It is in all cables: {ranked[-1].rms_n:.2g} to {ranked[0].rms_n:.2g} N RMS, with a "
@@ -252,14 +228,14 @@ def _modes(parts: Decomposition, cable_count: int) -> Iterator[str]:
         square[mode] += columns * part.rms_n**2
     total, chance = max(sum(square.values()), 1e-12), 1.0 / cable_count
     common, self_stress = square[MODES[0]] / total, square[MODES[-1]] / total
-    if common >= ALIKE * chance:
+    if common >= _ALIKE * chance:
         yield "The cables that end on one segment change alike, as pretension and length would."
-    elif self_stress >= SELF_STRESS:
+    elif self_stress >= _SELF_STRESS:
         yield (
             "The cables that end on one segment change against each other without a torque on "
             "the segment, as cables that are tensioned or measured differently would."
         )
-    elif common <= AGAINST * chance:
+    elif common <= _AGAINST * chance:
         yield (
             "The cables that end on one segment change against each other, as a torque on the "
             "segment would make them."
@@ -268,13 +244,13 @@ def _modes(parts: Decomposition, cable_count: int) -> Iterator[str]:
 
 def _goes_with(found: Discrepancy) -> Iterator[str]:
     group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
-    if share >= GOES_WITH:
+    if share >= _GOES_WITH:
         first = f", most plainly with {_plain(found.foremost[0])}" if found.foremost else ""
         yield (
             f"It goes with {_GROUPS.get(group, group)}: that alone predicts {share:.0%} of it "
             f"where a flexible model was not fitted{first}."
         )
-    elif found.explained_share < REPEATS:
+    elif found.explained_share < _REPEATS:
         yield (
             "It does not repeat itself: where a flexible model was not fitted, it predicts "
             f"{max(found.explained_share, 0.0):.0%} of it. Chance events, or a pose or load that "
@@ -282,16 +258,13 @@ def _goes_with(found: Discrepancy) -> Iterator[str]:
         )
 
 
-def _grows(parts: Decomposition) -> Iterator[str]:
+def _with_load(parts: Decomposition) -> Iterator[str]:
     levels = parts.of_group(LEVEL)
-    if len(levels) > 1 and levels[-1].rms_n >= GROWS * levels[0].rms_n:
+    if len(levels) > 1 and levels[-1].rms_n >= _GROWS * levels[0].rms_n:
         items = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
         yield f"It grows with the load: {listed(items)}."
-
-
-def _loop(parts: Decomposition) -> Iterator[str]:
     for loop in parts.of_group(LOOP):
-        if loop.rms_n >= max(LOOP_SHARE * parts.rms_n, WITHIN_FLOORS * parts.floor_n):
+        if loop.rms_n >= max(_LOOP_SHARE * parts.rms_n, _WITHIN_FLOORS * parts.floor_n):
             yield (
                 f"Loading and unloading differ, by {2.0 * loop.rms_n:.2g} N RMS at one load: it "
                 "is history-dependent, as friction, play and creep are."
@@ -300,14 +273,12 @@ def _loop(parts: Decomposition) -> Iterator[str]:
 
 def _waves(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
     wave = periodic(recording, residual_n, floor_n, arm)
-    if wave is None:
-        return
-    if wave.unit == "rad":
+    if wave is not None and wave.unit == "rad":
         yield (
             f"It repeats every {np.rad2deg(wave.period):.2g} degrees of "
             f"{_plain(wave.along)}, as teeth or notches would make it."
         )
-    else:
+    elif wave is not None:
         yield (
             f"It repeats every {1e3 * wave.period:.2g} mm of cable, most in {_plain(wave.along)}, "
             "as a screw, a gear or a drum would make it."
@@ -319,10 +290,7 @@ def _sudden(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -
     found = steps(recording, residual_n, floor_n)
     if found:
         items = [f"{names[s.channel]} by {s.size_n:+.2g} N at {s.time_s:.0f} s" for s in found[:3]]
-        yield (
-            f"It comes at once and stays: {listed(items)}. Look for what slipped or was moved "
-            "then."
-        )
+        yield f"It comes at once and stays: {listed(items)}. See what slipped or was moved then."
     often = jumps(recording, residual_n, floor_n)
     if often:
         items = [f"{j.count} times in {names[j.channel]} (by {j.size_n:.2g} N)" for j in often[:3]]

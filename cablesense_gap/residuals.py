@@ -22,6 +22,41 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+ALL, CABLE, SET, LOOP = "all", "cable", "cable set", "hysteresis"
+LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME, TRIAL = (
+    "loaded segment", "pose", "joint bent most", "load level", "loading and unloading",
+    "rest and motion", "time", "trial",
+)  # fmt: skip
+REGIMES = (LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME)
+"""The groups that name a regime; trials only name a time."""
+MODES = ("common mode", "bending, y", "bending, z", "self-stress")
+BRANCHES = ("before the load", "loading", "unloading", "after the load")
+EVERYWHERE = "everywhere alike"
+
+_TOLERANCE = 0.05
+"""Share of a trial's peak by which a measured load must move before it counts as moved."""
+_BENT_RAD = float(np.deg2rad(1.5))
+"""A joint bent by less counts as straight: the small reversals of the protocol stay below."""
+_MOVED_RAD = 1e-5
+_LARGER = 1.4
+"""How many times the RMS of the rest of its group a regime must have: twice the mean square."""
+_ABOVE_FLOORS = 2.0
+_FEWEST_ROWS = 20
+"""Four seconds at 5 Hz; what is shorter can be large by chance."""
+_TEXT = {
+    LOADED: "load on {}",
+    POSE: "{} poses",
+    JOINT: "{} bent most",
+    LEVEL: "loads {}",
+    BRANCH: "{}",
+    MOTION: "{}",
+    TIME: "{} in the recording",
+    LOOP: "loading against unloading",
+}
+
+Rows = NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class Part:
     """The residual in one member of a group.
@@ -29,11 +64,9 @@ class Part:
     Attributes:
         group: by what the residual is taken apart.
         member: which of that; a place by its name, a regime in plain text.
-        rms_n: root mean square.
-        over_floor: the same in noise floors.
+        over_floor: RMS in noise floors.
         mean_n: signed mean over all its numbers.
-        systematic_share: of the mean square, what one constant per channel explains; the rest
-            scatters within the member.
+        systematic_share: of the mean square, what one constant per channel explains.
         count: rows in it.
     """
 
@@ -46,7 +79,7 @@ class Part:
     count: int
 
 
-def measure(group: str, member: str, values_n: Array, floor_n: float) -> Part | None:
+def _measure(group: str, member: str, values_n: Array, floor_n: float) -> Part | None:
     """Measure values (R, C) in N, NaN where a number is missing; None where all are."""
     known = np.isfinite(values_n)
     count = known.sum(axis=0)
@@ -69,9 +102,6 @@ def measure(group: str, member: str, values_n: Array, floor_n: float) -> Part | 
     )
 
 
-MODES = ("common mode", "bending, y", "bending, z", "self-stress")
-
-
 def segment_modes_n(residual_n: Array, arm: Arm) -> Array:
     """The modes (R, N, K) of a residual (R, M) in the K cables of each of N segments, N.
 
@@ -89,11 +119,6 @@ def segment_modes_n(residual_n: Array, arm: Arm) -> Array:
     basis[..., :3] *= np.sign(np.diagonal(triangle, axis1=1, axis2=2))[:, None, :]
     by_segment = residual_n.reshape(len(residual_n), arm.segment_count, count)
     return np.einsum("rnk,nkm->rnm", by_segment, basis)
-
-
-BRANCHES = ("before the load", "loading", "unloading", "after the load")
-TOLERANCE = 0.05
-"""Share of a trial's peak by which a measured load must move before it counts as moved."""
 
 
 def load_branch(recording: Recording) -> NDArray[np.int64]:
@@ -116,7 +141,7 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
     found = []
     for trial in np.unique(recording.trial[branch >= 0]):
         here = recording.trial == trial
-        level = np.round(size / (TOLERANCE * size[here].max())).astype(int)
+        level = np.round(size / (_TOLERANCE * size[here].max())).astype(int)
         for at in np.unique(level[here]).tolist():
             ways = [here & (level == at) & np.isin(branch, which) for which in ((0, 1), (2, 3))]
             if all(way.any() for way in ways):
@@ -127,7 +152,7 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
 
 def _branches(size: Array) -> NDArray[np.int64]:
     """Branches of one trial, by the load's last move beyond the tolerance."""
-    step = TOLERANCE * float(size.max())
+    step = _TOLERANCE * float(size.max())
     branch = np.zeros(len(size), dtype=np.int64)
     extreme, rising = float(size[0]), bool(size[0] > step)
     for i, value in enumerate(size.tolist()):
@@ -142,26 +167,6 @@ def _branches(size: Array) -> NDArray[np.int64]:
     return branch
 
 
-Rows = NDArray[np.bool_]
-
-LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME, TRIAL = (
-    "loaded segment",
-    "pose",
-    "joint bent most",
-    "load level",
-    "loading and unloading",
-    "rest and motion",
-    "time",
-    "trial",
-)
-REGIMES = (LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME)
-"""The groups that name a regime; trials only name a time."""
-
-BENT_RAD = float(np.deg2rad(1.5))
-"""A joint bent by less counts as straight: the small reversals of the protocol stay below."""
-MOVED_RAD = 1e-5
-
-
 def row_groups(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
     """Group, member and its rows (R,), members of a group apart from each other."""
     yield from _loads(recording)
@@ -169,7 +174,10 @@ def row_groups(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
     branch = load_branch(recording)
     for i, name in enumerate(BRANCHES):
         yield BRANCH, name, branch == i
-    moving = _moving(recording)
+    # the command differs from that of the row before or after, in the same trial
+    step = np.abs(np.diff(recording.command_rad, axis=0)).max(axis=1) > _MOVED_RAD
+    step &= np.diff(recording.trial) == 0
+    moving = np.append(step, False) | np.append(False, step)
     yield MOTION, "at rest", ~moving
     yield MOTION, "moving", moving
     elapsed = recording.time_s - recording.time_s[0]
@@ -199,26 +207,16 @@ def _loads(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
 def _poses(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
     pitch_yaw = recording.command_rad.reshape(len(recording), -1, 2)
     bend = np.linalg.norm(pitch_yaw, axis=-1)
-    bent, most = bend.max(axis=1) > BENT_RAD, bend.argmax(axis=1)
+    bent, most = bend.max(axis=1) > _BENT_RAD, bend.argmax(axis=1)
     yield POSE, "straight", ~bent
     yield POSE, "bent", bent
     for n in range(bend.shape[1]):
         yield JOINT, f"joint_{n + 1}", bent & (most == n)
 
 
-def _moving(recording: Recording) -> Rows:
-    """Rows whose command differs from that of the row before or after, in the same trial."""
-    step = np.abs(np.diff(recording.command_rad, axis=0)).max(axis=1) > MOVED_RAD
-    step &= np.diff(recording.trial) == 0
-    return np.append(step, False) | np.append(False, step)
-
-
-ALL, CABLE, SET, LOOP = "all", "cable", "cable set", "hysteresis"
-
-
 @dataclass(frozen=True)
 class Decomposition:
-    """The parts of one residual, and the noise floor they stand beside."""
+    """The parts of one residual, and the noise floor beside them."""
 
     parts: tuple[Part, ...]
     floor_n: float
@@ -251,10 +249,7 @@ def decompose(recording: Recording, residual_n: Array, floor_n: float, arm: Arm)
         raise ValueError(
             f"the residual is {residual_n.shape}, the readings are {recording.tensions_n.shape}"
         )
-    measured = (
-        measure(group, member, values, floor_n)
-        for group, member, values in _pieces(recording, residual_n, arm)
-    )
+    measured = (_measure(*piece, floor_n) for piece in _pieces(recording, residual_n, arm))
     parts = tuple(part for part in measured if part is not None)
     if not parts:
         raise ValueError("the residual has no number that is finite")
@@ -274,43 +269,26 @@ def _pieces(recording: Recording, residual_n: Array, arm: Arm) -> Iterator[tuple
         yield group, member, residual_n[rows]
 
 
-EVERYWHERE = "everywhere alike"
-LARGER = 1.4
-"""How many times the RMS of the rest of its group a regime must have: twice the mean square."""
-ABOVE_FLOORS = 2.0
-FEWEST_ROWS = 20
-"""Four seconds at 5 Hz; what is shorter can be large by chance."""
-
-_TEXT = {
-    LOADED: "load on {}",
-    POSE: "{} poses",
-    JOINT: "{} bent most",
-    LEVEL: "loads {}",
-    BRANCH: "{}",
-    MOTION: "{}",
-    TIME: "{} in the recording",
-    LOOP: "loading against unloading",
-}
-
-
 def regimes(decomposition: Decomposition) -> list[str]:
     """Regimes in plain text, the largest gap first; none where all is within the floor.
 
     Where a gap is there and no regime stands out, `EVERYWHERE`.
     """
-    clear = [part for group in REGIMES for part in _standing_out(decomposition, group)]
-    clear += [p for p in decomposition.of_group(LOOP) if p.over_floor >= ABOVE_FLOORS]
-    if not clear and decomposition.rms_n >= ABOVE_FLOORS * decomposition.floor_n:
+    clear = []
+    for group in REGIMES:
+        parts = decomposition.of_group(group)
+        for part in parts:
+            others = [other for other in parts if other is not part]
+            if others and _stands_out(part, others):
+                clear.append(part)
+    clear += [p for p in decomposition.of_group(LOOP) if p.over_floor >= _ABOVE_FLOORS]
+    if not clear and decomposition.rms_n >= _ABOVE_FLOORS * decomposition.floor_n:
         return [EVERYWHERE]
-    return [_text(part) for part in sorted(clear, key=lambda part: -part.rms_n)]
-
-
-def _standing_out(decomposition: Decomposition, group: str) -> list[Part]:
-    parts = decomposition.of_group(group)
     return [
-        part
-        for part in parts
-        if len(parts) > 1 and _stands_out(part, [other for other in parts if other is not part])
+        part.member
+        if part.member == "no load"
+        else _TEXT[part.group].format(part.member.replace("_", " "))
+        for part in sorted(clear, key=lambda part: -part.rms_n)
     ]
 
 
@@ -319,13 +297,7 @@ def _stands_out(part: Part, others: list[Part]) -> bool:
     square = np.array([other.rms_n for other in others]) ** 2
     elsewhere_n = float(np.sqrt((count * square).sum() / count.sum()))
     return (
-        part.count >= FEWEST_ROWS
-        and part.over_floor >= ABOVE_FLOORS
-        and part.rms_n >= LARGER * elsewhere_n
+        part.count >= _FEWEST_ROWS
+        and part.over_floor >= _ABOVE_FLOORS
+        and part.rms_n >= _LARGER * elsewhere_n
     )
-
-
-def _text(part: Part) -> str:
-    if part.member == "no load":
-        return part.member
-    return _TEXT[part.group].format(part.member.replace("_", " "))

@@ -46,8 +46,25 @@ from cablesense_training.inference.estimator import Estimates, Estimator
 from cablesense_training.recipes import adjusted, recipe_for
 from cablesense_training.train_model import draw_training_data, train_model
 
+NETWORK = "closed-form-corrected"
+SAMPLES = 2048
+EPOCHS = 6
 AT_PEAK = 0.9
 """Rows count as being at a trial's peak from this share of its highest load on."""
+PASSES = 4
+
+_STEPS = 3
+_BATCH = 256
+_TEST_SAMPLES = 64
+_LEAST_POSE_DEG = 1.0
+_LEAST_FORCE = 0.4
+"""Of the pretension."""
+_BEYOND = 1.5
+"""Samples go up to so many times the recording's highest load."""
+
+
+class RetrainingError(CableSenseError):
+    """A recording on which no estimator can be judged: names what it lacks."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +135,6 @@ def _tares_n(recording: Recording) -> Array:
     return tare
 
 
-PASSES = 4
-
 Answering = Callable[[TaredLoads], Array]
 """From loads to estimated forces (B, N, 3), base frame."""
 
@@ -157,9 +172,6 @@ def answers_with_past(recording: Recording, arm: Arm, answer: Answering) -> Arra
     return answers
 
 
-_STEPS = 3
-
-
 def found_values(nominal: Arm, amended: Arm) -> dict[Term, float]:
     """The numbers of those effects that the amended arm lists beyond the nominal one.
 
@@ -180,12 +192,9 @@ def without_fold(problem: Problem, fold: int, nominal: Arm, amended: Arm) -> Arm
     The choice of effects and places stays, which was made with these trials; so does the arm as
     it is where the fit finds no rest.
     """
-    values = found_values(nominal, amended)
     seen = replace(problem, used=problem.used & (problem.fold[problem.trial] != fold))
-    fitted = refit(seen, values, _STEPS)
-    if fitted is None:
-        return amended
-    return amended_arm(nominal, fitted.values, fitted.tolerances)
+    fitted = refit(seen, found_values(nominal, amended), _STEPS)
+    return amended_arm(nominal, fitted.values, fitted.tolerances) if fitted else amended
 
 
 def answered_n(mechanism: Mechanism, loads: TaredLoads, estimates: Estimates) -> Array:
@@ -207,48 +216,25 @@ def force_errors(mechanism: Mechanism, loads: TaredLoads, answer_n: Array) -> di
     force and estimate over rows where a contact was found, and `loads` the number of loads. Of a
     load only what is normal to its segment counts, as nothing else can be felt.
     """
+    y, z = normal_components_n(mechanism, loads.command_rad, loads.segment, loads.force_n)
+    angle_deg = np.rad2deg(np.arctan2(y, z))
+    normal = normal_force_n(mechanism, loads.command_rad, loads.segment, angle_deg, np.hypot(y, z))
     at = loads.at_peak
-    truth = _normal_n(mechanism, loads)[at]
-    answer = answer_n[at]
+    truth, answer = normal.sum(1)[at], answer_n[at]
     size = np.linalg.norm(answer, axis=-1)
     segment = np.where(size.any(axis=1), size.argmax(axis=1) + 1, 0)
     force, true_force = answer.sum(1), np.linalg.norm(truth, axis=-1)
     found = (segment > 0) & (true_force > 0.0)
     cosine = (force * truth).sum(-1)[found] / (size.sum(1) * true_force)[found]
-    figures = {
+    errors = {
         "contact_accuracy": float(np.mean(segment == loads.segment[at])),
         "force_mae_n": float(np.abs(size.sum(1) - true_force).mean()),
         "loads": float(len(np.unique(loads.trial[at]))),
     }
     if found.any():
         angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        figures["direction_mean_deg"] = float(angle.mean())
-    return figures
-
-
-def _normal_n(mechanism: Mechanism, loads: TaredLoads) -> Array:
-    """(B, 3) what of each load is normal to its segment at the commanded angles."""
-    y, z = normal_components_n(mechanism, loads.command_rad, loads.segment, loads.force_n)
-    angle = np.rad2deg(np.arctan2(y, z))
-    return normal_force_n(mechanism, loads.command_rad, loads.segment, angle, np.hypot(y, z)).sum(
-        1
-    )
-
-
-NETWORK = "closed-form-corrected"
-SAMPLES = 2048
-EPOCHS = 6
-_BATCH = 256
-_TEST_SAMPLES = 64
-_LEAST_POSE_DEG = 1.0
-_LEAST_FORCE = 0.4
-"""Of the pretension."""
-_BEYOND = 1.5
-"""Samples go up to so many times the recording's highest load."""
-
-
-class RetrainingError(CableSenseError):
-    """A recording on which no estimator can be judged: names what it lacks."""
+        errors["direction_mean_deg"] = float(angle.mean())
+    return errors
 
 
 def estimator_errors(

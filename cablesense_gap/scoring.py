@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from statistics import fmean, median
@@ -22,16 +24,12 @@ class ScoreError(CableSenseError):
     """Verdicts or answers that cannot be scored: names it, and what is right."""
 
 
-COLUMNS = ("recording", "effects", "where")
-GAP_OVER_FLOOR = "gap_over_floor"
-FORM = "form"
-MAX_FILE_BYTES = 10_000_000
-"""Some hundred thousand recordings."""
 CLEAR_GAP_FLOORS = 5.0
 """From this many noise floors up a gap is called clear."""
-BINS = 10
-KINDS = ("cable", "segment", "joint")
 
+_COLUMNS = ("recording", "effects", "where")
+_MAX_FILE_BYTES = 10_000_000
+_BINS = 10
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
 
@@ -64,23 +62,21 @@ def read_answers(path: str | Path) -> tuple[Answer, ...]:
     Raises:
         ScoreError: the file cannot be read, a column is missing, a row cannot be.
     """
-    path = Path(path)
     try:
-        text = read_bounded_text(path, MAX_FILE_BYTES, "a table of answers", ScoreError)
+        text = read_bounded_text(path, _MAX_FILE_BYTES, "a table of answers", ScoreError)
         table = csv.DictReader(text.splitlines(), skipinitialspace=True)
         rows = list(table)
     except (ValueError, csv.Error) as error:
         raise ScoreError(f"{path}: cannot be read as CSV text ({error})") from error
-    missing = [name for name in COLUMNS if name not in (table.fieldnames or ())]
+    missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
     if missing:
-        raise ScoreError(f"{path}: misses column {missing[0]}; answers have {', '.join(COLUMNS)}")
+        raise ScoreError(f"{path}: misses column {missing[0]}; answers have {', '.join(_COLUMNS)}")
     if not rows:
         raise ScoreError(f"{path}: has no rows; one for each recording is right")
     answers = tuple(_answer(f"{path}: row {i}", row) for i, row in enumerate(rows, start=1))
-    names = [answer.recording for answer in answers]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ScoreError(f"{path}: recording {twice} stands twice; each must be once")
+    name, count = Counter(answer.recording for answer in answers).most_common(1)[0]
+    if count > 1:
+        raise ScoreError(f"{path}: recording {name} stands twice; each must be once")
     return answers
 
 
@@ -97,25 +93,15 @@ def _answer(at: str, row: dict[str, str | None]) -> Answer:
     for alone in (NONE, UNKNOWN):
         if alone in effects and len(effects) > 1:
             raise ScoreError(f"{at}: effects = {'+'.join(effects)}; {alone} must stand alone")
+    gap, cell = None, cells.get("gap_over_floor")
+    if cell:
+        with suppress(ValueError):
+            gap = float(cell)
+        if gap is None or not 0.0 <= gap < math.inf:
+            raise ScoreError(f"{at}: gap_over_floor = {cell[:40]!r}; must be a number from 0 up")
     return Answer(
-        recording=recording,
-        effects=effects,
-        places=frozenset(_PLACE.findall(cells["where"])),
-        gap_over_floor=_number(at, cells.get(GAP_OVER_FLOOR, "")),
-        form=cells.get(FORM, ""),
+        recording, effects, frozenset(_PLACE.findall(cells["where"])), gap, cells.get("form", "")
     )
-
-
-def _number(at: str, cell: str) -> float | None:
-    if not cell:
-        return None
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ScoreError(f"{at}: {GAP_OVER_FLOOR} = {cell[:40]!r}; must be a number from 0 up")
-    return value
 
 
 @dataclass(frozen=True)
@@ -150,11 +136,11 @@ def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliabil
     G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
     """
     stated, outcome = np.asarray(probability, dtype=float), np.asarray(right, dtype=float)
-    member = np.minimum((stated * BINS).astype(int), BINS - 1)  # 1.0 belongs to the last
+    member = np.minimum((stated * _BINS).astype(int), _BINS - 1)  # 1.0 belongs to the last
     bins = tuple(
         Bin(
-            low=k / BINS,
-            high=(k + 1) / BINS,
+            low=k / _BINS,
+            high=(k + 1) / _BINS,
             count=int((member == k).sum()),
             mean_probability=float(stated[member == k].mean()),
             share_right=float(outcome[member == k].mean()),
@@ -179,7 +165,7 @@ class Proportion:
     @classmethod
     def of(cls, outcomes: Iterable[bool]) -> Proportion:
         """How many of the outcomes are true."""
-        listed = [bool(outcome) for outcome in outcomes]
+        listed = list(outcomes)
         return cls(sum(listed), len(listed))
 
     @property
@@ -200,34 +186,25 @@ class Proportion:
         low, high = binomtest(self.hits, self.count).proportion_ci(method="wilson")
         return float(low), float(high)
 
-    def as_json(self) -> dict[str, Any]:
-        """Share, interval and counts."""
-        return {
-            "value": self.value,
-            "ci95": list(self.ci95),
-            "hits": self.hits,
-            "count": self.count,
-        }
-
 
 @dataclass(frozen=True)
 class Score:
-    """What the verdicts are worth. `singles` and `doubles` are cases inside the library.
+    """What the verdicts are worth.
+
+    Of recordings with one effect of the library (`singles`), two (`doubles`), `none` or `unknown`.
 
     Attributes:
-        cases: number of recordings scored.
         confusion: counts by truth, then by verdict.
         exact: verdicts that name exactly the truth.
         top2: truth among the two most probable explanations.
         truth_in_group: truth is the verdict or in its ambiguity group.
-        singles_exact: of singles, exact ones.
-        clear_singles_exact: the same where the gap is at least 5 noise floors.
-        doubles_both: of doubles, those with both effects named and no other.
-        doubles_one: of doubles, those with at least one effect named.
+        clear_singles_exact: exact singles whose gap is at least 5 noise floors.
+        doubles_both: doubles with both effects named and no other.
+        doubles_one: doubles with at least one effect named.
         false_alarms: of `none`, those with another verdict.
         unknown_recall: of `unknown`, those recognised.
         where: of correct verdicts whose answer names places, those that name the same ones.
-        by_effect: exact verdicts by true effect, singles.
+        by_effect: exact singles by true effect.
         by_form: exact verdicts by the plant's form, where answers give one.
         mean_probability_on_truth: of the candidate that is the truth, 0 where none is.
         brier_over_candidates: sum over candidates of (probability - outcome)², mean over cases.
@@ -267,27 +244,16 @@ class _Case:
         return self.verdict.effects == self.answer.effects
 
     @property
-    def single(self) -> bool:
-        return len(self.answer.effects) == 1 and not (self.none or self.unknown)
-
-    @property
-    def double(self) -> bool:
-        return len(self.answer.effects) > 1
-
-    @property
-    def none(self) -> bool:
-        return self.answer.effects == (NONE,)
-
-    @property
-    def unknown(self) -> bool:
-        return self.answer.effects == (UNKNOWN,)
+    def kind(self) -> str:
+        """`none`, `unknown`, `single` or `double`."""
+        first, *more = self.answer.effects
+        return "double" if more else first if first in (NONE, UNKNOWN) else "single"
 
     @property
     def clear(self) -> bool:
-        given = self.answer.gap_over_floor
-        gap = self.verdict.gap
-        # the gap before is measured on the recording, so it does where answers are silent
-        ratio = gap.before_n / gap.floor_n if given is None and gap.floor_n > 0.0 else given
+        ratio, gap = self.answer.gap_over_floor, self.verdict.gap
+        if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
+            ratio = gap.before_n / gap.floor_n
         return ratio is not None and ratio >= CLEAR_GAP_FLOORS
 
     @property
@@ -307,11 +273,9 @@ class _Case:
     @property
     def places_right(self) -> bool:
         """The same set for each kind of place that the answer names."""
-        return all(
-            _of_kind(self.answer.places, kind) == _of_kind(self.verdict.where.places, kind)
-            for kind in KINDS
-            if _of_kind(self.answer.places, kind)
-        )
+        kinds = {place.split("_")[0] for place in self.answer.places}
+        named = {p for p in self.verdict.where.places if p.split("_")[0] in kinds}
+        return named == self.answer.places
 
     @property
     def brier(self) -> float:
@@ -333,54 +297,41 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
         raise ScoreError(f"no verdict on {without}; every recording of the answers needs one")
     cases = [_Case(verdicts[answer.recording], answer) for answer in answers]
     right = [case for case in cases if case.right]
-    removed = [c.verdict.gap.removed_fraction for c in right if c.single or c.double]
-    singles = [case for case in cases if case.single]
-    doubles = [case for case in cases if case.double]
+    removed = [c.verdict.gap.removed_fraction for c in right if c.kind in ("single", "double")]
+    singles = [case for case in cases if case.kind == "single"]
+    doubles = [case for case in cases if case.kind == "double"]
+    counts = Counter((joined(c.answer.effects), joined(c.verdict.effects)) for c in cases)
+    confusion: dict[str, dict[str, int]] = {}
+    for (truth, named), count in sorted(counts.items()):
+        confusion.setdefault(truth, {})[named] = count
     return Score(
         cases=len(cases),
-        confusion=_confusion(cases),
-        exact=Proportion.of(case.right for case in cases),
-        top2=Proportion.of(case.in_top2 for case in cases),
-        truth_in_group=Proportion.of(case.in_group for case in cases),
-        singles_exact=Proportion.of(case.right for case in singles),
-        clear_singles_exact=Proportion.of(case.right for case in singles if case.clear),
-        doubles_both=Proportion.of(case.right for case in doubles),
+        confusion=confusion,
+        exact=Proportion.of(c.right for c in cases),
+        top2=Proportion.of(c.in_top2 for c in cases),
+        truth_in_group=Proportion.of(c.in_group for c in cases),
+        singles_exact=Proportion.of(c.right for c in singles),
+        clear_singles_exact=Proportion.of(c.right for c in singles if c.clear),
+        doubles_both=Proportion.of(c.right for c in doubles),
         doubles_one=Proportion.of(
-            not set(case.answer.effects).isdisjoint(case.verdict.effects) for case in doubles
+            not set(c.answer.effects).isdisjoint(c.verdict.effects) for c in doubles
         ),
-        false_alarms=Proportion.of(not case.right for case in cases if case.none),
-        unknown_recall=Proportion.of(case.right for case in cases if case.unknown),
-        where=Proportion.of(case.places_right for case in right if case.answer.places),
-        by_effect=_exact_by(singles, lambda case: case.answer.effects[0]),
-        by_form=_exact_by(cases, lambda case: case.answer.form),
-        mean_probability_on_truth=fmean(
-            case.probabilities.get(case.answer.effects, 0.0) for case in cases
-        ),
-        brier_over_candidates=fmean(case.brier for case in cases),
-        reliability=reliability(
-            [case.verdict.probability for case in cases], [case.right for case in cases]
-        ),
+        false_alarms=Proportion.of(not c.right for c in cases if c.kind == NONE),
+        unknown_recall=Proportion.of(c.right for c in cases if c.kind == UNKNOWN),
+        where=Proportion.of(c.places_right for c in right if c.answer.places),
+        by_effect=_exact_by(singles, lambda c: c.answer.effects[0]),
+        by_form=_exact_by(cases, lambda c: c.answer.form),
+        mean_probability_on_truth=fmean(c.probabilities.get(c.answer.effects, 0.0) for c in cases),
+        brier_over_candidates=fmean(c.brier for c in cases),
+        reliability=reliability([c.verdict.probability for c in cases], [c.right for c in cases]),
         median_removed_fraction=median(removed) if removed else None,
-        wrong=tuple(case.answer.recording for case in cases if not case.right),
+        wrong=tuple(c.answer.recording for c in cases if not c.right),
     )
-
-
-def _confusion(cases: Sequence[_Case]) -> dict[str, dict[str, int]]:
-    counts: dict[str, dict[str, int]] = {}
-    for case in sorted(cases, key=lambda c: (joined(c.answer.effects), joined(c.verdict.effects))):
-        row = counts.setdefault(joined(case.answer.effects), {})
-        named = joined(case.verdict.effects)
-        row[named] = row.get(named, 0) + 1
-    return counts
 
 
 def _exact_by(cases: Sequence[_Case], key: Callable[[_Case], str]) -> dict[str, Proportion]:
     names = sorted({key(case) for case in cases} - {""})
     return {name: Proportion.of(c.right for c in cases if key(c) == name) for name in names}
-
-
-def _of_kind(places: frozenset[str], kind: str) -> set[str]:
-    return {place for place in places if place.startswith(f"{kind}_")}
 
 
 def as_json(score: Score) -> dict[str, Any]:
@@ -392,7 +343,7 @@ def as_json(score: Score) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Proportion):
-        return value.as_json()
+        return {"value": value.value, "ci95": list(value.ci95), **asdict(value)}
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
     return list(value) if isinstance(value, tuple) else value
@@ -411,9 +362,7 @@ def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Ve
     found, missing = {}, []
     for name in recordings:
         paths = [
-            path
-            for path in (folder / name / "verdict.json", folder / f"{name}.json")
-            if path.is_file()
+            p for p in (folder / name / "verdict.json", folder / f"{name}.json") if p.is_file()
         ]
         if len(paths) > 1:
             raise ScoreError(f"{folder}: has {name}/verdict.json and {name}.json; keep one")
