@@ -39,10 +39,9 @@ TOLERANCE_REACH = 2.0
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record next.
+    """What to record next, for a person at the arm, and what it will show.
 
     Attributes:
-        text: for a person at the arm: what to do, and what it will show.
         block: what to do, as in the protocol; empty where nothing is needed.
         separation_n: root mean square by which predictions part there.
         over_floor: the same in noise floors.
@@ -59,8 +58,6 @@ class _Tried:
     """A block as the rivals predict it.
 
     Attributes:
-        block: what is done.
-        simulator: put through it.
         used: (R,) rows with one rest only.
         apart_n: (R', M) first rival less each other, in the used rows.
     """
@@ -70,17 +67,11 @@ class _Tried:
     used: NDArray[np.bool_]
     apart_n: tuple[Array, ...]
 
-
-@dataclass(frozen=True)
-class _Parting:
-    """How far the first rival's prediction of a block is from that of the nearest other."""
-
-    trial: _Tried
-    by_cable_n: Array
-
-    @property
-    def rms_n(self) -> float:
-        return float(np.sqrt((self.by_cable_n**2).mean()))
+    def nearest_n(self, tolerances: Array, free_constants: bool) -> Array:
+        """(M,) RMS by which the first rival parts from the nearest other."""
+        left = [_left(apart, tolerances, free_constants) for apart in self.apart_n]
+        nearest = min(left, key=lambda each: float((each**2).sum()))
+        return np.asarray(np.sqrt((nearest**2).mean(0)))
 
 
 def next_experiment(
@@ -103,9 +94,7 @@ def next_experiment(
     if len(rivals) == 1 and not rivals[0]:
         return Experiment("No further experiment is needed.")
     offered = standard_protocol(arm) if blocks is None else blocks
-    compared = [
-        _without_history(arm, rival) for rival in (rivals if rivals[1:] else [*rivals, {}])
-    ]
+    compared = [_without_history(arm, r) for r in (rivals if rivals[1:] else [*rivals, {}])]
     past_counts = any(
         e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)
     )
@@ -114,40 +103,48 @@ def next_experiment(
     best = _furthest([each for each in tried if each is not None], floor_n)
     if best is None:
         return Experiment("No block of the protocol can be simulated with these explanations.")
+    block, by_cable_n = best
+    apart_n = _rms(by_cable_n)
     return Experiment(
-        text=_text(arm, rivals, best, floor_n),
-        block=best.trial.block.does,
-        separation_n=best.rms_n,
-        over_floor=best.rms_n / floor_n,
+        text=_text(arm, rivals, block.does, by_cable_n, floor_n),
+        block=block.does,
+        separation_n=apart_n,
+        over_floor=apart_n / floor_n,
     )
 
 
-def _furthest(trials: Sequence[_Tried], floor_n: float) -> _Parting | None:
-    """The block that separates most; a difference by a constant alone is taken as it is."""
+def _furthest(trials: Sequence[_Tried], floor_n: float) -> tuple[Block, Array] | None:
+    """The block that separates most, and by how much in each cable (M,).
+
+    A difference by a constant alone is taken as it is.
+    """
+    final: list[tuple[Block, Array]] = []
+    most_n = 0.0
     for free_constants in (True, False):
-        nothing = np.empty((0, 0))
-        first = [_parting(trial, nothing, free_constants) for trial in trials]
-        finalists = sorted(first, key=lambda p: -p.rms_n)[:FINALISTS]
+        first_n = [_rms(t.nearest_n(np.empty((0, 0)), free_constants)) for t in trials]
+        order = np.argsort(-np.array(first_n), kind="stable")
         final = [
-            _parting(p.trial, _tolerances(p.trial, free_constants), free_constants)
-            for p in finalists
+            (t.block, t.nearest_n(_tolerances(t, free_constants), free_constants))
+            for t in (trials[k] for k in sorted(order[:FINALISTS]))
         ]
-        most_n = max((p.rms_n for p in final), default=0.0)
+        most_n = max((_rms(by_cable_n) for _, by_cable_n in final), default=0.0)
         if most_n >= SEPARATES_FLOORS * floor_n:
             break
     # of blocks that separate about as much, the first is the simplest
-    far = [p.trial for p in final if p.rms_n >= ABOUT_AS_FAR * most_n]
-    earliest = next((each for each in trials if any(each is t for t in far)), None)
-    return next((p for p in final if p.trial is earliest), None)
+    return next((each for each in final if _rms(each[1]) >= ABOUT_AS_FAR * most_n), None)
+
+
+def _rms(by_cable_n: Array) -> float:
+    return float(np.sqrt((by_cable_n**2).mean()))
 
 
 def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
     """None where an explanation cannot be simulated, or the arm has more than one rest."""
-    recorded = _recorded(arm, block, rate_hz)
+    rows = rows_of((block,), rate_hz)
+    recorded = Recording("block", *rows, np.zeros((len(rows.time_s), arm.cable_count)))
     replay = Replay(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
-    known = entries_of(arm)
     try:
-        predicted = [replay.readings_n([[*known, *entries_from(r)]])[0] for r in rivals]
+        predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
         return None
     used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
@@ -155,18 +152,6 @@ def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tr
         return None
     apart = tuple((predicted[0] - other)[used] for other in predicted[1:])
     return _Tried(block, ArmSimulator(arm, recorded), used, apart)
-
-
-def _parting(trial: _Tried, tolerances: Array, free_constants: bool) -> _Parting:
-    left = [_left(apart, tolerances, free_constants) for apart in trial.apart_n]
-    nearest = min(left, key=lambda each: float((each**2).sum()))
-    return _Parting(trial, np.sqrt((nearest**2).mean(0)))
-
-
-def _recorded(arm: Arm, block: Block, rate_hz: float) -> Recording:
-    rows = rows_of((block,), rate_hz)
-    nothing = np.zeros((len(rows.time_s), arm.cable_count))
-    return Recording("block", *rows, tensions_n=nothing)
 
 
 def _tolerances(trial: _Tried, free_constants: bool) -> Array:
@@ -201,26 +186,26 @@ def _without_mean(values_n: Array, free_constants: bool) -> Array:
 def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
     """Before a new experiment nobody knows what the past left."""
     counts = arm.segment_count, arm.cable_count
-    past = {
-        name: {p.name for p in known_effects()[name].history(*counts)}
-        for name in {term.effect for term in rival}
-    }
     return {
-        term: value for term, value in rival.items() if term.parameter not in past[term.effect]
+        term: value
+        for term, value in rival.items()
+        if term.parameter not in {p.name for p in known_effects()[term.effect].history(*counts)}
     }
 
 
-def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) -> str:
-    does, floors = parting.trial.block.does, parting.rms_n / floor_n
+def _text(arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor_n: float) -> str:
+    floors = _rms(by_cable_n) / floor_n
     first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
     if floors < HIDDEN_FLOORS:
         return (
             f"No block of the protocol distinguishes {first} from {others}: with the numbers that "
             "were fitted, they predict the same readings."
         )
+    most = [k for k in np.argsort(-by_cable_n)[:2] if by_cable_n[k] > 0.5 * by_cable_n.max()]
+    numbers = [arm.cable_names[k].removeprefix("cable_") for k in sorted(most)]
     by = (
-        f"by {short(parting.rms_n)} N, {short(floors)} times the noise floor, "
-        f"most at {_cables(arm, parting.by_cable_n)}."
+        f"by {short(_rms(by_cable_n))} N, {short(floors)} times the noise floor, "
+        f"most at cable{'s' if numbers[1:] else ''} {' and '.join(numbers)}."
     )
     if not rivals[0]:
         text = (
@@ -235,12 +220,6 @@ def _text(arm: Arm, rivals: Sequence[Rival], parting: _Parting, floor_n: float) 
         times = int(np.ceil((SEPARATES_FLOORS / floors) ** 2))
         text += f" Nothing in the protocol shows more: do it {times} times."
     return text
-
-
-def _cables(arm: Arm, by_cable_n: Array) -> str:
-    most = [k for k in np.argsort(-by_cable_n)[:2] if by_cable_n[k] > 0.5 * by_cable_n.max()]
-    numbers = [arm.cable_names[k].removeprefix("cable_") for k in sorted(most)]
-    return f"cable {numbers[0]}" if len(numbers) == 1 else f"cables {' and '.join(numbers)}"
 
 
 def _name(rival: Rival) -> str:

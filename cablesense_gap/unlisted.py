@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
@@ -25,12 +24,16 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 
-POSE, LOAD, TENSION, MOTION, HISTORY, TIME = (
-    "pose", "load", "tension", "motion", "history", "time",
-)  # fmt: skip
 _PLAYS = (0.05, 0.3)
 """Widths of the plays, as shares of a channel's range."""
 _WAITED_S = 10.0
+_FEWEST_ROWS = 10
+_SIDES = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, 0.5**0.5, 0.5**0.5)}
+_BENT_RAD = float(np.deg2rad(1.5))
+ONE_AT_A_TIME = (
+    "Record again what the regimes above name, and change one thing at a time: "
+    "`cablesense gap protocol` lists loads, poses and holds that part most effects."
+)
 
 
 def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
@@ -41,43 +44,44 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     lags behind itself in a play, which depends on where it turned. time: since the recording
     began, and since the arm or its load last changed.
     """
-    held_m = held_lengths_m(mechanism_of(arm), recording.command_rad)
-    trial = recording.trial
+    held_m, trial = held_lengths_m(mechanism_of(arm), recording.command_rad), recording.trial
+    step_m = np.diff(held_m, axis=0, prepend=held_m[:1])
+    step_m[np.diff(trial, prepend=trial[0]) != 0] = 0.0
+    forces_n = recording.forces_n
+    loads_n = forces_n.reshape(len(recording), -1)
+    size_n = np.linalg.norm(forces_n, axis=-1).sum(-1)
+    state = np.concatenate([recording.command_rad, loads_n], axis=1)
+    changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
+    last = np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))
+    waited_s = recording.time_s - recording.time_s[last]
+    segments = range(1, forces_n.shape[1] + 1)
+    cables = arm.cable_names
     parts = {
-        POSE: (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
-        LOAD: (_loads(recording), _load_names(recording)),
-        TENSION: (nominal_n, [f"tension of {name}" for name in arm.cable_names]),
-        MOTION: (_directions(held_m, trial), [f"motion of {name}" for name in arm.cable_names]),
-        HISTORY: (
-            np.concatenate([_behind(nominal_n, share) for share in _PLAYS], axis=1),
-            [f"turning points of {name}" for _ in _PLAYS for name in arm.cable_names],
+        "pose": (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
+        "load": (
+            np.column_stack([loads_n, size_n]),
+            [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
+            + ["size of the load"],
         ),
-        TIME: (_times(recording), ["time", "time since the last change"]),
+        "tension": (nominal_n, [f"tension of {name}" for name in cables]),
+        "motion": (
+            np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0)),
+            [f"motion of {name}" for name in cables],
+        ),
+        "history": (
+            np.concatenate([_behind(nominal_n, share) for share in _PLAYS], axis=1),
+            [f"turning points of {name}" for _ in _PLAYS for name in cables],
+        ),
+        "time": (
+            np.column_stack([recording.time_s, np.exp(-waited_s / _WAITED_S)]),
+            ["time", "time since the last change"],
+        ),
     }
     return Features(
         values=np.concatenate([values for values, _ in parts.values()], axis=1),
         names=tuple(name for _, names in parts.values() for name in names),
         groups=tuple(group for group, (_, names) in parts.items() for _ in names),
     )
-
-
-def _loads(recording: Recording) -> Array:
-    forces = recording.forces_n
-    size = np.linalg.norm(forces, axis=-1).sum(-1)
-    return np.column_stack([forces.reshape(len(forces), -1), size])
-
-
-def _load_names(recording: Recording) -> list[str]:
-    count = recording.forces_n.shape[1]
-    along = [f"load on segment_{n + 1} along {axis}" for n in range(count) for axis in "xyz"]
-    return [*along, "size of the load"]
-
-
-def _directions(held_m: Array, trial: NDArray[np.int64]) -> Array:
-    """-1, 0 or 1: which way each length last moved between two rows of one trial."""
-    step = np.diff(held_m, axis=0, prepend=held_m[:1])
-    step[np.diff(trial, prepend=trial[0]) != 0] = 0.0
-    return np.sign(np.where(np.abs(step) > 1e-9, step, 0.0))
 
 
 def _behind(signal: Array, share: float) -> Array:
@@ -91,21 +95,6 @@ def _behind(signal: Array, share: float) -> Array:
     return found
 
 
-def _times(recording: Recording) -> Array:
-    forces = recording.forces_n.reshape(len(recording), -1)
-    state = np.concatenate([recording.command_rad, forces], axis=1)
-    changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
-    changed[0] = True
-    last_s = recording.time_s[np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))]
-    waited_s = recording.time_s - last_s
-    return np.column_stack([recording.time_s, np.exp(-waited_s / _WAITED_S)])
-
-
-FEWEST_ROWS = 10
-SIDES = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, 0.5**0.5, 0.5**0.5)}
-_BENT_RAD = float(np.deg2rad(1.5))
-
-
 def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float) -> Experiment:
     """The trial of a recording where the residual (R, M) is largest, and how to repeat it.
 
@@ -117,10 +106,10 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
     sizes = {
         int(t): float(np.sqrt((residual_n[recording.trial == t] ** 2).mean()))
         for t in np.unique(recording.trial)
-        if (recording.trial == t).sum() >= FEWEST_ROWS
+        if (recording.trial == t).sum() >= _FEWEST_ROWS
     }
     if not sizes:
-        raise ValueError(f"no trial has {FEWEST_ROWS} rows")
+        raise ValueError(f"no trial has {_FEWEST_ROWS} rows")
     trial = max(sizes, key=lambda t: sizes[t])
     rms_n = sizes[trial]
     done, again = _done_and_again(recording.rows(recording.trial == trial))
@@ -164,8 +153,8 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
 
 
 def _side(direction: Array) -> str:
-    names = list(SIDES)
-    along = np.array([SIDES[name] for name in names]) @ direction
+    names = list(_SIDES)
+    along = np.array([_SIDES[name] for name in names]) @ direction
     if along.max() > 0.9:
         return names[int(along.argmax())]
     listed = ", ".join(f"{part:.2f}" for part in direction)
@@ -177,12 +166,6 @@ def _pose(rows: Recording) -> str:
     if bent <= _BENT_RAD:
         return "arm straight"
     return f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
-
-
-ONE_AT_A_TIME = (
-    "Record again what the regimes above name, and change one thing at a time: "
-    "`cablesense gap protocol` lists loads, poses and holds that part most effects."
-)
 
 
 @dataclass(frozen=True)

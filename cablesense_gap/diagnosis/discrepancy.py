@@ -25,6 +25,17 @@ _WIDTHS = (0.5, 1.5)
 """Of the bumps, in standard deviations of each feature."""
 _PAIR_WEIGHT = 0.3
 _RIDGES = np.logspace(-3.0, 2.0, 6)
+LONG_ROWS = 120
+"""Trials longer than this are held out in stretches: no other trial has the poses of a sweep."""
+_STRETCH_ROWS = 50
+_TOGETHER = 3
+"""Neighbouring rows are averaged: they are the same but for noise."""
+_FAR = 3.0
+"""Standard deviations at which a feature is cut off; trials may lie far from all others."""
+_FOREMOST = 5
+
+Indices = NDArray[np.int64]
+Rows = NDArray[np.bool_]
 
 
 def kernel(groups: Sequence[Array]) -> Array:
@@ -53,11 +64,12 @@ def held_out(kernel_: Array, y: Array, fold: Indices, used: Rows) -> Array:
     left = _left_by_two(kernel_, y, fold, used)
     predicted = np.zeros_like(y)
     for k in range(count):
-        others = [j for j in range(count) if j != k]
-        errors = np.sum([left[k, j] for j in others], axis=0)
+        errors = np.sum([left[k, j] for j in range(count) if j != k], axis=0)
         nothing = (y[used & (fold != k)] ** 2).sum(0)
-        ridge = _RIDGES[errors.argmin(0)]
-        fitted = _predict(kernel_, y, used & (fold != k), fold == k, ridge)
+        fit = used & (fold != k)
+        values, vectors = np.linalg.eigh(kernel_[np.ix_(fit, fit)])
+        along = (vectors.T @ y[fit]) / (values[:, None] + _RIDGES[errors.argmin(0)])
+        fitted = kernel_[np.ix_(fold == k, fit)] @ vectors @ along
         predicted[fold == k] = np.where(errors.min(0) < nothing, fitted, 0.0)
     return predicted
 
@@ -79,39 +91,16 @@ def _left_by_two(
     return found
 
 
-def _predict(kernel_: Array, y: Array, fit: Rows, rows: Rows, ridge: Array) -> Array:
-    """(rows, C) with a ridge (C,) for each channel."""
-    values, vectors = np.linalg.eigh(kernel_[np.ix_(fit, fit)])
-    along = (vectors.T @ y[fit]) / (values[:, None] + ridge)
-    return np.asarray(kernel_[np.ix_(rows, fit)] @ vectors @ along)
-
-
 def _squared_distance(x: Array) -> Array:
     square = (x**2).sum(1)
     return np.maximum(square[:, None] + square - 2.0 * x @ x.T, 0.0)
 
 
-Indices = NDArray[np.int64]
-Rows = NDArray[np.bool_]
-
-LONG_ROWS = 120
-"""Trials longer than this are held out in stretches: no other trial has the poses of a sweep."""
-STRETCH_ROWS = 50
-TOGETHER = 3
-"""Neighbouring rows are averaged: they are the same but for noise."""
-_FAR = 3.0
-"""Standard deviations at which a feature is cut off; trials may lie far from all others."""
-_FOREMOST = 5
-
-
 @dataclass(frozen=True)
 class Features:
-    """What a residual may go with.
+    """What a residual may go with: values (R, F) in any units, names (F,) and groups (F,).
 
-    Attributes:
-        values: (R, F) in any units.
-        names: (F,) for people.
-        groups: (F,) which of them belong together, as in `pose` or `load`.
+    Groups say which features belong together, as in `pose` or `load`.
     """
 
     values: Array
@@ -206,7 +195,7 @@ def _fold_of_rows(trial: Indices, fold: Indices) -> Indices:
     for t in range(len(fold)):
         rows = np.flatnonzero(trial == t)
         if len(rows) > LONG_ROWS:
-            stretch = np.arange(len(rows)) // STRETCH_ROWS
+            stretch = np.arange(len(rows)) // _STRETCH_ROWS
             found[rows] = (fold[t] + stretch) % count
     return np.asarray(found)
 
@@ -217,7 +206,7 @@ def _parts(trial: Indices, row_fold: Indices, used: Rows) -> Indices:
     changes = (np.diff(state, axis=0, prepend=state[:1]) != 0).any(1)
     begin = np.maximum.accumulate(np.where(changes, np.arange(len(state)), 0))
     since = np.arange(len(state)) - begin
-    return np.cumsum(changes | ((since % TOGETHER == 0) & (since > 0)))
+    return np.cumsum(changes | ((since % _TOGETHER == 0) & (since > 0)))
 
 
 def _averaged(values: Array, part: Indices) -> Array:

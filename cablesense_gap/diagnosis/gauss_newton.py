@@ -80,9 +80,7 @@ def _linear_about(problem: Problem, hypothesis: Hypothesis) -> Problem:
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     predicted = problem.simulator.predict([base, *({**base, t: float(std)} for t, std in terms)])
     columns = predicted[1:] - predicted[0]
-    if not np.isfinite(columns).all():
-        return problem
-    return replace(problem, tolerance_columns=columns)
+    return replace(problem, tolerance_columns=columns) if np.isfinite(columns).all() else problem
 
 
 class _Linear(NamedTuple):

@@ -5,15 +5,15 @@ An effect of typical size in one place changes the readings by the columns of a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import chain, combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.diagnosis.evidence import Products, held_out_squares, products, solve, weight
+from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
     Problem,
     from_scaled,
@@ -21,7 +21,7 @@ from cablesense_gap.diagnosis.problem import (
     prior_precision,
     to_scaled,
 )
-from cablesense_gap.simulator import Candidate, Term
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM, Parameter
 
 WORTH = 1.12
@@ -68,44 +68,35 @@ def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearE
         for starts in product(*(p.starts or (p.default,) for p in shapes))
     ]
     absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
-    probes = [_probes(candidate, shape) for shape in combined]
+
+    def variant(place: str, shape: dict[str, float], probe: dict[str, float]) -> Assignment:
+        among = candidate.places if candidate.history_dependent else (place,)
+        return {
+            Term(candidate.effect, at, name): value
+            for at in among
+            for name, value in (absent | (probe if at == place else shape)).items()
+        }
+
+    probed = [(shape, _probes(candidate, shape)) for shape in combined]
+    batches = [
+        [variant(place, shape, probe) for _, probe in probes]
+        for shape, probes in probed
+        for place in candidate.places
+    ]
     if candidate.history_dependent:
-        variants = [
-            {
-                Term(candidate.effect, other, name): value
-                for other in candidate.places
-                for name, value in (absent | (probe if other == place else shape)).items()
-            }
-            for shape, of_shape in zip(combined, probes, strict=True)
-            for place in candidate.places
-            for _, probe in of_shape
-        ]
-        changes: Iterator[Array] = iter(problem.simulator.predict(variants) - problem.nominal)
-    else:
-        changes = _changes_one_by_one(problem, candidate, absent, probes)
+        batches = [list(chain(*batches))]
+    changes = (c for b in batches for c in problem.simulator.predict(b) - problem.nominal)
     found = []
-    for shape, of_shape in zip(combined, probes, strict=True):
+    for shape, probes in probed:
+        parameters = [parameter for parameter, _ in probes]
         effects = [
-            _linear_effect(candidate, at, shape, np.array([next(changes) for _ in of_shape]))
+            _linear_effect(
+                candidate, at, shape, parameters, np.array([next(changes) for _ in probes])
+            )
             for at in candidate.places
         ]
         found.append(tuple(e for e in effects if np.isfinite(e.columns).all()))
     return found
-
-
-def _changes_one_by_one(
-    problem: Problem,
-    candidate: Candidate,
-    absent: dict[str, float],
-    probes: Sequence[list[tuple[Parameter, dict[str, float]]]],
-) -> Iterator[Array]:
-    for of_shape in probes:
-        for place in candidate.places:
-            variants = [
-                {Term(candidate.effect, place, k): v for k, v in (absent | probe).items()}
-                for _, probe in of_shape
-            ]
-            yield from problem.simulator.predict(variants) - problem.nominal
 
 
 def _probes(
@@ -134,9 +125,12 @@ def _step(parameter: Parameter, shape: dict[str, float]) -> float:
 
 
 def _linear_effect(
-    candidate: Candidate, place: str, shape: dict[str, float], changes: Array
+    candidate: Candidate,
+    place: str,
+    shape: dict[str, float],
+    probed: Sequence[Parameter],
+    changes: Array,
 ) -> LinearEffect:
-    probed = [parameter for parameter, _ in _probes(candidate, shape)]
     first = next(k for k, p in enumerate(probed) if p.role == "size")
     columns = [
         change if p.role == "size" else (change - changes[first]) / _step(p, shape)
@@ -205,9 +199,8 @@ class Placing:
     """Linear effects among which places are chosen; tolerances and others are fitted along.
 
     Attributes:
-        data: products of all columns with the residual; those fitted along come first.
+        data: products of all columns with the residual; the `base` ones fitted along come first.
         precision: of the priors of all columns.
-        base: number of columns that are fitted along.
         owned: columns of each effect.
     """
 
@@ -248,37 +241,27 @@ class Placing:
 
     def placed(self, chosen: Sequence[int]) -> Placed:
         """The chosen effects with their coefficients and what they leave."""
-        part, precision = self._part(chosen)
-        weight_ = weight(self._mean_square(part, precision, self._weight), self._problem.floor)
-        found = _solved(part, precision, weight_)
-        squares = self._squares(part, precision, weight_)
-        return Placed(
-            tuple(self._offered[k] for k in chosen),
-            found[self.base :],
-            squares,
-            float(squares.sum() / part.count.sum()),
-            self._chi2(found),
-        )
+        found, squares, mean_square, chi2 = self._fitted(chosen)
+        effects = tuple(self._offered[k] for k in chosen)
+        return Placed(effects, found[self.base :], squares, mean_square, chi2)
 
     def _best(self, options: Sequence[list[int]]) -> tuple[list[int], float]:
         tried = [self._left(option) for option in options]
         return (options[int(np.argmin(tried))], min(tried)) if tried else ([], np.inf)
 
     def _left(self, chosen: Sequence[int]) -> float:
-        part, precision = self._part(chosen)
-        weight_ = weight(self._mean_square(part, precision, self._weight), self._problem.floor)
-        chi2 = self._chi2(_solved(part, precision, weight_))
-        return self._problem.cost(self._mean_square(part, precision, weight_), chi2)
+        return self._problem.cost(*self._fitted(chosen)[2:])
 
-    def _chi2(self, found: Array) -> float:
-        return float((found[: len(self._problem.tolerance_terms)] ** 2).sum())
-
-    def _squares(self, part: Products, precision: Array, weight_: float) -> Array:
-        none = np.zeros(len(precision))
-        return held_out_squares(part, precision, none, weight_, self._problem.fold)
-
-    def _mean_square(self, part: Products, precision: Array, weight_: float) -> float:
-        return float(self._squares(part, precision, weight_).sum() / part.count.sum())
+    def _fitted(self, chosen: Sequence[int]) -> tuple[Array, Array, float, float]:
+        """Coefficients, squares left in held-out trials, their mean, and that of tolerances."""
+        at, problem = self._columns(chosen), self._problem
+        part, precision, none = self.data.columns(at), self.precision[at], np.zeros(len(at))
+        squares = held_out_squares(part, precision, none, self._weight, problem.fold)
+        weight_ = weight(float(squares.sum() / part.count.sum()), problem.floor)
+        found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
+        squares = held_out_squares(part, precision, none, weight_, problem.fold)
+        chi2 = float((found[: len(problem.tolerance_terms)] ** 2).sum())
+        return found, squares, float(squares.sum() / part.count.sum()), chi2
 
     def _gain(self, chosen: Sequence[int], k: int) -> float:
         """Decrease of the sum of squares over all trials, if only effect k moved."""
@@ -295,14 +278,5 @@ class Placing:
         gram = gram + 1e-9 * np.trace(gram) * np.eye(len(own)) + 1e-12 * np.eye(len(own))
         return float(moment @ np.linalg.solve(gram, moment))
 
-    def _part(self, chosen: Sequence[int]) -> tuple[Products, Array]:
-        at = self._columns(chosen)
-        return self.data.columns(at), self.precision[at]
-
     def _columns(self, chosen: Sequence[int]) -> NDArray[np.int64]:
         return np.concatenate([np.arange(self.base), *(self.owned[k] for k in chosen)])
-
-
-def _solved(part: Products, precision: Array, weight_: float) -> Array:
-    none = np.zeros(len(precision))
-    return solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)

@@ -52,14 +52,14 @@ class ProbabilityCalibration:
 
     Attributes:
         power: κ.
-        none: κ₀, of tolerances alone.
-        one: π_1, of naming an effect.
-        two: π_2, of naming two.
+        none: κ₀.
+        one: π_1.
+        two: π_2.
         size: ν.
         tolerance_chi2: τ.
-        unknown: π of naming none that is listed.
-        share: φ, what of the gap remains where a listed effect stands in for an unlisted one.
-        stand_in: γ, by which a stand-in is off even where the gap is small, in floors.
+        unknown: π_unknown.
+        share: φ.
+        stand_in: γ.
         floor_share: excess that no hypothesis can do without, as a share of the floor.
     """
 
@@ -140,11 +140,9 @@ def log_weights(
 
 
 class Ambiguity(NamedTuple):
-    """Explanations between which the recording does not decide.
+    """Explanations between which the recording does not decide, and a reason for each rival.
 
-    Attributes:
-        group: names of effects, joined by `+` where there are several; the best first.
-        reasons: one plain sentence for each rival of the best.
+    Several effects are joined by `+`; the best comes first.
     """
 
     group: tuple[str, ...]
@@ -182,13 +180,12 @@ def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> floa
 
     Of the root mean square of the change, tolerances taken out; the other's numbers are free.
     """
-    weight_ = weight(one.held_out_rmse**2, problem.floor)
-    change = _beyond_tolerances(problem, _change(problem, one), weight_)
+    change = _beyond_tolerances(problem, _change(problem, one), one)
     whole = float(change @ change)
     if whole == 0.0:
         return 1.0
     own = [_change(problem, other), *other.columns]
-    columns = np.array([_beyond_tolerances(problem, column, weight_) for column in own])
+    columns = np.array([_beyond_tolerances(problem, column, one) for column in own])
     gram = columns @ columns.T
     gram += _SLIGHT * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
     moment = columns @ change
@@ -210,8 +207,7 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
             "there."
         )
     share = imitated_share(problem, one, other)
-    weight_ = weight(one.held_out_rmse**2, problem.floor)
-    change = _beyond_tolerances(problem, _change(problem, one), weight_)
+    change = _beyond_tolerances(problem, _change(problem, one), one)
     size = float(np.sqrt((change**2).sum() / (problem.used.sum() * problem.nominal.shape[1])))
     imitates = (
         f"{'+'.join(rival.effects)}, with numbers of its own, imitates {100.0 * share:.0f} % of "
@@ -237,12 +233,13 @@ def _change(problem: Problem, hypothesis: Hypothesis) -> Array:
     return np.asarray(hypothesis.prediction - of_tolerances - problem.nominal)
 
 
-def _beyond_tolerances(problem: Problem, change: Array, weight_: float) -> Array:
+def _beyond_tolerances(problem: Problem, change: Array, fitted: Hypothesis) -> Array:
     """Over the used rows, flat: what tolerances leave of a change, at the cost of their priors.
 
     The priors' cost is part of the vector, so that the products of two of them are those of the
     readings' marginal likelihood.
     """
+    weight_ = weight(fitted.held_out_rmse**2, problem.floor)
     tolerances = problem.tolerance_columns[:, problem.used]
     flat = tolerances.reshape(len(tolerances), int(problem.used.sum()) * change.shape[1])
     target = change[problem.used].ravel()

@@ -11,13 +11,13 @@ from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.pictures import (
     MOST,
     cable_picture,
-    cable_set_picture,
-    candidate_picture,
-    regime_picture,
+    drawn_candidates,
+    dumbbell_picture,
     time_picture,
 )
 from cablesense_gap.report.style import (
     ReportError,
+    as_uri,
     newtons,
     percent,
     rendered,
@@ -34,10 +34,10 @@ from cablesense_gap.report.text import (
     shrinkage,
     steps,
 )
-from cablesense_gap.residuals import ALL, TRIAL, Decomposition, decompose
+from cablesense_gap.residuals import ALL, LOOP, REGIMES, SET, TRIAL, decompose
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, VerdictError, write_verdict
 
-WORST = 8
+_WORST = 8
 """Parts of what remains that are shown before one asks for all."""
 
 
@@ -69,13 +69,14 @@ def _content(found: Diagnosis) -> dict[str, Any]:
     floor_n = verdict.gap.floor_n
     before = decompose(recording, found.before_n, floor_n, found.nominal)
     after = decompose(recording, found.after_n, floor_n, found.nominal)
+    parts = [part for part in after.parts if part.group not in (ALL, TRIAL)]
     with style():
         pictures = {
             "time": time_picture(found),
             "cable": cable_picture(before, after, found.after_label),
-            "set": cable_set_picture(before, after, found.after_label),
-            "regime": regime_picture(before, after, found.after_label),
-            "candidates": candidate_picture(verdict) if verdict.candidates else "",
+            "set": dumbbell_picture(before, after, found.after_label, (SET,)),
+            "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
+            "candidates": as_uri(drawn_candidates(verdict)) if verdict.candidates else "",
         }
     return {
         "kind": "effect" if verdict.effects[0] not in (NONE, UNKNOWN) else verdict.effects[0],
@@ -96,7 +97,7 @@ def _content(found: Diagnosis) -> dict[str, Any]:
         "before": before,
         "after": after,
         "changed": found.after_label != "",
-        "worst": _worst(after),
+        "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
     }
 
@@ -106,11 +107,10 @@ def _parameters(verdict: Verdict) -> list[dict[str, str]]:
     for name, estimate in verdict.parameters.items():
         effect, *middle, parameter = name.split(".")
         value, interval = with_interval(estimate)
-        where = middle or effect_places(verdict, effect)
         rows.append(
             {
                 "effect": effect.replace("_", " "),
-                "place": " ".join(where).replace("_", " "),
+                "place": " ".join(middle or effect_places(verdict, effect)).replace("_", " "),
                 "parameter": parameter,
                 "value": value,
                 "interval": interval,
@@ -120,20 +120,11 @@ def _parameters(verdict: Verdict) -> list[dict[str, str]]:
     return rows
 
 
-def _estimator(verdict: Verdict) -> list[tuple[str, str, str]]:
+def _estimator(verdict: Verdict) -> list[tuple[str, ...]]:
     if verdict.estimator is None:
         return []
-    before, after = verdict.estimator.before, verdict.estimator.after
+    both = verdict.estimator.before, verdict.estimator.after
     return [
-        (name, _number(before.get(name)), _number(after.get(name)))
-        for name in dict.fromkeys((*before, *after))
+        (name, *(f"{each[name]:.4g}" if name in each else "–" for each in both))
+        for name in both[0] | both[1]
     ]
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
-
-
-def _worst(after: Decomposition) -> list[Any]:
-    parts = [part for part in after.parts if part.group not in (ALL, TRIAL)]
-    return sorted(parts, key=lambda part: -part.over_floor)[:WORST]

@@ -23,8 +23,15 @@ from cablesense_gap.report.style import (
     plain_log_ticks,
 )
 from cablesense_gap.report.text import candidate_name
-from cablesense_gap.residuals import CABLE, LOOP, REGIMES, SET, Decomposition
+from cablesense_gap.residuals import CABLE, Decomposition
 from cablesense_gap.verdict import Verdict
+
+MOST = 12
+"""Candidates that are drawn."""
+_MOST_CABLES = 24
+_MOST_POINTS = 3000
+"""More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
+_ROW_IN = 1.45
 
 
 def cable_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
@@ -49,19 +56,10 @@ def cable_picture(before: Decomposition, after: Decomposition, after_label: str)
     return as_uri(figure)
 
 
-def regime_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
-    """RMS gap by regime, each as a line from before to after."""
-    return _dumbbells(before, after, after_label, (*REGIMES, LOOP))
-
-
-def cable_set_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
-    """RMS gap of each segment's cables in modes, likewise."""
-    return _dumbbells(before, after, after_label, (SET,))
-
-
-def _dumbbells(
+def dumbbell_picture(
     before: Decomposition, after: Decomposition, after_label: str, groups: Sequence[str]
 ) -> str:
+    """RMS gap of each member of some groups, as a line from before to after."""
     import matplotlib.pyplot as plt
 
     remaining = {(part.group, part.member): part.rms_n for part in after.parts}
@@ -115,28 +113,16 @@ def _draw(axes: Any, at: Any, start: Any, end: Any, after_label: str) -> None:
     axes.grid(axis="x")
 
 
-MOST = 12
-
-
-def candidate_picture(verdict: Verdict) -> str:
-    """The most probable candidates, the verdict's in colour, as the `src` of an image."""
-    return as_uri(drawn_candidates(verdict))
-
-
 def drawn_candidates(verdict: Verdict) -> Any:
-    """The same as a matplotlib figure."""
+    """The most probable candidates, the verdict's in colour, as a matplotlib figure."""
     import matplotlib.pyplot as plt
 
     shown = verdict.ranked[:MOST]
     y = np.arange(len(shown))
     figure, (left, right) = plt.subplots(
-        1,
-        2,
-        figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
-        sharey=True,
-        width_ratios=(1.25, 1.0),
-        layout="constrained",
-    )
+        1, 2, figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
+        sharey=True, width_ratios=(1.25, 1.0), layout="constrained",
+    )  # fmt: skip
     for at, candidate in zip(y, shown, strict=True):
         chosen = candidate.effects == verdict.effects
         colour = AFTER if chosen else OTHER
@@ -168,28 +154,23 @@ def drawn_candidates(verdict: Verdict) -> Any:
     return figure
 
 
-MOST_CABLES = 24
-MOST_POINTS = 3000
-"""More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
-ROW_IN = 1.45
-
-
 def time_picture(found: Diagnosis) -> str:
     """Small multiples with one scale; of very many cables, those with the largest gap."""
     import matplotlib.pyplot as plt
 
-    cables, columns = _shown(found), found.nominal.cables.per_segment
+    columns = found.nominal.cables.per_segment
+    size = np.nanmean(found.before_n**2, axis=0)
+    cables = sorted(np.argsort(size)[-_MOST_CABLES:].tolist())
     rows = -(-len(cables) // columns)
     figure, axes = plt.subplots(
-        rows,
-        columns,
-        figsize=(WIDTH_IN, ROW_IN * rows + 0.75),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
-    )
-    reach_n = _reach_n(found)
+        rows, columns, figsize=(WIDTH_IN, _ROW_IN * rows + 0.75),
+        sharex=True, sharey=True, squeeze=False, layout="constrained",
+    )  # fmt: skip
+    # nearly all, so that one stray row hides nothing
+    both = np.abs(np.concatenate([found.before_n, found.after_n]))
+    known = both[np.isfinite(both)]
+    largest = float(np.quantile(known, 0.999)) if known.size else 1.0
+    reach_n = 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
     for panel, cable in zip(axes.flat, cables, strict=False):
         _panel(panel, found, cable)
         panel.set_ylim(-reach_n, reach_n)
@@ -210,16 +191,10 @@ def _panel(panel: Any, found: Diagnosis, cable: int) -> None:
 
     recording, floor_n = found.recording, found.verdict.gap.floor_n
     panel.fill_between(
-        recording.time_s,
-        0.0,
-        1.0,
-        where=recording.load_segment > 0,
-        step="mid",
-        color=LOADED,
-        lw=0,
+        recording.time_s, 0.0, 1.0, where=recording.load_segment > 0, step="mid",
+        color=LOADED, lw=0, label="a load acts",
         transform=blended_transform_factory(panel.transData, panel.transAxes),
-        label="a load acts",
-    )
+    )  # fmt: skip
     panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
     drawn = [(found.before_n, BEFORE, 1.4, "nominal arm")]
     if found.after_label:
@@ -233,25 +208,9 @@ def _panel(panel: Any, found: Diagnosis, cable: int) -> None:
     panel.grid(axis="y")
 
 
-def _shown(found: Diagnosis) -> list[int]:
-    count = found.nominal.cable_count
-    if count <= MOST_CABLES:
-        return list(range(count))
-    size = np.nanmean(found.before_n**2, axis=0)
-    return sorted(np.argsort(size)[-MOST_CABLES:].tolist())
-
-
-def _reach_n(found: Diagnosis) -> float:
-    """What all panels show: nearly all, so that one stray row hides nothing."""
-    both = np.abs(np.concatenate([found.before_n, found.after_n]))
-    known = both[np.isfinite(both)]
-    largest = float(np.quantile(known, 0.999)) if known.size else 1.0
-    return 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
-
-
 def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:
-    if len(time_s) <= MOST_POINTS:
+    if len(time_s) <= _MOST_POINTS:
         return time_s, values_n
-    edges = np.linspace(0, len(time_s), MOST_POINTS // 2 + 1).astype(int)[:-1]
+    edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
     low, high = np.fmin.reduceat(values_n, edges), np.fmax.reduceat(values_n, edges)
     return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()

@@ -18,14 +18,11 @@ def effect_about(name: str) -> str:
     return effect.about if effect else name.replace("_", " ")
 
 
-def effect_advice(name: str) -> str:
-    """What someone at the arm can do about it; may be empty."""
-    effect = known_effects().get(name)
-    return effect.advice if effect else ""
-
-
 SURE = 0.9
 """From this probability on, a verdict is stated without `probably`."""
+
+POOR_SHARE = 0.5
+"""Where less of the gap is removed, an amended arm is not to be relied on."""
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
@@ -136,19 +133,9 @@ def _at(places: tuple[str, ...]) -> str:
     return f", {place_text(places)}" if places else ""
 
 
-POOR_SHARE = 0.5
-"""Where less of the gap is removed, an amended arm is not to be relied on."""
-
-
 @dataclass(frozen=True)
 class Step:
-    """One thing to do.
-
-    Attributes:
-        title: what, in a few words.
-        text: how, and why.
-        commands: to type.
-    """
+    """One thing to do: how and why, and commands to type."""
 
     title: str
     text: str
@@ -159,26 +146,28 @@ def steps(found: Diagnosis) -> tuple[Step, ...]:
     """What to do about the verdict, the most urgent first."""
     verdict = found.verdict
     if verdict.effects == (NONE,):
-        return (_keep(), *_experiment(found, "To be surer"))
+        keep = Step(
+            "Keep the nominal arm file",
+            "No effect of the library earns a place in it. If an estimate is still poor, the "
+            "cause is not the arm's simulation in the regimes that were recorded.",
+        )
+        return (keep, *_experiment(verdict, "To be surer"))
     if verdict.effects == (UNKNOWN,):
-        return (*_experiment(found, "Narrow it down"), *_look(), _own_effect())
-    use = _use_amended(found)
-    doubtful = verdict.probability < SURE or ambiguity(verdict) != ""
-    if doubtful or verdict.gap.removed_fraction < POOR_SHARE:
-        return (*_experiment(found, "First make sure"), use, *_mend(found))
-    return (use, *_mend(found), *_experiment(found, "To be surer still"))
-
-
-def _keep() -> Step:
-    return Step(
-        "Keep the nominal arm file",
-        "No effect of the library earns a place in it. If an estimate is still poor, the cause is "
-        "not the arm's simulation in the regimes that were recorded.",
-    )
-
-
-def _use_amended(found: Diagnosis) -> Step:
-    return Step(
+        return (
+            *_experiment(verdict, "Narrow it down"),
+            Step(
+                "Do not amend the arm file",
+                "The nominal arm is still the best that the library offers. The pictures below "
+                "show in which cables and regimes the gap is; look at the arm there for friction, "
+                "play, contact and loose parts.",
+            ),
+            Step(
+                "If you know the physics, add it as an effect",
+                "An effect is one Python file, in the package or in one of your own; diagnose "
+                "again with it (docs/diagnosis.md).",
+            ),
+        )
+    use = Step(
         "Use the amended arm file arm.yaml",
         f"It lies beside this page: arm {found.nominal.name} with the parameters of the table "
         "below. Check it on a recording that was not used here, train the estimator on it, and "
@@ -188,41 +177,23 @@ def _use_amended(found: Diagnosis) -> Step:
             "cablesense train --arm arm.yaml --out amended.onnx",
         ),
     )
+    known = known_effects()
+    mend = [
+        Step(f"Or mend the arm: {cause(verdict, name)}", known[name].advice)
+        for name in verdict.effects
+        if name in known and known[name].advice
+    ]
+    doubtful = verdict.probability < SURE or ambiguity(verdict) != ""
+    if doubtful or verdict.gap.removed_fraction < POOR_SHARE:
+        return (*_experiment(verdict, "First make sure"), use, *mend)
+    return (use, *mend, *_experiment(verdict, "To be surer still"))
 
 
-def _mend(found: Diagnosis) -> tuple[Step, ...]:
-    return tuple(
-        Step(f"Or mend the arm: {cause(found.verdict, name)}", effect_advice(name))
-        for name in found.verdict.effects
-        if effect_advice(name)
-    )
-
-
-def _experiment(found: Diagnosis, title: str) -> tuple[Step, ...]:
-    verdict = found.verdict
-    if not verdict.next_experiment:
-        return ()
+def _experiment(verdict: Verdict, title: str) -> tuple[Step, ...]:
     text = verdict.next_experiment
+    if not text:
+        return ()
     if verdict.effects not in ((NONE,), (UNKNOWN,)) and verdict.probability < SURE:
         elsewhere = percent(1.0 - verdict.probability)
         text += f" As it stands, {elsewhere} of the probability lies elsewhere."
     return (Step(title, text, ("cablesense gap record --out next.mcap",)),)
-
-
-def _look() -> tuple[Step, ...]:
-    return (
-        Step(
-            "Do not amend the arm file",
-            "The nominal arm is still the best that the library offers. The pictures below show "
-            "in which cables and regimes the gap is; look at the arm there for friction, play, "
-            "contact and loose parts.",
-        ),
-    )
-
-
-def _own_effect() -> Step:
-    return Step(
-        "If you know the physics, add it as an effect",
-        "An effect is one Python file, in the package or in one of your own; diagnose again with "
-        "it (docs/diagnosis.md).",
-    )
