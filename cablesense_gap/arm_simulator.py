@@ -1,9 +1,4 @@
-"""The cable-driven arm as the diagnosis sees it.
-
-Rows at which an arm has one place to rest in, and only one.
-
-The amended arm file: the nominal arm, the effects found, and its own tolerances.
-"""
+"""The cable-driven arm as the diagnosis simulates it, and the amended arm that follows."""
 
 from __future__ import annotations
 
@@ -27,6 +22,9 @@ from cablesense_sim.effects.transmission import Transmission
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay
 from cablesense_sim.sensors import reading_variance_n2
+
+SLACK_SHARE = 0.05
+"""Of the pretension: a cable with less tension is slack or about to be."""
 
 
 class ArmSimulator:
@@ -59,14 +57,12 @@ class ArmSimulator:
         known = self._nominal_n
         borne = known if known is not None and np.isfinite(known).all() else None
         try:
-            return self._replay.readings_n([self._entries(v) for v in variants], borne)
+            entries = [[*self._listed, *entries_from(variant)] for variant in variants]
+            return self._replay.readings_n(entries, borne)
         except EquilibriumError:
             if len(variants) == 1:
                 return np.full((1, *self._shape), np.nan)
             return np.concatenate([self.predict([variant]) for variant in variants])
-
-    def _entries(self, variant: Assignment) -> list[EffectEntry]:
-        return [*self._listed, *entries_from(variant)]
 
 
 def entries_from(variant: Assignment) -> list[EffectEntry]:
@@ -88,10 +84,6 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     history_dependent = isinstance(effect.transmission(places[0], defaults), Transmission)
     numbers = (*effect.parameters, *effect.history(segment_count, cable_count))
     return Candidate(effect.name, places, numbers, history_dependent)
-
-
-SLACK_SHARE = 0.05
-"""Of the pretension: a cable with less tension is slack or about to be."""
 
 
 def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
@@ -136,20 +128,11 @@ def write_arm(path: Path, arm: Arm, heading: str) -> None:
     Raises:
         ArmFileError: the place cannot be written to.
     """
-    content = arm.model_dump(mode="python", exclude_none=True)
+    content = arm.model_dump(mode="json", exclude_none=True)
     for effect in content["effects"]:
         if effect["at"] == WHOLE_ARM:
             del effect["at"]
     lines = "".join(f"# {line}\n" for line in heading.splitlines())
-    text = lines + yaml.safe_dump(_plain(content), sort_keys=False, width=99)
+    text = lines + yaml.safe_dump(content, sort_keys=False, width=99)
     parse_arm(text, source=str(path))
     write_atomically(path, text, ArmFileError)
-
-
-def _plain(value: object) -> object:
-    """Tuples as lists, which YAML knows."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value

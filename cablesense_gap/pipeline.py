@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
 from cablesense_gap.diagnosis.probability import (
-    Ranked,
     ambiguity,
     bundled_calibration,
     posterior,
@@ -55,9 +54,6 @@ class Diagnosis:
     """A verdict, the arm that follows from it, and what both arms predict.
 
     Attributes:
-        recording: R rows of M cables.
-        nominal: the nominal arm.
-        verdict: as it is written to `verdict.json`.
         amended: the arm with what was found.
         predicted_before_n: (R, M) by the nominal arm.
         predicted_after_n: (R, M) by the amended arm.
@@ -144,7 +140,16 @@ def diagnose(
             problem.trial[used],
             problem.floor,
         ),
-        candidates=tuple(_candidate_result(each, none) for each in ranked),
+        candidates=tuple(
+            CandidateResult(
+                effects=each.effects,
+                held_out_rmse_n=h.held_out_rmse,
+                probability=each.probability,
+                held_out_ci95_n=rmse_interval_n(h.squares, h.count),
+            )
+            for each in ranked
+            for h in (each.hypothesis or none,)
+        ),
         why=unlisted.reasons if unlisted else group.reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
@@ -280,13 +285,3 @@ def estimates(
             ci95=(max(value - half, parameter.low), min(value + half, parameter.high)),
         )
     return found
-
-
-def _candidate_result(ranked: Ranked, none: Hypothesis) -> CandidateResult:
-    hypothesis = ranked.hypothesis or none
-    return CandidateResult(
-        effects=ranked.effects,
-        held_out_rmse_n=hypothesis.held_out_rmse,
-        probability=ranked.probability,
-        held_out_ci95_n=rmse_interval_n(hypothesis.squares, hypothesis.count),
-    )

@@ -34,9 +34,8 @@ class Candidate:
     """An effect that may be the cause.
 
     Attributes:
-        effect: its name.
         places: where it can sit; `arm` for everywhere at once.
-        parameters: what it has in each place.
+        parameters: its numbers in each place.
         history_dependent: whether readings then depend on the past: expensive to simulate.
     """
 

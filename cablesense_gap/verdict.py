@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -54,14 +55,7 @@ class _Part(BaseModel):
 
 
 class Where(_Part):
-    """The places of the gap: parts of the arm by their names, and what it was doing.
-
-    Attributes:
-        cables: `cable_1` …
-        segments: `segment_1` …
-        joints: `joint_1` …
-        regimes: what the arm was doing where the gap is clearly larger than elsewhere.
-    """
+    """The parts of the arm where the gap is, and what the arm was doing where it is larger."""
 
     cables: tuple[Annotated[str, Field(pattern=r"^cable_[1-9]\d*$")], ...] = ()
     segments: tuple[Annotated[str, Field(pattern=r"^segment_[1-9]\d*$")], ...] = ()
@@ -134,14 +128,11 @@ class Verdict(_Part):
         ambiguity_group: explanations that this recording cannot distinguish; several effects of
             one explanation are joined by `+`.
         next_experiment: what to record next, in plain text.
-        where: the places of the gap.
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
-        gap: its size before and after.
         candidates: all explanations weighed, in any order.
         estimator: present if it was trained again.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
-        recording: name of the recording.
         arm: name of the nominal arm.
     """
 
@@ -166,10 +157,9 @@ class Verdict(_Part):
             raise ValueError(
                 f"candidates: probabilities add up to {total:.4g}; at most 1 is right"
             )
-        named = [candidate.effects for candidate in self.candidates]
-        twice = next((effects for effects in named if named.count(effects) > 1), None)
-        if twice is not None:
-            raise ValueError(f"candidates: {joined(twice)} stands twice; each must be once")
+        for effects, count in Counter(c.effects for c in self.candidates).items():
+            if count > 1:
+                raise ValueError(f"candidates: {joined(effects)} stands twice; each must be once")
         return self
 
     @property
@@ -231,7 +221,6 @@ def _line(error: ValidationError) -> str:
         return f"not valid JSON ({first['ctx']['error']})"
     if first["type"] == "string_pattern_mismatch":
         key = ".".join(str(part) for part in first["loc"])
-        return (
-            f"{key} = {str(first['input'])[:80]!r}: must be written as {first['ctx']['pattern']}"
-        )
+        pattern = first["ctx"]["pattern"]
+        return f"{key} = {str(first['input'])[:80]!r}: must be written as {pattern}"
     return describe_problem(error, Verdict)

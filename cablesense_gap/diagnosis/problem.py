@@ -30,9 +30,7 @@ class Hypothesis:
 
     Attributes:
         effects: names in alphabetical order; none for tolerances alone.
-        values: of every number of these effects.
-        deviations: 95 % half-widths of the same.
-        tolerances: values of the manufacturing tolerances.
+        deviations: 95 % half-widths of the values.
         prediction: (R, C) with effects and tolerances.
         without_tolerances: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
@@ -69,14 +67,12 @@ class Problem:
     """One recording beside its simulator.
 
     Attributes:
-        simulator: under the commands and loads of this recording.
         readings: (R, C).
         trial: (R,) 0 to T - 1.
         fold: (T,) trials of one fold are held out together.
         used: (R,) rows that count.
         nominal: (R, C) prediction without any effect.
-        tolerance_terms: numbers of the manufacturing tolerances.
-        tolerance_std: standard deviation of each.
+        tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
     """
 

@@ -195,35 +195,35 @@ def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
     ranges, beside = parameters_of(problem.simulator.candidates), screened.beside
     known = {} if beside is None else dict(beside.values)
     begun = [to_scaled(ranges[term], value) for term, value in known.items()]
-    fresh, start, impossible = _starts(screened, ranges)
-    starts = [[*begun, *start]]
-    if beside is None:
-        starts = [
-            [
-                _varied(term, p, value, with_history, scale, shapes)
-                for (term, p), value in zip(fresh.items(), start, strict=True)
-            ]
-            for scale in (_SCALES if with_history else (1.0,))
-            for shapes in _shapes(with_history)
+    start, impossible = _starts(screened, ranges)
+    own = {candidate.effect for candidate in with_history}
+
+    def varied(scale: float, shapes: Mapping[tuple[str, str], float]) -> list[float]:
+        """Of history-dependent effects the sizes scaled, the shapes put in."""
+        return [
+            value
+            if term.effect not in own
+            else max(abs(value), 0.1) * scale
+            if ranges[term].role == "size"
+            else shapes.get((term.effect, term.parameter), value)
+            for term, value in start.items()
         ]
+
+    starts = [[*begun, *start.values()]]
+    if beside is None:
+        scales = _SCALES if with_history else (1.0,)
+        starts = [varied(scale, shapes) for scale in scales for shapes in _shapes(with_history)]
     if impossible:
         # where shapes act unlike their derivatives, the screening's best sum of both means nothing
-        starts += [
-            [
-                *begun,
-                *(
-                    value
-                    if term not in impossible
-                    else (scale if p.role == "size" else impossible[term])
-                    for (term, p), value in zip(fresh.items(), start, strict=True)
-                ),
-            ]
-            for scale in _SCALES_ELSEWHERE
-        ]
+        for scale in _SCALES_ELSEWHERE:
+            elsewhere = {
+                t: scale if ranges[t].role == "size" else v for t, v in impossible.items()
+            }
+            starts.append([*begun, *(start | elsewhere).values()])
     expensive = with_history and len(screened.effects) > 1
     return refine(
         problem,
-        {term: ranges[term] for term in known} | fresh,
+        {term: ranges[term] for term in (*known, *start)},
         starts,
         _STEPS_OF_EXPENSIVE_PAIRS if expensive else _STEPS,
         screened.most_left if with_history else float("inf"),
@@ -232,41 +232,22 @@ def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
 
 def _starts(
     screened: Screened, ranges: Mapping[Term, Parameter]
-) -> tuple[dict[Term, Parameter], list[float], dict[Term, float]]:
-    """Numbers, where to begin, and where instead for those of places with a size out of range."""
-    parameters: dict[Term, Parameter] = {}
-    start: list[float] = []
+) -> tuple[dict[Term, float], dict[Term, float]]:
+    """Scaled values to begin at, and others for those of places with a size out of range."""
+    start: dict[Term, float] = {}
     impossible: dict[Term, float] = {}
     coefficients = iter(screened.placed.coefficients)
     for effect in screened.placed.chosen:
         change = {name: next(coefficients) for name in effect.probed}
-        own = {term: ranges[term] for term in effect.terms}
-        sizes = [p for p in own.values() if p.role == "size"]
+        sizes = [ranges[term] for term in effect.terms if ranges[term].role == "size"]
         first = max(abs(change[sizes[0].name]), 0.3)
-        for (term, p), begin in zip(own.items(), effect.start, strict=True):
-            parameters[term] = p
+        for term, begin in zip(effect.terms, effect.start, strict=True):
             # sizes as screened; shapes from what screening adds beside a size of one
-            added = change.get(p.name, 0.0)
-            start.append(added if p.role == "size" else begin + added / first)
+            added = change.get(term.parameter, 0.0)
+            start[term] = added if ranges[term].role == "size" else begin + added / first
         if any(not p.low <= change[p.name] * p.typical <= p.high for p in sizes):
-            impossible |= dict(zip(own, effect.start, strict=True))
-    return parameters, start, impossible
-
-
-def _varied(
-    term: Term,
-    parameter: Parameter,
-    value: float,
-    with_history: Sequence[Candidate],
-    scale: float,
-    shapes: Mapping[tuple[str, str], float],
-) -> float:
-    """The start of one number; of history-dependent effects the size scaled, the shape put in."""
-    if all(term.effect != candidate.effect for candidate in with_history):
-        return value
-    if parameter.role == "size":
-        return max(abs(value), 0.1) * scale
-    return shapes.get((term.effect, term.parameter), value)
+            impossible |= dict(zip(effect.terms, effect.start, strict=True))
+    return start, impossible
 
 
 def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], float]]:
