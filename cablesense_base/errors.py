@@ -16,6 +16,16 @@ turn it into one line and a node into one log message::
     └── OptionError                                                      cablesense_cli
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 
 class CableSenseError(Exception):
     """Base of all errors raised on purpose: names what was wrong, where, and what is right."""
+
+
+def some_of(names: Sequence[str], most: int = 6) -> str:
+    """The first of many names and how many more there are: `a, b and 3 more`."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")

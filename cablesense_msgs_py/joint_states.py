@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_base.errors import some_of
 from cablesense_msgs_py.topics import ContractError
-
-_SHOWN_NAMES = 6
 
 
 class NamedOrder:
@@ -85,13 +84,11 @@ class NamedOrder:
             "unknown": [name for name in counts if name not in self.names],
             "more than once": [name for name, count in counts.items() if count > 1],
         }
-        return [f"{kind} {_listed(names)}" for kind, names in found.items() if names]
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(repr(name[:40]) for name in names[:_SHOWN_NAMES])
-    more = len(names) - _SHOWN_NAMES
-    return f"{shown} and {more} more" if more > 0 else shown
+        return [
+            f"{kind} {some_of([repr(name[:40]) for name in names])}"
+            for kind, names in found.items()
+            if names
+        ]
 
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_base.errors import some_of
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import Arm
@@ -32,7 +33,6 @@ _TIME_DECIMALS, _LOAD_DECIMALS, _TENSION_DECIMALS = 6, 4, 4
 _COMMAND_DECIMALS = 6
 """A microradian moves the tension of a stiff cable by less than a sensor's step."""
 _PER_ARM = re.compile(r"q\d+_cmd_rad|tension_\d+_n")
-_SHOWN = 6
 
 
 def command_columns(joint_count: int) -> list[str]:
@@ -111,14 +111,14 @@ def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
     header = _header(path)
     twice = sorted({name for name in header if name in wanted and header.count(name) > 1})
     if twice:
-        raise RecordingError(f"{path}: columns {_listed(twice)} stand twice; each must be once")
+        raise RecordingError(f"{path}: columns {some_of(twice)} stand twice; each must be once")
     beyond = [name for name in header if _PER_ARM.fullmatch(name) and name not in wanted]
     missing = [name for name in wanted if name not in header]
     if not beyond and not missing:
         return
-    found = [f"misses {_listed(missing)}"] if missing else []
+    found = [f"misses {some_of(missing)}"] if missing else []
     if beyond:
-        found.append(f"has {_listed(beyond)}, which that arm has not")
+        found.append(f"has {some_of(beyond)}, which that arm has not")
     raise RecordingError(
         f"{path}: {' and '.join(found)}; a recording of arm {arm.name} has time_s, trial, "
         f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, load_z_n, "
@@ -205,9 +205,3 @@ def _texts(names: Any, values: Array, decimals: int) -> dict[str, list[str]]:
 def _text(values: Array, decimals: int) -> list[str]:
     rounded = np.round(values, decimals) + 0.0  # no -0.0000
     return [f"{value:.{decimals}f}" for value in rounded.tolist()]
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:_SHOWN])
-    more = len(names) - _SHOWN
-    return f"{shown} and {more} more" if more > 0 else shown

@@ -18,6 +18,12 @@ def effect_about(name: str) -> str:
     return effect.about if effect else name.replace("_", " ")
 
 
+def effect_advice(name: str) -> str:
+    """What someone at the arm can do about it; may be empty."""
+    effect = known_effects().get(name)
+    return effect.advice if effect else ""
+
+
 SURE = 0.9
 """From this probability on, a verdict is stated without `probably`."""
 
@@ -177,11 +183,10 @@ def steps(found: Diagnosis) -> tuple[Step, ...]:
             "cablesense train --arm arm.yaml --out amended.onnx",
         ),
     )
-    known = known_effects()
     mend = [
-        Step(f"Or mend the arm: {cause(verdict, name)}", known[name].advice)
+        Step(f"Or mend the arm: {cause(verdict, name)}", effect_advice(name))
         for name in verdict.effects
-        if name in known and known[name].advice
+        if effect_advice(name)
     ]
     doubtful = verdict.probability < SURE or ambiguity(verdict) != ""
     if doubtful or verdict.gap.removed_fraction < POOR_SHARE:
