@@ -187,7 +187,7 @@ def record(
     """
     from rich.console import Console
 
-    from cablesense_msgs_py.topic_types import INPUTS
+    from cablesense_msgs_py.qos import INPUTS
     from cablesense_ros.recorder import record_topics
     from cablesense_sim.arm import open_arm
 

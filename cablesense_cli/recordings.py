@@ -28,7 +28,7 @@ def record(
     """
     from rich.console import Console
 
-    from cablesense_msgs_py.topic_types import CONTRACT
+    from cablesense_msgs_py.qos import CONTRACT
     from cablesense_ros.recorder import record_topics
 
     record_topics(out, CONTRACT, duration, None, Console(), namespace)

@@ -16,12 +16,10 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, parse_arm
 from cablesense_sim.build import entries_of
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Transmission
 from cablesense_sim.effects.registry import EffectEntry, known_effects
-from cablesense_sim.effects.transmission import Transmission
 from cablesense_sim.equilibrium import EquilibriumError
-from cablesense_sim.replay import Replay
-from cablesense_sim.sensors import reading_variance_n2
+from cablesense_sim.replay import Replay, reading_variance_n2
 
 SLACK_SHARE = 0.05
 """Of the pretension: a cable with less tension is slack or about to be."""

@@ -1,19 +1,19 @@
-"""Quality of service by purpose, as plain values without rclpy."""
+"""Quality of service by purpose, and the message type of every topic, without rclpy."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
+from cablesense_msgs_py import topics
+
 
 @dataclass(frozen=True)
 class Qos:
     """What a publisher offers or a subscriber asks for; history is always keep-last `depth`.
 
-    Attributes:
-        depth, reliable, transient_local: as in ROS.
-        lease_s: a publisher whose process shows no sign of life for so long counts as dead with
-            those subscribers that ask for a lease as well (liveliness, automatic); 0 for none.
+    `lease_s`: a publisher whose process shows no sign of life for so long counts as dead with
+    those subscribers that ask for a lease as well (liveliness, automatic); 0 for none.
     """
 
     depth: int
@@ -41,3 +41,64 @@ LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
 
 JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
 """The estimator's journal: a recorder that comes late gets the latest entries too."""
+
+_RECORDED: Final = Qos(depth=2000, reliable=True)
+_ESTIMATOR: Final = "estimator"
+
+JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
+WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
+NUMBER_TYPE: Final = "std_msgs/msg/Int32"
+
+
+@dataclass(frozen=True)
+class TopicType:
+    """One topic: its message's full name, how it is offered, and how a recorder subscribes."""
+
+    kind: str
+    offered: Qos
+    heard: Qos = _RECORDED
+
+
+INPUTS: Final = {
+    topics.CABLE_TENSIONS: TopicType(JOINT_STATE_TYPE, PUBLISHER, SENSOR),
+    topics.JOINT_COMMANDS: TopicType(JOINT_STATE_TYPE, COMMAND, COMMAND),
+    topics.APPLIED_WRENCH: TopicType(WRENCH_TYPE, COMMAND, COMMAND),
+    topics.TRIAL: TopicType(NUMBER_TYPE, COMMAND, COMMAND),
+}
+"""What a diagnosis of the arm needs."""
+
+CONTRACT: Final = {
+    **INPUTS,
+    topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
+    topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED, LATCHED),
+    topics.DIAGNOSTICS: TopicType("diagnostic_msgs/msg/DiagnosticArray", PUBLISHER),
+    topics.WRENCH: TopicType(WRENCH_TYPE, PUBLISHER),
+    topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
+    topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
+    topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
+    topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),
+    topics.JOURNAL: TopicType("diagnostic_msgs/msg/DiagnosticArray", JOURNAL, JOURNAL),
+    "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER),
+    "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED, Qos(100, True, True)),
+}
+"""Everything: inputs, the estimator's outputs, what shows the arm; `/tf` where its type is."""
+
+
+def resolved(topic: str, namespace: str = "/") -> str:
+    """The full name of a topic of the contract in a namespace, as ROS would resolve it."""
+    if topic.startswith("/"):
+        return topic
+    inside = topic.replace("~", _ESTIMATOR, 1) if topic.startswith("~/") else topic
+    return f"/{namespace.strip('/')}/{inside}".replace("//", "/")
+
+
+def of_contract(name: str) -> str | None:
+    """The topic of the contract that a full name stands for, in whatever namespace; or none.
+
+    `/arm/cable_tensions` is `cable_tensions`, and `/arm/estimator/wrench` is `~/wrench`.
+    """
+    *_, node, last = ["", "", *name.split("/")]
+    for topic in (name, f"~/{last}" if node == _ESTIMATOR else "", last):
+        if topic in CONTRACT:
+            return topic
+    return "/diagnostics" if last == "diagnostics" else None

@@ -13,9 +13,8 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
-from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
 from cablesense_online.models import (
     ContactModel,
     HistoryDependentEstimator,

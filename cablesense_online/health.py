@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.models import LoadedModel
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import SampleCheck

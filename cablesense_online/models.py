@@ -17,7 +17,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
+from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares

@@ -11,8 +11,8 @@ from typing import NamedTuple
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract
 from cablesense_msgs_py.serialized import stamp_ns
-from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, of_contract
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import EstimatorState, EventKind, state_of
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 
 
 class ProblemKind(Enum):

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.wrenches import Load
+from cablesense_msgs_py.messages import Load
 from cablesense_sim.arm import Sensors
 from cablesense_sim.dynamics import ArmDynamics, RestToRestArm
 from cablesense_sim.effects.effect import Sensing
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 
 
 class RealTimePacer:

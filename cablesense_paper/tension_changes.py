@@ -25,7 +25,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.kinematics import cable_jacobian_m
-from cablesense_sim.sensors import difference_variance_n2, read_tensions_n
+from cablesense_sim.replay import difference_variance_n2, read_tensions_n
 
 _HOLD_S = 60.0
 VALUES = 81

@@ -20,8 +20,13 @@ from std_msgs.msg import Float64MultiArray
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad, put_joint_angles
+from cablesense_msgs_py.messages import (
+    Level,
+    NamedOrder,
+    Status,
+    joint_command_rad,
+    put_joint_angles,
+)
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import (

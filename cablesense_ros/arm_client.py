@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.joint_states import put_joint_angles
+from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_ros.node_process import WARN_EVERY_S, of_node, overridable
 from cablesense_sim.arm import Arm

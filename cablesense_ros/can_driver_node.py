@@ -11,8 +11,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import put_tensions
+from cablesense_msgs_py.messages import Level, Status, put_tensions
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.bus import CanInterface

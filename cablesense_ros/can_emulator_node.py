@@ -15,8 +15,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import NamedOrder, put_joint_angles
+from cablesense_msgs_py.messages import Level, NamedOrder, Status, put_joint_angles
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation

@@ -10,10 +10,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
-from cablesense_msgs_py.serialized import wrench_writers
-from cablesense_msgs_py.topics import Frames
-from cablesense_msgs_py.wrenches import (
+from cablesense_msgs_py.messages import (
     Contact,
     ContactMarkers,
     describe_probabilities,
@@ -21,6 +18,9 @@ from cablesense_msgs_py.wrenches import (
     put_force_direction,
     put_probabilities,
 )
+from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
+from cablesense_msgs_py.serialized import wrench_writers
+from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer
 from cablesense_online.state import EstimatorState, put_state
 from cablesense_ros.node_process import overridable

@@ -48,7 +48,7 @@ from rclpy.task import Future
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Status, diagnostic_statuses
+from cablesense_msgs_py.messages import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos
 from cablesense_ros.discovery import prefer_quick_discovery
 

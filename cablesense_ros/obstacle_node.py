@@ -15,8 +15,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import NamedOrder
+from cablesense_msgs_py.messages import Level, NamedOrder, Status
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.wall import (

@@ -25,7 +25,7 @@ from cablesense_gap.recordings.mcap_file import BagRows
 from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.topic_types import INPUTS, TopicType, resolved
+from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.node_process import WARN_EVERY_S, message_class, overridable
 from cablesense_sim.arm import Arm

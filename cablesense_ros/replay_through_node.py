@@ -25,16 +25,11 @@ from std_srvs.srv import Trigger
 
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import CONTRACT, INPUTS, resolved
 from cablesense_msgs_py.serialized import restamped, stamp_ns
-from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, resolved
 from cablesense_online.recorded_run import RecordedRun, Step
 from cablesense_online.replay import Comparison, replayed_steps
-from cablesense_online.state import (
-    LIVE_SETTINGS,
-    EstimationSettings,
-    EstimatorState,
-    EventKind,
-)
+from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, EstimatorState, EventKind
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.node_process import message_class, qos_profile
 

@@ -18,16 +18,17 @@ from std_msgs.msg import String
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import (
+from cablesense_msgs_py.messages import (
+    Level,
     NamedOrder,
+    Status,
     joint_command_rad,
     put_joint_angles,
     put_tensions,
+    read_load,
 )
 from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER, Qos
 from cablesense_msgs_py.topics import Frames
-from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
 from cablesense_ros.node_process import (
     WARN_EVERY_S,

@@ -15,7 +15,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.joint_states import NamedOrder
+from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.sensor_statistics import TensionSeries
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow

@@ -12,9 +12,9 @@ from .effects.effect import Actuation as Actuation
 from .effects.effect import Effect as Effect
 from .effects.effect import Parameter as Parameter
 from .effects.effect import Sensing as Sensing
+from .effects.effect import Transmission as Transmission
 from .effects.registry import EffectError as EffectError
 from .effects.registry import known_effects as known_effects
-from .effects.transmission import Transmission as Transmission
 from .equilibrium import Equilibrium as Equilibrium
 from .equilibrium import EquilibriumError as EquilibriumError
 from .equilibrium import solve_equilibrium as solve_equilibrium
@@ -23,6 +23,6 @@ from .loads import contact_angle_deg as contact_angle_deg
 from .loads import normal_force_n as normal_force_n
 from .mechanism import Mechanism as Mechanism
 from .model import build_spec as build_spec
+from .replay import read_tensions_n as read_tensions_n
 from .replay import replay_arm as replay_arm
-from .sensors import read_tensions_n as read_tensions_n
 from .urdf import urdf_xml as urdf_xml

@@ -21,8 +21,8 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
+from cablesense_sim.effects.effect import Kept, Rest
 from cablesense_sim.effects.registry import EffectEntry, transmissions
-from cablesense_sim.effects.transmission import Kept, Rest
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest_search import descent_step, load_hessian

@@ -1,4 +1,4 @@
-"""What the sensors of an arm would have read under given commands and loads, without noise.
+"""What the sensors of an arm would have read under given commands and loads, and their noise.
 
 A memoryless arm rests where its potential is least, sample by sample and in any order; equal
 samples are solved once. With history-dependent effects the samples are solved in time order.
@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cablesense_base.arrays import Array
-from cablesense_sim.arm import Arm
+from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import (
     EffectEntry,
@@ -132,3 +133,25 @@ def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> 
     """
     replay = Replay(arm, time_s, command_rad, forces_n)
     return replay.readings_n([entries_of(arm)])[0]
+
+
+def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Generator) -> Array:
+    """Readings of tensions of any shape, N: noise, rounding to the step, held to the range."""
+    reading = np.asarray(tensions_n, dtype=float)
+    if sensors.noise_std_n > 0.0:
+        reading = reading + rng.normal(0.0, sensors.noise_std_n, reading.shape)
+    if sensors.step_n > 0.0:
+        reading = np.round(reading / sensors.step_n) * sensors.step_n
+    if sensors.range_n is not None:
+        reading = np.clip(reading, *sensors.range_n)
+    return reading
+
+
+def reading_variance_n2(sensors: Sensors) -> float:
+    """Variance of one reading, N²: noise, and rounding uniform over one step (step² / 12)."""
+    return sensors.noise_std_n**2 + sensors.step_n**2 / 12.0
+
+
+def difference_variance_n2(sensors: Sensors, tare_samples: int) -> float:
+    """Variance of a reading less the mean of `tare_samples` unloaded ones, N²."""
+    return reading_variance_n2(sensors) * (1.0 + 1.0 / tare_samples)

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import CONTRACT, resolved
 from cablesense_msgs_py.serialized import wrench_writers
-from cablesense_msgs_py.topic_types import CONTRACT, resolved
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model

@@ -17,12 +17,11 @@ from cablesense_gap.recordings import csv_file
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_gap.recordings.mcap_file import is_bag, read_mcap
 from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
-from cablesense_msgs_py.joint_states import MAX_JOINT_ANGLE_RAD
-from cablesense_msgs_py.wrenches import MAX_LOAD_N
+from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.sensors import reading_variance_n2
+from cablesense_sim.replay import reading_variance_n2
 
 FEWEST_ROWS, FEWEST_TRIALS = 6, 2
 """Below these nothing can be held out."""

@@ -18,10 +18,9 @@ from cablesense_base.errors import CableSenseError
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage, TopicFile
 from cablesense_gap.recordings.recording import Recording, RecordingError, derive_trials
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
-from cablesense_msgs_py.topic_types import INPUTS, JOINT_STATE, NUMBER, WRENCH, resolved
+from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
+from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
 from cablesense_msgs_py.topics import Frames
-from cablesense_msgs_py.wrenches import read_load
 from cablesense_sim.arm import Arm
 
 MAX_FILE_BYTES = 2_000_000_000
@@ -311,12 +310,12 @@ class BagWriter(TopicFile):
         vector = types["geometry_msgs/msg/Vector3"]
         force, torque = vector(*map(float, force_n)), vector(*map(float, torque_n_m))
         wrench = types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
-        message = types[WRENCH](header=self._header(stamp_ns, frame_id), wrench=wrench)
+        message = types[WRENCH_TYPE](header=self._header(stamp_ns, frame_id), wrench=wrench)
         self._put(topics.APPLIED_WRENCH, log_ns, message)
 
     def trial(self, log_ns: int, number: int) -> None:
         """One `trial`."""
-        self._put(topics.TRIAL, log_ns, self.store.types[NUMBER](data=int(number)))
+        self._put(topics.TRIAL, log_ns, self.store.types[NUMBER_TYPE](data=int(number)))
 
     def _put(self, topic: str, log_ns: int, message: Any) -> None:
         kind = INPUTS[topic].kind
@@ -327,7 +326,7 @@ class BagWriter(TopicFile):
     def _joint_state(self, stamp_ns: int, names: Sequence[str], **fields: Sequence[float]) -> Any:
         values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
         empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
-        return self.store.types[JOINT_STATE](
+        return self.store.types[JOINT_STATE_TYPE](
             header=self._header(stamp_ns, "base_link"), name=list(names), **(empty | values)
         )
 

@@ -32,7 +32,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.sensors import reading_variance_n2
+from cablesense_sim.replay import reading_variance_n2
 
 STRONGEST_N = 60.0
 """What a person hangs on an arm or pulls over a pulley without a crane."""

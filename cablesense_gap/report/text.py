@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 
 from cablesense_gap.pipeline import Diagnosis
-from cablesense_gap.report.style import listed, newtons, percent
+from cablesense_gap.report.style import newtons, percent
 from cablesense_gap.residuals import EVERYWHERE
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, listed
 from cablesense_sim.effects.registry import known_effects
 
 

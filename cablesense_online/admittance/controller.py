@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch, WatchSettings
 from cablesense_online.admittance.law import (
     AdmittanceLaw,

@@ -23,9 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import MAX_LOAD_N, Level
 from cablesense_msgs_py.topics import ContractError, Frames
-from cablesense_msgs_py.wrenches import MAX_LOAD_N
 from cablesense_online.motion_gate import MotionGate
 
 PROBABILITIES_KEPT = 8

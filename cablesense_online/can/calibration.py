@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.channel_map import (
     MAX_CHANNELS,
     MAX_MAP_BYTES,

@@ -18,7 +18,7 @@ import can
 from cantools.database.can import Database
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.bus import BusCondition, CanInterface, booted_node, start_frames
 from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.decoder import Sample

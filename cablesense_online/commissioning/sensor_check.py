@@ -29,7 +29,7 @@ from cablesense_online.commissioning.tables import Pull
 from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.sensors import reading_variance_n2
+from cablesense_sim.replay import reading_variance_n2
 
 RATE_TOLERANCE = 0.05
 JITTER_PERIODS = 0.5

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.diagnostics import Level
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
+from cablesense_msgs_py.messages import Level, Load, NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.topics import Frames
-from cablesense_msgs_py.wrenches import Load, read_load
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.joint_motion import JointMotion

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.page.drawing import (
     ESTIMATE_RGB,
     TENSION_GRADIENT_CSS,

@@ -24,19 +24,10 @@ from cablesense_paper.cables import (
     around_a_cylinder,
     drive_direction,
 )
-from cablesense_paper.drawing import (
-    BLACK,
-    BLUE,
-    DASHES,
-    GREY,
-    ORANGE,
-    SERIES,
-    one_panel,
-    panels,
-)
+from cablesense_paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
-from cablesense_sim.effects.transmission import DryContact
+from cablesense_sim.effects.effect import DryContact
 
 STICK_STIFFNESS_N_M = 5e8
 """With which friction gives before it slips: fifty times the cable's own."""
@@ -131,7 +122,7 @@ def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) 
 
     Where the cable has passed over the cylinder by s, T1 = T0 + k (c - s) and T2 = T0 + k s with
     c the path and k of half the cable; friction holds T1 = T2 exp(μ θ share(s)), the share of its
-    limit after `cablesense_sim.effects.transmission`, as the effect `capstan_friction` does. The
+    limit after `cablesense_sim.effects.effect`, as the effect `capstan_friction` does. The
     contact gives as much before it slips as the friction of `FrictionCable` does.
     """
     friction_rad = coefficient * wrap_rad

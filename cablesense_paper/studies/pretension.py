@@ -12,11 +12,7 @@ from cablesense_base.arrays import Array
 from cablesense_gap.report.style import FLOOR
 from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
 from cablesense_paper.drawing import BLACK, BLUE, ORANGE, one_panel, panels
-from cablesense_paper.servo_cable import (
-    series_stiffness_n_m,
-    starting_force_n,
-    tension_at_rest_n,
-)
+from cablesense_paper.servo_cable import series_stiffness_n_m, starting_force_n, tension_at_rest_n
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import Agreement, StudyResult, study_result
 from cablesense_sim.model import ACTUATOR_MASS_KG

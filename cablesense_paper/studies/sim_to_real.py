@@ -11,8 +11,8 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_gap.report.pictures import drawn_candidates
-from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, listed, newtons, percent
-from cablesense_gap.verdict import NONE, UNKNOWN
+from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
+from cablesense_gap.verdict import NONE, UNKNOWN, listed
 from cablesense_paper.drawing import GREEN, one_panel, panels
 from cablesense_paper.study import Progress
 from cablesense_paper.study_result import StudyResult, study_result, study_size

@@ -142,7 +142,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 
 def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
-    from cablesense_msgs_py.diagnostics import Level
+    from cablesense_msgs_py.messages import Level
     from cablesense_ros.demo import pushes
     from cablesense_ros.demo.pictures import draw_pushes
 

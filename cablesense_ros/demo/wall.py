@@ -19,9 +19,8 @@ from std_msgs.msg import Float64MultiArray
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad
+from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.topics import Frames
-from cablesense_msgs_py.wrenches import read_load
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
     EstimateWatch,

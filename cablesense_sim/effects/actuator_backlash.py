@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import Actuation, Effect, Parameter, Values, cables, chosen
+from cablesense_sim.effects.effect import Actuation, Effect, Parameter, Values, chosen, shape
 
 
 class ActuatorBacklash(Effect):
@@ -15,22 +15,19 @@ class ActuatorBacklash(Effect):
     acts_on = "actuator"
     about = "lost motion of actuators on reversal"
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002"
+    sites = ("cable",)
     advice = "Check couplings and nuts of these actuators, or approach poses from one side."
     parameters = (
         Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
-        Parameter(
+        shape(
             "start",
             "1",
             -1.0,
             1.0,
             1.0,
             "where in the play it begins, from the short to the long side",
-            role="shape",
         ),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return cables(cable_count)
 
     def actuation(self, place: str, values: Values) -> Actuation:
         return _Play(place, values["play_m"], values["start"])

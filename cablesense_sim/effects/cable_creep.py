@@ -6,14 +6,14 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_sim.effects.effect import (
-    WHOLE_ARM,
     Effect,
     Parameter,
+    Rest,
+    Transmission,
     Values,
     own_cables,
-    segments,
+    shape,
 )
-from cablesense_sim.effects.transmission import Rest, Transmission
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -28,40 +28,34 @@ class CableCreep(Effect):
     acts_on = "transmission"
     about = "cables that creep under load"
     source = "Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Materials, 1976, ch. 5"
+    sites = ("arm", "segment")
     advice = "Pre-stretch the cables, or tare again after every long hold."
     needs_time = True
     parameters = (
         Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
-        Parameter(
-            "time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0, "shape", (5.0, 20.0, 80.0)
+        shape(
+            "time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0, starts=(5.0, 20.0, 80.0)
         ),
-        Parameter(
-            "spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, "shape", (1.0,)
-        ),
-        Parameter(
+        shape("spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, starts=(1.0,)),
+        shape(
             "settled",
             "1",
             -1.0,
             1.0,
             0.5,
             "share of the creep under pretension that was over before the cables were tensioned",
-            role="shape",
             starts=(0.5,),
         ),
-        Parameter(
+        shape(
             "begun",
             "1",
             0.0,
             1.0,
             0.5,
             "share of the creep to come that was over before the first sample",
-            role="shape",
             starts=(0.5,),
         ),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *segments(segment_count))
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Creep(place, values)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, own_cables, segments
+from cablesense_sim.effects.effect import Effect, Parameter, own_cables
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -18,6 +18,7 @@ class CableStiffness(Effect):
     acts_on = "arm"
     about = "cables of another stiffness than stated"
     source = "Feyrer, Wire Ropes, 2nd ed. 2015, section 2.2: rope elasticity modulus"
+    sites = ("arm", "segment")
     advice = (
         "Measure a cable's stiffness on a bench, from command to anchor; look for another "
         "kind or length of cable, and for a soft anchor."
@@ -25,9 +26,6 @@ class CableStiffness(Effect):
     parameters = (
         Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher"),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *segments(segment_count))
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         scale = np.where(own_cables(place, mechanism), 1.0 + values["change"], 1.0)

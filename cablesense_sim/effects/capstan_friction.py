@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import Effect, Parameter, Values, cables
-from cablesense_sim.effects.transmission import DryContact, Kept, Rest, Transmission
+from cablesense_sim.effects.effect import (
+    ROUNDED,
+    DryContact,
+    Effect,
+    Kept,
+    Parameter,
+    Rest,
+    Transmission,
+    Values,
+    cables,
+    shape,
+)
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -28,19 +38,17 @@ class CapstanFriction(Effect):
     )
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
-        Parameter(
+        shape(
             "pulley_wrap_rad",
             "rad",
             0.0,
             20.0,
             1.0,
             "wrap angle at the actuator's pulley",
-            0.0,
-            "shape",
-            (0.5,),
-            (0.0, 1.0),
+            starts=(0.5,),
+            trials=(0.0, 1.0),
         ),
-        Parameter(
+        shape(
             "give_m",
             "m",
             1e-6,
@@ -48,42 +56,30 @@ class CapstanFriction(Effect):
             5e-5,
             "of cable drawn past from rest to slip",
             2e-5,
-            "shape",
-            (2e-5,),
-            (1e-5, 1e-4),
+            starts=(2e-5,),
+            trials=(1e-5, 1e-4),
         ),
-        Parameter(
+        shape(
             "run_share",
             "1",
             0.0,
             1.0,
             0.5,
             "share of the cable's give that lies beyond the actuator's pulley",
-            role="shape",
             trials=(0.0, 1.0),
         ),
-        Parameter(
-            "rounded",
-            "1",
-            0.0,
-            1.0,
-            0.5,
-            "share of the contact that slips little by little",
-            role="shape",
-            trials=(0.0, 1.0),
-        ),
+        ROUNDED,
     )
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(
+            shape(
                 f"start_{cable}",
                 "1",
                 -1.0,
                 1.0,
                 0.5,
                 f"share of what its guides hold that the past left on {cable}",
-                role="shape",
             )
             for cable in cables(cable_count)
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, chosen, segments
+from cablesense_sim.effects.effect import Effect, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -16,13 +16,11 @@ class ContactOffset(Effect):
     acts_on = "arm"
     about = "loads that act elsewhere along the segment than stated"
     source = "Bicchi, Salisbury and Brock, Contact sensing from force measurements, IJRR 1993"
+    sites = ("arm", "segment")
     advice = "Measure where the load was applied, from the segment's joint centre."
     parameters = (
         Parameter("offset_m", "m", -0.1, 0.1, 0.01, "of the contact point, away from the base"),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *segments(segment_count))
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         moved = chosen(place, mechanism.segment_count) * values["offset_m"]

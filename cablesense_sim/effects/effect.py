@@ -1,16 +1,17 @@
-"""What every effect declares, and the ways in which it can act on an arm."""
+"""What every effect declares, how it can act on an arm, and dry friction as a state."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from functools import partial
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.transmission import Transmission
 from cablesense_sim.mechanism import Mechanism
 
 Values = Mapping[str, Array]
@@ -49,6 +50,14 @@ class Parameter:
     trials: tuple[float, ...] = ()
 
 
+shape = partial(Parameter, role="shape")
+"""A parameter that determines how the effect behaves where it is present."""
+
+_SLIPS = "share of the contact that slips little by little"
+ROUNDED = shape("rounded", "1", 0.0, 1.0, 0.5, _SLIPS, trials=(0.0, 1.0))
+"""Of a `DryContact`."""
+
+
 class Effect:
     """Base of all effects; the defaults do nothing.
 
@@ -57,6 +66,7 @@ class Effect:
         acts_on: where in the chain from arm to reading it acts.
         about: what it is, as the end of `the gap comes from …`.
         source: where the model comes from.
+        sites: the kinds of its places: `arm`, `segment`, `joint`, `cable`.
         parameters: sizes first.
         advice: what someone at the arm can check or do about it, in sentences; may be empty.
         order: of those that act on the same, lower ones act first, and equal ones by name. The
@@ -70,6 +80,7 @@ class Effect:
     about: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    sites: ClassVar[tuple[str, ...]] = (WHOLE_ARM,)
     advice: ClassVar[str] = ""
     order: ClassVar[int] = 0
     needs_time: ClassVar[bool] = False
@@ -77,7 +88,9 @@ class Effect:
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         """Where it can sit: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
-        return (WHOLE_ARM,)
+        counts = {"segment": segment_count, "joint": segment_count, "cable": cable_count}
+        places = (_numbered(s, counts[s]) if s in counts else (s,) for s in self.sites)
+        return tuple(itertools.chain.from_iterable(places))
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         """Further shapes, zero if not given: what the past left in each cable or joint."""
@@ -100,19 +113,13 @@ class Effect:
         return None
 
 
-def segments(segment_count: int) -> tuple[str, ...]:
-    """`segment_1` and so on."""
-    return tuple(f"segment_{n + 1}" for n in range(segment_count))
-
-
-def joints(segment_count: int) -> tuple[str, ...]:
-    """`joint_1` and so on: universal joints, both axes."""
-    return tuple(f"joint_{n + 1}" for n in range(segment_count))
+def _numbered(kind: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{kind}_{i + 1}" for i in range(count))
 
 
 def cables(cable_count: int) -> tuple[str, ...]:
     """`cable_1` and so on."""
-    return tuple(f"cable_{i + 1}" for i in range(cable_count))
+    return _numbered("cable", cable_count)
 
 
 def chosen(place: str, count: int) -> NDArray[np.bool_]:
@@ -143,3 +150,133 @@ class Sensing:
     def step(self, time_s: float, tensions_n: Array) -> Array:
         """Readings (P, M) of tensions (P, M) at the next moment."""
         return tensions_n
+
+
+class Instant(Sensing):
+    """A sensor without a state: a function of the time, s, and the tensions (P, M)."""
+
+    def __init__(self, reading_n: Callable[[float, Array], Array]) -> None:
+        self._reading_n = reading_n
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        return self._reading_n(time_s, tensions_n)
+
+
+class Rest(NamedTuple):
+    """Where P arms side by side rest at one moment.
+
+    Attributes:
+        time_s: the moment.
+        angles_rad: (P, 2N) joint angles.
+        spans_m: (P, M, N) cables' spans across the joints, zero where a cable does not pass.
+        bends_rad: (P, M, N, 2) by how much a cable turns at the guides before and after a joint.
+        tensions_n: (P, M) at the actuators.
+    """
+
+    time_s: float
+    angles_rad: Array
+    spans_m: Array
+    bends_rad: Array
+    tensions_n: Array
+
+
+class Kept(NamedTuple):
+    """Tension in each span of a cable, and its mean over the cable's stretch, by the actuator's.
+
+    Attributes:
+        spans: (P, M, N).
+        spans_by_m: (P, M, N, N) derivative by the lengths of the cable's spans.
+        mean: (P, M).
+        mean_by_m: (P, M, N).
+    """
+
+    spans: Array
+    spans_by_m: Array
+    mean: Array
+    mean_by_m: Array
+
+    @classmethod
+    def all_of(cls, spans_m: Array) -> Kept:
+        """Without friction, of cables with spans (P, M, N)."""
+        return cls(
+            np.ones_like(spans_m),
+            np.zeros((*spans_m.shape, spans_m.shape[-1])),
+            np.ones(spans_m.shape[:-1]),
+            np.zeros_like(spans_m),
+        )
+
+    def and_then(self, other: Kept) -> Kept:
+        """One friction after another: what they leave multiplies."""
+        return Kept(
+            self.spans * other.spans,
+            self.spans_by_m * other.spans[..., None] + self.spans[..., None] * other.spans_by_m,
+            self.mean * other.mean,
+            self.mean_by_m * other.mean[..., None] + self.mean[..., None] * other.mean_by_m,
+        )
+
+
+class Transmission:
+    """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
+
+    The search for the next rest asks for everything but `settle` at trial poses, as often as it
+    needs; `settle` then gives what came of it, and only there may the state change.
+    """
+
+    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+        """The state before the first sample; `rest` is that of the arm without the past."""
+
+    def lengthening_m(self, time_s: float) -> Array | None:
+        """(P, M) by which the cables are longer than when they were tensioned."""
+        return None
+
+    def hold(self, rest_m: Array) -> None:
+        """Take the spans' lengths (P, M) at which the cables are just slack, before a search."""
+
+    def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept | None:
+        """What friction leaves of the tension along the cables."""
+        return None
+
+    def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array] | None:
+        """Torques (P, 2N) that resist, and their derivative by each joint's own angle."""
+        return None
+
+    def settle(self, rest: Rest) -> None:
+        """Take the rest that was reached."""
+
+
+class DryContact:
+    """Contacts that carry a share between -1 and 1 of their limit, and keep it at rest.
+
+    A share moves with the contact until it slips. Part of the contact is sharp, and yields evenly
+    over `give` until it slips at once (Prandtl 1928); the rest is rounded, and nears its limit as
+    exp(-moved / give) (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968).
+    """
+
+    def __init__(self, give: Array, rounded: Array, start: Array, at: Array) -> None:
+        """`start` is the share carried at the positions `at`; all broadcast together."""
+        self._give, self._rounded = give, rounded
+        self._sharp = self._round = np.broadcast_to(start, at.shape)
+        self._at = at
+
+    def share(self, at: Array) -> tuple[Array, Array]:
+        """The share at new positions, and its derivative by them."""
+        sharp, round_, free, full = self._moved(at)
+        moved = at - self._at
+        sharp_slope = np.abs(free) < 1.0
+        round_slope = np.where(moved == 0.0, 1.0, np.abs(full - round_))
+        return (
+            (1.0 - self._rounded) * sharp + self._rounded * round_,
+            ((1.0 - self._rounded) * sharp_slope + self._rounded * round_slope) / self._give,
+        )
+
+    def settle(self, at: Array) -> None:
+        """Stay at these positions."""
+        self._sharp, self._round, *_ = self._moved(at)
+        self._at = at
+
+    def _moved(self, at: Array) -> tuple[Array, Array, Array, Array]:
+        moved = (at - self._at) / self._give
+        free = self._sharp + moved
+        full = np.sign(moved)
+        round_ = full - (full - self._round) * np.exp(-np.abs(moved))
+        return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, chosen, joints
+from cablesense_sim.effects.effect import Effect, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -16,11 +16,9 @@ class JointElasticity(Effect):
     acts_on = "arm"
     about = "joints that spring back"
     source = "Spong, Modeling and control of elastic joint robots, ASME JDSMC 1987"
+    sites = ("arm", "joint")
     advice = "Look for a sheath, a hose or a bundle through the middle of the arm."
     parameters = (Parameter("stiffness_n_m_rad", "N·m/rad", -20.0, 200.0, 5.0, "of each axis"),)
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *joints(segment_count))
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         spring = chosen(place, mechanism.segment_count) * values["stiffness_n_m_rad"]

@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import Effect, Parameter, Values, chosen, joints
-from cablesense_sim.effects.transmission import DryContact, Rest, Transmission
+from cablesense_sim.effects.effect import (
+    ROUNDED,
+    DryContact,
+    Effect,
+    Parameter,
+    Rest,
+    Transmission,
+    Values,
+    chosen,
+    shape,
+)
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -21,10 +30,11 @@ class JointFriction(Effect):
     acts_on = "transmission"
     about = "dry friction in joints"
     source = "Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968, with a sharp limit"
+    sites = ("joint",)
     advice = "Move the joint by hand with slack cables; look for dry or jammed bearings."
     parameters = (
         Parameter("torque_n_m", "N·m", 0.0, 20.0, 0.1, "at which an axis breaks away"),
-        Parameter(
+        shape(
             "give_rad",
             "rad",
             1e-5,
@@ -32,36 +42,13 @@ class JointFriction(Effect):
             1e-3,
             "turn from rest to breaking away",
             3e-4,
-            "shape",
-            (3e-4,),
-            (1e-4, 1e-3),
+            starts=(3e-4,),
+            trials=(1e-4, 1e-3),
         ),
-        Parameter(
-            "rounded",
-            "1",
-            0.0,
-            1.0,
-            0.5,
-            "share of the contact that slips little by little",
-            role="shape",
-            trials=(0.0, 1.0),
-        ),
-        Parameter(
-            "start_pitch",
-            "1",
-            -1.0,
-            1.0,
-            0.5,
-            "share of the torque at first, about y",
-            role="shape",
-        ),
-        Parameter(
-            "start_yaw", "1", -1.0, 1.0, 0.5, "share of the torque at first, about z", role="shape"
-        ),
+        ROUNDED,
+        shape("start_pitch", "1", -1.0, 1.0, 0.5, "share of the torque at first, about y"),
+        shape("start_yaw", "1", -1.0, 1.0, 0.5, "share of the torque at first, about z"),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return joints(segment_count)
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _DryJoints(place, values)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import Effect, Parameter, Values, cables, chosen, segments
-from cablesense_sim.effects.sensor_offset import Shifted
+from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, chosen
+from cablesense_sim.effects.sensor_offset import shifted
 from cablesense_sim.mechanism import Mechanism, with_cables_moved
 
 
@@ -17,6 +17,7 @@ class CableTolerance(Effect):
     acts_on = "arm"
     about = "the manufacturing tolerance of a cable and its sensor"
     source = "ISO 2768-1, general tolerances, class m"
+    sites = ("cable",)
     order = 1
     parameters = (
         Parameter("pretension_n", "N", -1.5, 1.5, 0.15, "of the pretension, in excess"),
@@ -24,9 +25,6 @@ class CableTolerance(Effect):
         Parameter("zero_n", "N", -0.5, 0.5, 0.05, "of the sensor's zero"),
     )
     tolerance = True
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return cables(cable_count)
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.cable_count)
@@ -36,8 +34,8 @@ class CableTolerance(Effect):
             return mechanism
         return with_cables_moved(mechanism, 0.0 * here, here * values["angle_rad"])
 
-    def sensing(self, place: str, values: Values) -> Shifted:
-        return Shifted(place, values["zero_n"])
+    def sensing(self, place: str, values: Values) -> Sensing:
+        return shifted(place, values["zero_n"])
 
 
 class SegmentTolerance(Effect):
@@ -47,15 +45,13 @@ class SegmentTolerance(Effect):
     acts_on = "arm"
     about = "the manufacturing tolerance of a segment"
     source = "ISO 2768-1, general tolerances, class m"
+    sites = ("segment",)
     order = 1
     parameters = (
         Parameter("mass_share", "1", -0.05, 0.05, 0.005, "of the mass, in excess"),
         Parameter("contact_m", "m", -0.003, 0.003, 0.0003, "of the contact point, outward"),
     )
     tolerance = True
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return segments(segment_count)
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.segment_count)

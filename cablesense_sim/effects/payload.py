@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen, segments
+from cablesense_sim.effects.effect import Effect, Parameter, chosen, shape
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -18,22 +18,19 @@ class Payload(Effect):
     acts_on = "arm"
     about = "mass that nobody modelled"
     source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13"
+    sites = ("segment",)
     advice = "Weigh what was added there: tools, hoses, covers."
     parameters = (
         Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
-        Parameter(
+        shape(
             "beyond_middle",
             "1",
             -0.5,
             0.5,
             0.3,
             "its distance beyond the segment's middle, as a share of the segment's length",
-            role="shape",
         ),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return segments(segment_count)
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.segment_count)

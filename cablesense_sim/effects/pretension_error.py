@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, cables, chosen
+from cablesense_sim.effects.effect import Effect, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -21,13 +21,11 @@ class PretensionError(Effect):
     acts_on = "arm"
     about = "cables tensioned to another value"
     source = "Pott, Cable-Driven Parallel Robots, 2018, section 3.7: force distribution"
+    sites = ("arm", "cable")
     advice = "Tension these cables anew with the arm straight, or keep the values in the arm file."
     parameters = (
         Parameter("error_n", "N", -45.0, 200.0, 5.0, "by which the pretension is higher"),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *cables(cable_count))
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         error = chosen(place, mechanism.cable_count) * values["error_n"]

@@ -18,8 +18,7 @@ import numpy as np
 
 from cablesense_base.errors import CableSenseError
 from cablesense_sim import effects
-from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Values
-from cablesense_sim.effects.transmission import Transmission
+from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Transmission, Values
 from cablesense_sim.mechanism import Mechanism
 
 ENTRY_POINTS = "cablesense.effects"

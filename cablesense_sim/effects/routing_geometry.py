@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen, own_cables, segments
+from cablesense_sim.effects.effect import Effect, Parameter, chosen, own_cables
 from cablesense_sim.mechanism import Mechanism, with_cables_moved, with_plates_moved
 
 
@@ -18,6 +18,7 @@ class RoutingGeometry(Effect):
     acts_on = "arm"
     about = "guide holes on another radius or at another angle"
     source = "Walker, Hannan: A novel elephant's trunk robot, AIM 1999: cable routing kinematics"
+    sites = ("segment",)
     advice = "Measure radius and angle of these holes."
     parameters = (
         Parameter("cables_radius_m", "m", -0.03, 0.05, 0.002, "further out, its own cables"),
@@ -25,9 +26,6 @@ class RoutingGeometry(Effect):
         Parameter("plates_radius_m", "m", -0.03, 0.05, 0.002, "further out, in its plates"),
         Parameter("plates_angle_rad", "rad", -0.6, 0.6, 0.04, "turned, in its plates"),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return segments(segment_count)
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         own = own_cables(place, mechanism)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Parameter, Sensing, Values
+from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Instant, Parameter, Sensing, Values
 
 
 class SensorCrosstalk(Effect):
@@ -28,28 +28,14 @@ class SensorCrosstalk(Effect):
         return (WHOLE_ARM, *pairs)
 
     def sensing(self, place: str, values: Values) -> Sensing:
-        if place == WHOLE_ARM:
-            return _Neighbours(values["share"])
-        source, target = (int(part.rsplit("_", 1)[1]) for part in place.split("_into_"))
-        return _Leak(source - 1, target - 1, values["share"])
+        def leaking(_: float, tensions_n: Array) -> Array:
+            readings, share = tensions_n.copy(), values["share"]
+            if place == WHOLE_ARM:
+                readings[:, 1:] += share[:, None] * tensions_n[:, :-1]
+                readings[:, :-1] += share[:, None] * tensions_n[:, 1:]
+            else:
+                source, target = (int(p.rsplit("_", 1)[1]) - 1 for p in place.split("_into_"))
+                readings[:, target] += share * tensions_n[:, source]
+            return readings
 
-
-class _Neighbours(Sensing):
-    def __init__(self, share: Array) -> None:
-        self._share = share[:, None]
-
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        readings = tensions_n.copy()
-        readings[:, 1:] += self._share * tensions_n[:, :-1]
-        readings[:, :-1] += self._share * tensions_n[:, 1:]
-        return readings
-
-
-class _Leak(Sensing):
-    def __init__(self, source: int, target: int, share: Array) -> None:
-        self._source, self._target, self._share = source, target, share
-
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        readings = tensions_n.copy()
-        readings[:, self._target] += self._share * tensions_n[:, self._source]
-        return readings
+        return Instant(leaking)

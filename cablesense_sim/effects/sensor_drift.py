@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, cables, chosen
+from cablesense_sim.effects.effect import Effect, Instant, Parameter, Sensing, Values, chosen
 
 INTERVAL_S = 30.0
 """Between these moments the zero moves at an even pace."""
@@ -23,6 +23,7 @@ class SensorDrift(Effect):
     acts_on = "sensor"
     about = "a zero of tension sensors that wanders"
     source = "IEEE Std 1293-2018, annex on bias instability and random walk"
+    sites = ("cable",)
     advice = "Let the sensors warm up; look at their supply and cabling; tare often."
     needs_time = True
     parameters = (
@@ -40,19 +41,12 @@ class SensorDrift(Effect):
         ),
     )
 
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return cables(cable_count)
-
     def sensing(self, place: str, values: Values) -> Sensing:
-        rises = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)
-        return _Wandering(place, values["start_n"], rises)
+        rises_n = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)
 
+        def wandering(time_s: float, tensions_n: Array) -> Array:
+            done = np.clip(time_s / INTERVAL_S - np.arange(_INTERVALS), 0.0, 1.0)
+            drift = (values["start_n"] + rises_n @ done)[:, None]
+            return tensions_n + drift * chosen(place, tensions_n.shape[-1])
 
-class _Wandering(Sensing):
-    def __init__(self, place: str, start_n: Array, rises_n: Array) -> None:
-        self._place, self._start_n, self._rises_n = place, start_n, rises_n
-
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        done = np.clip(time_s / INTERVAL_S - np.arange(_INTERVALS), 0.0, 1.0)
-        drift = (self._start_n + self._rises_n @ done)[:, None]
-        return tensions_n + drift * chosen(self._place, tensions_n.shape[-1])
+        return Instant(wandering)

@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_sim.effects.effect import (
-    WHOLE_ARM,
-    Effect,
-    Parameter,
-    Sensing,
-    Values,
-    cables,
-    chosen,
-)
+from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, chosen, shape
 
 
 class SensorLag(Effect):
@@ -27,25 +19,22 @@ class SensorLag(Effect):
     acts_on = "sensor"
     about = "tension sensors that follow late"
     source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: first and second order"
+    sites = ("arm", "cable")
     advice = "Look at the filter settings of these channels; all should be alike."
     order = -2
     needs_time = True
     parameters = (
         Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
-        Parameter(
+        shape(
             "second_share",
             "1",
             0.0,
             1.0,
             0.5,
             "time constant of a second lag behind the first, of the first one's",
-            role="shape",
             starts=(0.0, 1.0),
         ),
     )
-
-    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        return (WHOLE_ARM, *cables(cable_count))
 
     def sensing(self, place: str, values: Values) -> Sensing:
         return _Lagging(place, values["time_constant_s"], values["second_share"])

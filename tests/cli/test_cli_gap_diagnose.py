@@ -17,8 +17,7 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.verdict import read_verdict
 from cablesense_sim.arm import Arm, load_arm
-from cablesense_sim.replay import replay_arm
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n, replay_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
 PROBLEM = small_recording(peak_n=25.0)

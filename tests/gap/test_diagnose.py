@@ -26,8 +26,7 @@ from cablesense_gap.pipeline import (
 )
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_sim.replay import replay_arm
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n, replay_arm
 
 PROBLEM = small_recording(peak_n=25.0)
 MASS_KG = 0.5

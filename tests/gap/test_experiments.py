@@ -11,7 +11,7 @@ from gap_recordings import LAB
 from cablesense_gap.experiments import Experiment, next_experiment
 from cablesense_gap.recordings.protocol import BlockKind, standard_protocol
 from cablesense_gap.simulator import Term
-from cablesense_sim.sensors import reading_variance_n2
+from cablesense_sim.replay import reading_variance_n2
 
 FLOOR_N = float(np.sqrt(reading_variance_n2(LAB.sensors)))
 BLOCKS = standard_protocol(LAB)

@@ -14,7 +14,7 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_file import BagWriter, read_mcap, write_mcap
 from cablesense_gap.recordings.mcap_messages import RawMessage
 from cablesense_gap.recordings.recording import Recording, RecordingError
-from cablesense_msgs_py.topic_types import INPUTS
+from cablesense_msgs_py.qos import INPUTS
 from cablesense_sim.arm import open_arm
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")

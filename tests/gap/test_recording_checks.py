@@ -14,7 +14,7 @@ from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 MECHANISM = mechanism_of(LAB)

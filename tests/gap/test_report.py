@@ -18,7 +18,6 @@ from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.style import (
     ReportError,
-    listed,
     newtons,
     page_css,
     percent,
@@ -40,6 +39,7 @@ from cablesense_gap.verdict import (
     Estimator,
     VerdictError,
     Where,
+    listed,
     read_verdict,
 )
 from cablesense_sim.arm import load_arm

@@ -34,8 +34,7 @@ from cablesense_gap.simulator import Term
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
-from cablesense_sim.replay import replay_arm
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.inference.estimator import Estimates, Estimator
 
 PROBLEM = small_recording()

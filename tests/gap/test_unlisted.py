@@ -20,7 +20,7 @@ from cablesense_gap.unlisted import (
 )
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 
 PROBLEM = small_recording()
 NOMINAL_N = ArmSimulator(LAB, PROBLEM).predict([{}])[0]

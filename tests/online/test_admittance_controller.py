@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.admittance.controller import (
     AdmittanceController,
     ControllerSettings,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.can.calibration import (
     CalibratedSensor,
     Calibration,

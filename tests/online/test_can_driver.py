@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.can import driver as driver_module
 from cablesense_online.can.bus import BusCondition, CanInterface, CanInterfaceError
 from cablesense_online.can.driver import (

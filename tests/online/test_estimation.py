@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.messages import NO_CONTACT, Load
 from cablesense_msgs_py.topics import ContractError
-from cablesense_msgs_py.wrenches import NO_CONTACT, Load
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind

@@ -1,6 +1,6 @@
 """The estimator's diagnostics of its input and its tare."""
 
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.samples import InputHealth, ProblemKind, SampleClock, SampleError
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.wrenches import NO_CONTACT, Contact
+from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate

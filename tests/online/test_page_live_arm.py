@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import (
     STALE_S,
     Contact,

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.wrenches import Load
+from cablesense_msgs_py.messages import Load
 from cablesense_online.simulated_arm import RealTimePacer, SimulatedArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of

@@ -5,7 +5,7 @@ import pytest
 from arm_variants import variant
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.health import tare_status
 from cablesense_online.tare import (
     TareError,

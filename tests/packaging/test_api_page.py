@@ -12,7 +12,7 @@ from gap_recordings import LAB, small_recording
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.simulator import Term
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 
 PAGE = (Path(__file__).parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from cablesense_base.installation import config_path
-from cablesense_msgs_py.topic_types import CONTRACT, resolved
+from cablesense_msgs_py.qos import CONTRACT, resolved
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cablesense_msgs_py.diagnostics import Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import Contact, Snapshot, Status
 from cablesense_ros.demo.pushes import (
     PushRecord,

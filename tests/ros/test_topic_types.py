@@ -3,7 +3,7 @@
 import pytest
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.topic_types import CONTRACT, INPUTS, of_contract, resolved
+from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract, resolved
 
 
 @pytest.mark.parametrize("namespace", ["", "/", "left", "/lab/left/"])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from effect_arms import MECHANISM, STRAIGHT, course, entry, push, readings, small, up_and_down
 
+from cablesense_sim.effects.effect import Rest
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
-from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.quasi_static import QuasiStaticArm
 
 CREEP = entry("cable_creep", share=0.2, time_s=10.0)

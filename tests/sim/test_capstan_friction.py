@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
+from cablesense_sim.effects.effect import Rest
 from cablesense_sim.effects.registry import side_by_side
-from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import replay_arm

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
+from cablesense_sim.effects.effect import Rest
 from cablesense_sim.effects.registry import EffectEntry
-from cablesense_sim.effects.transmission import Rest
 from cablesense_sim.quasi_static import QuasiStaticArm
 
 FRICTION = entry("joint_friction", "joint_2", torque_n_m=0.15)

@@ -11,7 +11,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
-from cablesense_sim.sensors import difference_variance_n2
+from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import ClosedForm

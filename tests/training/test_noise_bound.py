@@ -7,7 +7,7 @@ import pytest
 
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.sensors import difference_variance_n2
+from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.evaluation.noise_bound import (

@@ -38,7 +38,7 @@ from cablesense_sim.effects.registry import (
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import Dataset, contact_forces_n
 from cablesense_training.data.protocols import (
     CHUNK_SAMPLES,

@@ -18,7 +18,7 @@ from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity
-from cablesense_sim.sensors import difference_variance_n2
+from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import angle_difference_deg
 

@@ -23,7 +23,7 @@ from cablesense_sim.effects.registry import actuations, amended, sensings, trans
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
-from cablesense_sim.sensors import read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import contact_forces_n
 from cablesense_training.errors import DatasetError
 from cablesense_training.motion.motion_protocol import (

@@ -1,0 +1,296 @@
+"""Values to and from ROS messages: named arrays, contacts and their markers, loads, health.
+
+Message classes are passed in, so that nothing here needs ROS. Of a `sensor_msgs/JointState`
+tensions are the efforts and joint angles the positions.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from operator import itemgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cablesense_base.arrays import Array
+from cablesense_msgs_py.topics import ContractError, Frames
+
+_SHOWN_NAMES = 6
+
+MAX_JOINT_ANGLE_RAD = math.radians(60.0)
+"""Commands beyond this are refused: no universal joint between guide plates reaches it."""
+
+MAX_LOAD_N = 2_000.0
+"""A larger force is a wrong unit or a slip, not a push."""
+
+ARROW_M_PER_N = 0.004
+"""Length of the arrow per newton: 50 N are 0.2 m."""
+
+_SPHERE_DIAMETER_M = 0.03
+_ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
+_COLOUR = (0.95, 0.35, 0.1, 1.0)
+
+
+class NamedOrder:
+    """Arranges named values in the order of `names`, whatever order they come in.
+
+    A message that repeats the names of the one before costs one comparison and one indexing.
+    """
+
+    def __init__(self, names: Sequence[str], what: str) -> None:
+        """`names` is the order wanted; `what` says in errors what they name ("cables")."""
+        self.names = tuple(names)
+        self._what = what
+        self._last_names: tuple[str, ...] = self.names
+        self._getter: itemgetter[tuple[float, ...]] | None = None
+
+    def arrange(self, names: Sequence[str], values: Sequence[float], field: str) -> Array:
+        """As `pick`, as an array."""
+        return np.array(self.pick(names, values, field), dtype=np.float64)
+
+    def pick(self, names: Sequence[str], values: Sequence[float], field: str) -> tuple[float, ...]:
+        """The values, one per name of a message, in the order wanted; `field` is for errors.
+
+        Raises:
+            ContractError: a name is missing, unknown or repeated, or there is not one value per
+                name.
+        """
+        given = tuple(names)
+        if given != self._last_names:
+            self._getter = self._make_getter(given)
+            self._last_names = given
+        if len(values) != len(given):
+            raise ContractError(
+                f"{field} holds {len(values)} values for {len(given)} names; "
+                f"it must hold one per name ({len(self.names)})"
+            )
+        return tuple(values) if self._getter is None else self._getter(values)
+
+    def _make_getter(self, given: tuple[str, ...]) -> itemgetter[tuple[float, ...]] | None:
+        if given == self.names:
+            return None
+        counts = Counter(given)
+        wrong = {
+            "missing": [name for name in self.names if name not in counts],
+            "unknown": [name for name in counts if name not in self.names],
+            "more than once": [name for name, count in counts.items() if count > 1],
+        }
+        problems = [f"{kind} {_listed(names)}" for kind, names in wrong.items() if names]
+        if problems:
+            raise ContractError(
+                f"name: {'; '.join(problems)}; the {len(self.names)} {self._what} of this arm are "
+                f"{self.names[0]} … {self.names[-1]}, in any order, each once"
+            )
+        return itemgetter(*(given.index(name) for name in self.names))
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(repr(name[:40]) for name in names[:_SHOWN_NAMES])
+    more = len(names) - _SHOWN_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def put_tensions(message: Any, tensions_n: Array) -> None:
+    """Put (M,) tensions in N into a `JointState` whose names are set already."""
+    message.effort = array.array("d", tensions_n.tolist())
+
+
+def put_joint_angles(message: Any, angles_rad: Array) -> None:
+    """Put (2N,) joint angles in rad into a `JointState` whose names are set already."""
+    message.position = array.array("d", angles_rad.tolist())
+
+
+def joint_command_rad(message: Any, order: NamedOrder) -> Array:
+    """The (2N,) joint angles that a `JointState` commands, in the arm's order.
+
+    Raises:
+        ContractError: a joint is missing, unknown or repeated, or an angle is not finite or out of
+        reach.
+    """
+    angles = order.arrange(message.name, message.position, "position")
+    for name, angle in zip(order.names, angles, strict=True):
+        if not abs(angle) <= MAX_JOINT_ANGLE_RAD:
+            raise ContractError(
+                f"position of {name} is {angle:g} rad; it must be finite and within "
+                f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (a third of pi)"
+            )
+    return angles
+
+
+class Contact(NamedTuple):
+    """Where and how the environment pushes the arm, or that it does not.
+
+    Attributes:
+        segment: the touched segment, counted from 1; 0 when nothing touches.
+        angle_deg: direction of the force in the plane normal to the segment at the commanded joint
+            angles, from +z towards +y of that segment's frame.
+        magnitude_n: of the force, N.
+        contact_m: distance of the contact point from the segment's joint centre, along its axis.
+    """
+
+    segment: int = 0
+    angle_deg: float = 0.0
+    magnitude_n: float = 0.0
+    contact_m: float = 0.0
+
+    @property
+    def direction(self) -> tuple[float, float]:
+        """(y, z) of the force's unit vector in the segment's frame; x is zero."""
+        angle = math.radians(self.angle_deg)
+        return math.sin(angle), math.cos(angle)
+
+    @property
+    def force_n(self) -> tuple[float, float, float]:
+        """The force, in the segment's frame."""
+        y, z = self.direction
+        return 0.0, self.magnitude_n * y, self.magnitude_n * z
+
+    @property
+    def wrench(self) -> tuple[float, float, float, float, float, float]:
+        """The force, N, and its moment about the origin of the segment's frame, N·m."""
+        x, y, z = self.force_n
+        return x, y, z, 0.0, -self.contact_m * z, self.contact_m * y
+
+
+NO_CONTACT = Contact()
+
+
+def put_contact_point(message: Any, contact: Contact, frames: Frames) -> None:
+    """Put the point of a contact into a `PointStamped` in the touched segment's frame."""
+    message.header.frame_id = frames.segment(contact.segment)
+    message.point.x = contact.contact_m
+
+
+def put_force_direction(message: Any, contact: Contact, frames: Frames) -> None:
+    """Put a force's unit vector into a `Vector3Stamped` in the touched segment's frame."""
+    message.header.frame_id = frames.segment(contact.segment)
+    message.vector.y, message.vector.z = contact.direction
+
+
+def put_probabilities(message: Any, probabilities: Sequence[float]) -> None:
+    """Put P(no contact), P(segment 1), … into a `Float64MultiArray` whose layout is set."""
+    message.data = array.array("d", probabilities)
+
+
+def describe_probabilities(dimension: Any, segment_count: int) -> None:
+    """Fill the `MultiArrayDimension` that states what the probabilities belong to."""
+    dimension.label = "none," + ",".join(f"segment_{n + 1}" for n in range(segment_count))
+    dimension.size = dimension.stride = segment_count + 1
+
+
+class ContactMarkers:
+    """Fills a `MarkerArray` made once; the arrow ends at the contact point, as a push does."""
+
+    def __init__(
+        self, array: Any, make_marker: Callable[[], Any], make_point: Callable[[], Any]
+    ) -> None:
+        """`array` is an empty `MarkerArray`; the others are the classes `Marker` and `Point`."""
+        self.array = array
+        arrow, sphere = make_marker(), make_marker()
+        for number, marker in enumerate((arrow, sphere)):
+            marker.ns = "contact"
+            marker.id = number
+            marker.pose.orientation.w = 1.0
+            marker.color.r, marker.color.g, marker.color.b, marker.color.a = _COLOUR
+        arrow.type, sphere.type = arrow.ARROW, sphere.SPHERE
+        arrow.scale.x, arrow.scale.y, arrow.scale.z = _ARROW_DIAMETERS_M
+        sphere.scale.x = sphere.scale.y = sphere.scale.z = _SPHERE_DIAMETER_M
+        arrow.points = [make_point(), make_point()]
+        array.markers = [arrow, sphere]
+
+    def put(self, contact: Contact, frames: Frames, stamp: Any) -> None:
+        """Show the contact, or take the markers away when nothing touches."""
+        arrow, sphere = self.array.markers
+        frame_id = frames.segment(contact.segment) if contact.segment else frames.base
+        for marker in (arrow, sphere):
+            marker.header.stamp = stamp
+            marker.header.frame_id = frame_id
+            marker.action = marker.ADD if contact.segment else marker.DELETE
+        if not contact.segment:
+            return
+        y, z = contact.direction
+        length = ARROW_M_PER_N * contact.magnitude_n
+        tail, tip = arrow.points
+        tail.x = tip.x = sphere.pose.position.x = contact.contact_m
+        tail.y, tail.z = -length * y, -length * z
+
+
+@dataclass(frozen=True)
+class Load:
+    """A force (3,) in N, base axes, at the contact point of segment `segment` (counted from 1)."""
+
+    segment: int
+    force_base_n: Array
+
+
+def read_load(message: Any, frames: Frames) -> Load:
+    """The load that a `WrenchStamped` describes.
+
+    Raises:
+        ContractError: an unknown frame, a force that is not finite or too large, or a torque.
+    """
+    segment = frames.segment_number(message.header.frame_id)
+    force, torque = (
+        (vector.x, vector.y, vector.z) for vector in (message.wrench.force, message.wrench.torque)
+    )
+    if not math.hypot(*force) <= MAX_LOAD_N:
+        raise ContractError(
+            f"wrench.force is {_shown(force)} N; it must be finite, at most {MAX_LOAD_N:g} N"
+        )
+    if any(component != 0.0 for component in torque):
+        raise ContractError(
+            f"wrench.torque is {_shown(torque)} N·m; it must be zero: "
+            "a load is a force at the contact point of the segment"
+        )
+    return Load(segment, np.array(force, dtype=np.float64))
+
+
+def _shown(vector: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{component:g}" for component in vector) + ")"
+
+
+class Level(IntEnum):
+    """Severity, as `diagnostic_msgs/DiagnosticStatus` numbers it."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Status:
+    """One line of a node's health: a level, one sentence, figures with their units in the key."""
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+def diagnostic_statuses(
+    statuses: Iterable[Status],
+    node_name: str,
+    hardware_id: str,
+    make_status: Callable[..., Any],
+    make_value: Callable[..., Any],
+) -> list[Any]:
+    """The statuses as messages, of the classes `DiagnosticStatus` and `KeyValue`.
+
+    `node_name` goes before each name (REP-107); `hardware_id` is the arm's identity.
+    """
+    return [
+        make_status(
+            level=bytes([status.level]),
+            name=f"{node_name}: {status.name}",
+            message=status.message,
+            hardware_id=hardware_id,
+            values=[make_value(key=key, value=value) for key, value in status.values.items()],
+        )
+        for status in statuses
+    ]

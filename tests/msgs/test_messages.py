@@ -1,0 +1,194 @@
+"""Joint commands by name and within reach; values find their place by name, or are refused.
+
+A contact's force, moment, messages and markers; a load is a finite force without torque.
+
+A status becomes a diagnostic message.
+"""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cablesense_msgs_py.messages import (
+    ARROW_M_PER_N,
+    NO_CONTACT,
+    Contact,
+    ContactMarkers,
+    Level,
+    NamedOrder,
+    Status,
+    describe_probabilities,
+    diagnostic_statuses,
+    joint_command_rad,
+    put_contact_point,
+    put_force_direction,
+    put_joint_angles,
+    put_tensions,
+    read_load,
+)
+from cablesense_msgs_py.topics import ContractError, Frames
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:module .sre_:DeprecationWarning"
+)  # lark, of rosidl
+
+ORDER = NamedOrder(("joint_1_pitch", "joint_1_yaw"), "joints")
+
+
+def message(names, position):
+    return SimpleNamespace(name=names, position=position)
+
+
+def test_order_is_by_name():
+    command = joint_command_rad(message(["joint_1_yaw", "joint_1_pitch"], [0.2, 0.1]), ORDER)
+    np.testing.assert_array_equal(command, [0.1, 0.2])
+
+
+@pytest.mark.parametrize("angle", [math.nan, math.inf, 1.1, -30.0])
+def test_angles_out_of_reach_are_refused_by_name(angle):
+    with pytest.raises(ContractError, match="joint_1_yaw"):
+        joint_command_rad(message(["joint_1_pitch", "joint_1_yaw"], [0.0, angle]), ORDER)
+
+
+def test_messages_carry_tensions_as_efforts_and_angles_as_positions():
+    sensor_msgs = pytest.importorskip("sensor_msgs.msg")
+    state = sensor_msgs.JointState()
+    put_tensions(state, np.array([1.0, 2.5]))
+    put_joint_angles(state, np.array([0.5]))
+    assert list(state.effort) == [1.0, 2.5]
+    assert list(state.position) == [0.5]
+
+
+NAMES = tuple(f"cable_{i + 1}" for i in range(12))
+
+
+@given(st.permutations(range(12)))
+def test_any_order_gives_the_arms_order(order):
+    arranged = NamedOrder(NAMES, "cables").arrange([NAMES[i] for i in order], order, "effort")
+    np.testing.assert_array_equal(arranged, np.arange(12.0))
+
+
+def test_a_good_message_is_taken_after_a_refused_one():
+    order = NamedOrder(NAMES, "cables")
+    with pytest.raises(ContractError):
+        order.pick(["x"], [1.0], "effort")
+    assert order.pick(NAMES, range(12), "effort") == tuple(range(12))
+
+
+@pytest.mark.parametrize(
+    ("names", "complaint"),
+    [
+        (NAMES[:-1], "missing 'cable_12'"),
+        ((*NAMES, "cable_13"), "unknown 'cable_13'"),
+        ((*NAMES[:-1], "cable_1"), "missing 'cable_12'; more than once 'cable_1'"),
+        ((), "and 6 more"),
+    ],
+)
+def test_wrong_names_are_listed(names, complaint):
+    with pytest.raises(ContractError, match=complaint):
+        NamedOrder(NAMES, "cables").pick(names, [0.0] * len(names), "effort")
+
+
+@pytest.mark.parametrize("count", [0, 11, 13])
+def test_one_value_per_name(count):
+    with pytest.raises(ContractError, match=f"effort holds {count} values for 12 names"):
+        NamedOrder(NAMES, "cables").pick(NAMES, [0.0] * count, "effort")
+
+
+FRAMES = Frames(4)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 90.0, 200.0, 359.0])
+def test_force_and_moment_are_those_of_a_push_at_the_contact_point(angle_deg):
+    contact = Contact(2, angle_deg, 40.0, 0.065)
+    assert np.linalg.norm(contact.force_n) == pytest.approx(40.0)
+    assert np.degrees(np.arctan2(contact.force_n[1], contact.force_n[2])) % 360 == pytest.approx(
+        angle_deg
+    )
+    np.testing.assert_allclose(
+        contact.wrench[3:], np.cross([0.065, 0.0, 0.0], contact.force_n), atol=1e-12
+    )
+
+
+def test_no_contact_is_zero():
+    assert not any(NO_CONTACT.wrench)
+
+
+def test_point_and_direction_are_in_the_segments_frame():
+    geometry_msgs = pytest.importorskip("geometry_msgs.msg")
+    point, direction = geometry_msgs.PointStamped(), geometry_msgs.Vector3Stamped()
+    contact = Contact(3, 90.0, 40.0, 0.065)
+    put_contact_point(point, contact, FRAMES)
+    put_force_direction(direction, contact, FRAMES)
+    assert point.header.frame_id == direction.header.frame_id == "segment_3"
+    assert point.point.x == 0.065
+    assert direction.vector.y == pytest.approx(1.0)
+
+
+def test_probabilities_say_whose_they_are():
+    dimension = SimpleNamespace()
+    describe_probabilities(dimension, 2)
+    assert dimension.label == "none,segment_1,segment_2"
+    assert dimension.size == 3
+
+
+def test_the_arrow_ends_at_the_contact_and_points_along_the_force():
+    visualization = pytest.importorskip("visualization_msgs.msg")
+    geometry = pytest.importorskip("geometry_msgs.msg")
+    time = pytest.importorskip("builtin_interfaces.msg").Time(sec=3)
+    markers = ContactMarkers(visualization.MarkerArray(), visualization.Marker, geometry.Point)
+    markers.put(Contact(2, 90.0, 50.0, 0.065), Frames(4), time)
+    arrow, sphere = markers.array.markers
+    tail, tip = arrow.points
+    assert (tip.x, tip.y, tip.z) == (0.065, 0.0, 0.0)
+    assert tip.y - tail.y == pytest.approx(50.0 * ARROW_M_PER_N)
+    assert {m.header.frame_id for m in (arrow, sphere)} == {"segment_2"}
+    assert arrow.action == sphere.action == arrow.ADD
+    markers.put(NO_CONTACT, Frames(4), time)
+    assert arrow.action == sphere.action == arrow.DELETE
+
+
+def message_wrenches(force=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0), frame="segment_2"):
+    vector = lambda v: SimpleNamespace(x=v[0], y=v[1], z=v[2])  # noqa: E731
+    return SimpleNamespace(
+        header=SimpleNamespace(frame_id=frame),
+        wrench=SimpleNamespace(force=vector(force), torque=vector(torque)),
+    )
+
+
+def test_reads_segment_and_force():
+    load = read_load(message_wrenches((1.0, -2.0, 3.0)), FRAMES)
+    assert load.segment == 2
+    np.testing.assert_array_equal(load.force_base_n, [1.0, -2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"force": (math.nan, 0.0, 0.0)}, "wrench.force"),
+        ({"force": (math.inf, 0.0, 0.0)}, "wrench.force"),
+        ({"force": (1e6, 0.0, 0.0)}, "at most 2000 N"),
+        ({"torque": (0.0, 0.1, 0.0)}, "must be zero"),
+        ({"torque": (0.0, math.nan, 0.0)}, "must be zero"),
+        ({"frame": "segment_9"}, "segment_1 … segment_4"),
+    ],
+)
+def test_refuses_what_is_no_load(wrong, complaint):
+    with pytest.raises(ContractError, match=complaint):
+        read_load(message_wrenches(**wrong), FRAMES)
+
+
+def test_fields_arrive():
+    messages = pytest.importorskip("diagnostic_msgs.msg")
+    status = Status("tare", Level.WARN, "none taken", {"readings": "0"})
+    (message,) = diagnostic_statuses(
+        [status], "estimator", "cdsm-1", messages.DiagnosticStatus, messages.KeyValue
+    )
+    assert message.name == "estimator: tare"
+    assert message.level == messages.DiagnosticStatus.WARN
+    assert message.hardware_id == "cdsm-1"
+    assert [(v.key, v.value) for v in message.values] == [("readings", "0")]
