@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cablesense_base.arrays import Array
+from cablesense_base.errors import some_of
 from cablesense_msgs_py.topics import ContractError, Frames
-
-_SHOWN_NAMES = 6
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)
 """Commands beyond this are refused: no universal joint between guide plates reaches it."""
@@ -80,19 +79,17 @@ class NamedOrder:
             "unknown": [name for name in counts if name not in self.names],
             "more than once": [name for name, count in counts.items() if count > 1],
         }
-        problems = [f"{kind} {_listed(names)}" for kind, names in wrong.items() if names]
+        problems = [
+            f"{kind} {some_of([repr(name[:40]) for name in names])}"
+            for kind, names in wrong.items()
+            if names
+        ]
         if problems:
             raise ContractError(
                 f"name: {'; '.join(problems)}; the {len(self.names)} {self._what} of this arm are "
                 f"{self.names[0]} … {self.names[-1]}, in any order, each once"
             )
         return itemgetter(*(given.index(name) for name in self.names))
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(repr(name[:40]) for name in names[:_SHOWN_NAMES])
-    more = len(names) - _SHOWN_NAMES
-    return f"{shown} and {more} more" if more > 0 else shown
 
 
 def put_tensions(message: Any, tensions_n: Array) -> None:
