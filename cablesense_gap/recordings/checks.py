@@ -76,10 +76,6 @@ class RecordingReport:
         """Whether nothing rules it out."""
         return all(finding.severity is not Severity.REFUSE for finding in self.findings)
 
-    def of_kind(self, kind: str) -> tuple[Finding, ...]:
-        """The findings of a kind."""
-        return tuple(finding for finding in self.findings if finding.kind == kind)
-
     def raise_if_unusable(self) -> None:
         """Nothing, where the recording can be used.
 
@@ -112,8 +108,14 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 
 
 def check_form(recording: Recording, arm: Arm) -> RecordingReport:
-    """Problems of a recording by itself, whatever it is for: shapes, numbers, time, labels."""
-    return RecordingReport(recording.name, _form(recording, arm))
+    """Problems of a recording by itself, whatever it is for: shapes, numbers, time, labels.
+
+    Later checks wait for earlier ones.
+    """
+    findings: list[Finding] = []
+    for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
+        findings = findings or [f for check in checks for f in check(recording, arm)]
+    return RecordingReport(recording.name, _worst_first(findings))
 
 
 def check_recording(
@@ -169,40 +171,30 @@ def _worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: finding.severity is not Severity.REFUSE))
 
 
-def _form(recording: Recording, arm: Arm) -> tuple[Finding, ...]:
-    """Later checks wait for earlier ones."""
-    for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
-        findings = [finding for check in checks for finding in check(recording, arm)]
-        if findings:
-            return _worst_first(findings)
-    return ()
-
-
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    rows, cables, joints = len(recording), arm.cable_count, arm.joint_count
-    if rows == 0:
+    if len(recording) == 0:
         yield _refuse("rows", "has no rows; it must have one per sample")
-    if recording.tensions_n.shape[1:] != (cables,):
-        yield _refuse(
-            "cables",
-            f"has {recording.tensions_n.shape[-1]} tensions a row; arm {arm.name} has {cables} "
-            "cables",
-        )
-    if recording.command_rad.shape[1:] != (joints,):
-        yield _refuse(
-            "joints",
-            f"has {recording.command_rad.shape[-1]} commanded angles a row; arm {arm.name} has "
-            f"{joints}, pitch and yaw of each joint",
-        )
+    read, command, each = (
+        recording.tensions_n,
+        recording.command_rad,
+        "pitch and yaw of each joint",
+    )
+    for kind, values, columns, wanted, of_what in (
+        ("cables", read, "tensions", arm.cable_count, " cables"),
+        ("joints", command, "commanded angles", arm.joint_count, f", {each}"),
+    ):
+        if values.shape[1:] != (wanted,):
+            has = f"has {values.shape[-1]} {columns} a row"
+            yield _refuse(kind, f"{has}; arm {arm.name} has {wanted}{of_what}")
 
 
 def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    whole = (csv_file.TRIAL, csv_file.LOAD_SEGMENT)
+    names = csv_file.all_columns(arm.joint_count, arm.cable_count)
     columns = [recording.time_s, *recording.command_rad.T, *recording.load_n.T]
-    names = [csv_file.TIME, *csv_file.command_columns(arm.joint_count), *csv_file.LOAD]
-    names += csv_file.tension_columns(arm.cable_count)
-    for name, values in zip(names, [*columns, *recording.tensions_n.T], strict=True):
-        wrong = ~np.isfinite(values)
-        if wrong.any():
+    columns.extend(recording.tensions_n.T)
+    for name, values in zip((n for n in names if n not in whole), columns, strict=True):
+        if (wrong := ~np.isfinite(values)).any():
             yield _refuse(
                 "numbers",
                 f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,14 +48,8 @@ def tension_columns(cable_count: int) -> list[str]:
 
 def all_columns(joint_count: int, cable_count: int) -> list[str]:
     """Every column, in the order of the file."""
-    return [
-        TIME,
-        TRIAL,
-        *command_columns(joint_count),
-        LOAD_SEGMENT,
-        *LOAD,
-        *tension_columns(cable_count),
-    ]
+    labels = [TIME, TRIAL, *command_columns(joint_count), LOAD_SEGMENT, *LOAD]
+    return labels + tension_columns(cable_count)
 
 
 def read_csv(path: str | Path, arm: Arm) -> Recording:
@@ -72,16 +67,18 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
     _check_header(path, wanted, arm)
     table = _read_table(path, wanted)
     values = {name: _numbers(path, table, name) for name in wanted}
-    joints = command_columns(arm.joint_count)
-    cables = tension_columns(arm.cable_count)
+
+    def stacked(names: Sequence[str]) -> Array:
+        return np.stack([values[name] for name in names], axis=1)
+
     return Recording(
         name=path.stem,
         time_s=values[TIME],
         trial=_whole(path, TRIAL, values[TRIAL]),
-        command_rad=np.stack([values[name] for name in joints], axis=1),
+        command_rad=stacked(command_columns(arm.joint_count)),
         load_segment=_whole(path, LOAD_SEGMENT, values[LOAD_SEGMENT]),
-        load_n=np.stack([values[name] for name in LOAD], axis=1),
-        tensions_n=np.stack([values[name] for name in cables], axis=1),
+        load_n=stacked(LOAD),
+        tensions_n=stacked(tension_columns(arm.cable_count)),
     )
 
 
@@ -96,7 +93,7 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     joints = command_columns(recording.command_rad.shape[1])
     cables = tension_columns(recording.tensions_n.shape[1])
     table = {
-        TIME: _text(recording.time_s, _TIME_DECIMALS),
+        **_texts([TIME], recording.time_s[:, None], _TIME_DECIMALS),
         TRIAL: recording.trial,
         **_texts(joints, recording.command_rad, _COMMAND_DECIMALS),
         LOAD_SEGMENT: recording.load_segment,
@@ -198,10 +195,10 @@ def _whole(path: Path, name: str, values: Array) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _texts(names: Any, values: Array, decimals: int) -> dict[str, list[str]]:
-    return {name: _text(values[:, i], decimals) for i, name in enumerate(names)}
-
-
-def _text(values: Array, decimals: int) -> list[str]:
-    rounded = np.round(values, decimals) + 0.0  # no -0.0000
-    return [f"{value:.{decimals}f}" for value in rounded.tolist()]
+def _texts(names: Sequence[str], values: Array, decimals: int) -> dict[str, list[str]]:
+    """Columns (R, C) under their names."""
+    columns = (np.round(values, decimals) + 0.0).T.tolist()  # no -0.0000
+    return {
+        name: [f"{value:.{decimals}f}" for value in column]
+        for name, column in zip(names, columns, strict=True)
+    }

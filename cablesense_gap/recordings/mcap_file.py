@@ -49,12 +49,7 @@ class BagRows:
         self._command: Array | None = None
         self._loads: dict[int, Array] = {}
         self._trial: int | None = None
-        self._stamps_ns: list[tuple[int, int]] = []
-        self._commands: list[Array] = []
-        self._segments: list[int] = []
-        self._forces: list[Array] = []
-        self._tensions: list[Array] = []
-        self._trials: list[int | None] = []
+        self._rows: list[tuple[Any, ...]] = []
 
     @property
     def has_commands(self) -> bool:
@@ -64,7 +59,7 @@ class BagRows:
     @property
     def count(self) -> int:
         """Rows so far."""
-        return len(self._tensions)
+        return len(self._rows)
 
     def taken(self, topic: str) -> int:
         """How many messages of a topic have come, the last one included."""
@@ -88,29 +83,19 @@ class BagRows:
             self._take_tensions(log_ns, message, self._command)
 
     def recording(self, name: str) -> Recording:
-        """All rows, time from the first."""
-        stamps = np.array(self._stamps_ns, dtype=np.int64).reshape(-1, 2)
+        """All rows, of which there must be one; time from the first."""
+        logs, stamps, trials, commands, segments, forces, tensions = zip(*self._rows, strict=True)
         # a clock that stamps only some messages is none
-        clock_ns = stamps[:, 1] if (stamps[:, 1] != 0).all() else stamps[:, 0]
-        time_s: Array = (clock_ns - clock_ns[:1]).astype(np.float64) * 1e-9
-        command = np.array(self._commands).reshape(-1, self._arm.joint_count)
-        segment = np.array(self._segments, dtype=np.int64)
-        load_n = np.array(self._forces).reshape(-1, 3)
-        first = next((trial for trial in self._trials if trial is not None), None)
+        clock_ns = np.array(stamps if all(stamps) else logs, dtype=np.int64)
+        time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
+        command, load_n = np.array(commands), np.array(forces)
+        segment = np.array(segments, dtype=np.int64)
+        first = next((trial for trial in trials if trial is not None), None)
         if first is None:
             trial = derive_trials(time_s, command, segment, load_n)
         else:
-            named = [first if number is None else number for number in self._trials]
-            trial = np.array(named, dtype=np.int64)
-        return Recording(
-            name=name,
-            time_s=time_s,
-            trial=trial,
-            command_rad=command,
-            load_segment=segment,
-            load_n=load_n,
-            tensions_n=np.array(self._tensions).reshape(-1, self._arm.cable_count),
-        )
+            trial = np.array([first if n is None else n for n in trials], dtype=np.int64)
+        return Recording(name, time_s, trial, command, segment, load_n, np.array(tensions))
 
     def _take_load(self, message: Any) -> None:
         prefix = message.header.frame_id.rpartition("segment_")[0]
@@ -129,17 +114,12 @@ class BagRows:
         tensions = self._cables.arrange(message.name, message.effort, "effort")
         if not self._keep:
             return
-        if len(self._tensions) >= MAX_ROWS:
+        if len(self._rows) >= MAX_ROWS:
             raise RecordingError(
                 f"more than {MAX_ROWS} samples; three hours at 1 kHz are as many: split it"
             )
-        stamp = message.header.stamp
-        self._tensions.append(tensions)
-        self._stamps_ns.append((log_ns, stamp.sec * 1_000_000_000 + stamp.nanosec))
-        self._commands.append(command)
-        self._segments.append(segment)
-        self._forces.append(force)
-        self._trials.append(self._trial)
+        stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        self._rows.append((log_ns, stamp_ns, self._trial, command, segment, force, tensions))
 
 
 def read_mcap(path: str | Path, arm: Arm) -> Recording:

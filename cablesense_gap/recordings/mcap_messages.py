@@ -14,11 +14,10 @@ import shutil
 import stat
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self, cast
 
 import numpy as np
@@ -242,14 +241,15 @@ class TopicFile:
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._chunk_from_ns = 0
         try:
-            self._writer.open()
-            self._storage.bio.flush()
-            if growing:
-                self._written.replace(self._path)
-                shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
-        except OSError as error:
+            with self._refusing():
+                self._writer.open()
+                self._storage.bio.flush()
+                if growing:
+                    self._written.replace(self._path)
+                    shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
+        except RecordingError:
             self.discard()
-            raise self._cannot(error) from error
+            raise
 
     def add(self, topic: str, kind: str, qos: Qos) -> Any:
         """A channel for a topic's full name and type, to be written to; `qos` as it is offered."""
@@ -268,10 +268,8 @@ class TopicFile:
         elif abs(log_ns - self._chunk_from_ns) >= CHUNK_S * 1e9:
             self.flush()
             self._chunk_from_ns = log_ns
-        try:
+        with self._refusing():
             self._writer.write(channel, log_ns, raw)
-        except OSError as error:
-            raise self._cannot(error) from error
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system.
@@ -279,12 +277,10 @@ class TopicFile:
         Raises:
             RecordingError: it cannot be written.
         """
-        try:
+        with self._refusing():
             if self._storage.chunk.msgs:
                 self._storage.close_chunk()
             self._storage.bio.flush()
-        except OSError as error:
-            raise self._cannot(error) from error
 
     def close(self) -> None:
         """Finish the file, and put it in its place where it is not there yet.
@@ -293,12 +289,11 @@ class TopicFile:
             RecordingError: it cannot be written.
         """
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)  # rosbags writes its metadata there
-            self._writer.close()
-            if not self._growing:
-                self._written.replace(self._path)
-        except OSError as error:
-            raise self._cannot(error) from error
+            with self._refusing():
+                self._folder.mkdir(parents=True, exist_ok=True)  # for rosbags' metadata
+                self._writer.close()
+                if not self._growing:
+                    self._written.replace(self._path)
         finally:
             shutil.rmtree(self._beside, ignore_errors=True)
 
@@ -318,18 +313,18 @@ class TopicFile:
     def _written(self) -> Path:
         return self._folder / f"{self._folder.name}.mcap"
 
-    def _cannot(self, error: OSError) -> RecordingError:
-        return RecordingError(f"{self._path}: cannot be written ({error.strerror or error})")
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            why = error.strerror or error
+            raise RecordingError(f"{self._path}: cannot be written ({why})") from error
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
             self.close()
         else:

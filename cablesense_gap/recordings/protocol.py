@@ -139,19 +139,22 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
             for n in segments
             for side in _STRAIGHT_SIDES
         ),
-        *(_slackening(arm, straight, tip, side, "straight") for side in _SLACKENING_SIDES),
+        *(
+            _cycle(arm, straight, tip, side, "straight", slackening=True)
+            for side in _SLACKENING_SIDES
+        ),
         _steps(arm, straight, tip, "to the left", "straight"),
         _rest(straight, "straight, in the middle"),
         *_single_sweeps(arm, reach_rad),
         _joint_sweep(arm.joint_count, reach_rad, 1.0),
         _reversals(straight, "straight"),
         _move(straight, bent, f"to the {first}"),
-        *(_slackening(arm, bent, n, "down and to the left", first) for n in segments),
+        *(_cycle(arm, bent, n, "down and to the left", first, slackening=True) for n in segments),
         _hold(arm, bent, tip, "down and to the right", first),
         _steps(arm, bent, 1, "down", first),
         _reversals(bent, first),
         _move(bent, -bent, f"to the {second}, the mirror of the first"),
-        *(_slackening(arm, -bent, n, "down and to the right", second) for n in segments),
+        *(_cycle(arm, -bent, n, "down and to the right", second, True) for n in segments),
         _move(-bent, straight, "back to straight"),
         _joint_sweep(arm.joint_count, reach_rad, -1.0),
         _rest(straight, "straight, at the end"),
@@ -169,19 +172,21 @@ def rows_of(blocks: tuple[Block, ...], rate_hz: float) -> ProtocolRows:
     """One row every 1 / `rate_hz`, block after block, each a trial of its own."""
     counts = [max(1, round(block.duration_s * rate_hz)) for block in blocks]
     times = [np.arange(count) / rate_hz for count in counts]
-    commands = [
-        _between(at, block.knots_s, block.commands_rad)
-        for at, block in zip(times, blocks, strict=True)
-    ]
-    loads = [
-        _between(at, block.knots_s, block.loads_n) for at, block in zip(times, blocks, strict=True)
-    ]
-    load_n = np.concatenate(loads)
+
+    def sampled(knots: Sequence[Array]) -> Array:
+        return np.concatenate(
+            [
+                np.stack([np.interp(at, block.knots_s, column) for column in own.T], axis=-1)
+                for at, block, own in zip(times, blocks, knots, strict=True)
+            ]
+        )
+
+    load_n = sampled([block.loads_n for block in blocks])
     segment = np.repeat([block.segment for block in blocks], counts)
     return ProtocolRows(
         time_s=np.arange(sum(counts)) / rate_hz,
         trial=np.repeat(np.arange(len(blocks)), counts),
-        command_rad=np.concatenate(commands),
+        command_rad=sampled([block.commands_rad for block in blocks]),
         load_segment=np.where((load_n != 0.0).any(axis=1), segment, 0),
         load_n=load_n,
     )
@@ -270,9 +275,8 @@ def _tensions_n(mechanism: Mechanism, command_rad: Array, segment: int, loads_n:
 
 
 def _rest(command: Array, where: str) -> Block:
-    return _unloaded(
-        BlockKind.REST, f"Leave the arm alone, {where}.", (0.0, _REST_S), [command] * 2
-    )
+    does = f"Leave the arm alone, {where}."
+    return _unloaded(BlockKind.REST, does, (0.0, _REST_S), [command] * 2)
 
 
 def _move(start: Array, end: Array, where: str) -> Block:
@@ -283,33 +287,23 @@ def _move(start: Array, end: Array, where: str) -> Block:
     return _unloaded(BlockKind.MOVE, does, knots_s, [start, end, end])
 
 
-def _cycle(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = _peak_n(arm, command, segment, side)
-    does = f"{_levels(pose, segment, side, peak_n)}."
-    return _up_and_down(BlockKind.LOAD_CYCLE, does, command, segment, side, peak_n)
-
-
-def _slackening(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = slackening_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
-    does = f"{_levels(pose, segment, side, peak_n)}; a cable may go slack."
-    return _up_and_down(BlockKind.SLACKENING, does, command, segment, side, peak_n)
-
-
-def _levels(pose: str, segment: int, side: str, peak_n: float) -> str:
-    listed = ", ".join(f"{share * peak_n:.3g}" for share in _LEVELS)
-    return f"{pose.capitalize()}: load segment {segment} {side}, {listed} N, and back"
-
-
-def _up_and_down(
-    kind: BlockKind, does: str, command: Array, segment: int, side: str, peak_n: float
+def _cycle(
+    arm: Arm, command: Array, segment: int, side: str, pose: str, slackening: bool = False
 ) -> Block:
     """Up in levels, the strongest twice as long, and down by the same levels."""
+    kind, strength_n = BlockKind.LOAD_CYCLE, bearable_load_n
+    if slackening:
+        kind, strength_n = BlockKind.SLACKENING, slackening_load_n
+    peak_n = strength_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
+    levels = ", ".join(f"{share * peak_n:.3g}" for share in _LEVELS)
+    end = "; a cable may go slack." if slackening else "."
+    does = f"{pose.capitalize()}: load segment {segment} {side}, {levels} N, and back{end}"
     shares = (0.0, *_LEVELS, *_LEVELS[::-1], 0.0)
     return _stepped(kind, does, command, segment, side, peak_n, shares, _LEVEL_S)
 
 
 def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = _peak_n(arm, command, segment, side)
+    peak_n = bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
     does = f"{pose.capitalize()}: put {peak_n:.3g} N {side} on segment {segment} at once, take it "
     shares = (0.0, 1.0) * 3 + (0.0,)
     return _stepped(
@@ -319,21 +313,16 @@ def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Bloc
 
 
 def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = _peak_n(arm, command, segment, side)
+    peak_n = bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
     does = (
         f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {_HOLD_S:g} s, "
         f"take it off, and wait {_RELEASE_S:g} s."
     )
     load = peak_n * np.asarray(DIRECTIONS[side])
-    knots_s = np.array([0.0, _LEVEL_S, _LEVEL_S, _LEVEL_S + _HOLD_S, _LEVEL_S + _HOLD_S])
-    return Block(
-        BlockKind.HOLD,
-        does,
-        np.append(knots_s, _LEVEL_S + _HOLD_S + _RELEASE_S),
-        np.repeat(command[None], 6, axis=0),
-        segment,
-        np.outer([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], load),
-    )
+    off_s = _LEVEL_S + _HOLD_S
+    knots_s = np.array([0.0, _LEVEL_S, _LEVEL_S, off_s, off_s, off_s + _RELEASE_S])
+    loads = np.outer([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], load)
+    return Block(BlockKind.HOLD, does, knots_s, np.tile(command, (6, 1)), segment, loads)
 
 
 def _single_sweeps(arm: Arm, reach_rad: float) -> Iterator[Block]:
@@ -385,21 +374,12 @@ def _unloaded(
     return Block(kind, does, knots, way, 0, np.zeros((len(knots), 3)))
 
 
-def _between(time_s: Array, knots_s: Array, values: Array) -> Array:
-    return np.stack([np.interp(time_s, knots_s, column) for column in values.T], axis=-1)
-
-
 def _times_s(way: Array) -> Array:
-    legs = [_way_s(a, b) for a, b in pairwise(way)]
-    return np.concatenate([[0.0], np.cumsum(legs)])
+    return np.append(0.0, np.cumsum([_way_s(a, b) for a, b in pairwise(way)]))
 
 
 def _way_s(start: Array, end: Array) -> float:
     return max(0.2, float(np.abs(end - start).max()) / _SPEED_RAD_S)
-
-
-def _peak_n(arm: Arm, command: Array, segment: int, side: str) -> float:
-    return bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
 
 
 def _pattern(joint_count: int, turn: int = 0) -> Array:

@@ -12,7 +12,7 @@ The arm unloaded again belongs to the trial of the load before: it shows what th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -72,15 +72,8 @@ class Recording:
 
     def rows(self, chosen: NDArray[Any] | slice) -> Recording:
         """The chosen rows: a mask (R,), indices or a slice."""
-        return replace(
-            self,
-            time_s=self.time_s[chosen],
-            trial=self.trial[chosen],
-            command_rad=self.command_rad[chosen],
-            load_segment=self.load_segment[chosen],
-            load_n=self.load_n[chosen],
-            tensions_n=self.tensions_n[chosen],
-        )
+        columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        return replace(self, **{name: column[chosen] for name, column in columns.items()})
 
 
 def rows_named(wrong: NDArray[Any]) -> str:
@@ -102,43 +95,29 @@ def derive_trials(
     """Trial (R,) of each row, from 0, for times (R,), commands (R, 2N) and loads (R,), (R, 3)."""
     if len(time_s) == 0:
         return np.zeros(0, dtype=np.int64)
-    begins = _after_gap(time_s) | _starts_to_move(time_s, command_rad)
-    begins |= _starts_to_bear(time_s, load_segment, load_n)
+    intervals = np.diff(time_s)
+    usual = float(np.median(intervals)) if intervals.size else 0.0
+    gap = np.append(False, intervals > max(_GAP_S, _GAP_INTERVALS * usual))
+    changed = np.append(False, (np.diff(command_rad, axis=0) != 0.0).any(axis=1))
+    # stamps as floats: a move every _STILL_S must not count by their rounding
+    moves = changed & (time_s - _last(time_s, changed)[1] > _STILL_S + 1e-6)
+    begins = gap | moves | _starts_to_bear(time_s, load_segment, load_n)
     begins[0] = False
     return np.cumsum(begins, dtype=np.int64)
 
 
-def _after_gap(time_s: Array) -> NDArray[np.bool_]:
-    intervals = np.diff(time_s)
-    usual = float(np.median(intervals)) if intervals.size else 0.0
-    return np.concatenate([[False], intervals > max(_GAP_S, _GAP_INTERVALS * usual)])
-
-
-def _starts_to_move(time_s: Array, command_rad: Array) -> NDArray[np.bool_]:
-    changed = np.concatenate([[False], (np.diff(command_rad, axis=0) != 0.0).any(axis=1)])
-    # stamps as floats: a move every _STILL_S must not count by their rounding
-    return changed & (time_s - _last(time_s, changed) > _STILL_S + 1e-6)
-
-
 def _starts_to_bear(time_s: Array, segment: NDArray[np.int64], load_n: Array) -> NDArray[np.bool_]:
     loaded = segment > 0
-    before = _last_row(loaded)
-    known = before >= 0
-    last = np.where(known, before, 0)
-    rested = time_s - np.where(known, time_s[last], -np.inf) > _REST_S + 1e-6
+    last, last_s = _last(time_s, loaded)
+    rested = time_s - last_s > _REST_S + 1e-6
     size = np.linalg.norm(load_n, axis=1)
     along = (load_n * load_n[last]).sum(axis=1)
     other_side = along < _SAME_SIDE_COSINE * size * size[last]
     return loaded & (rested | (segment != segment[last]) | other_side)
 
 
-def _last(time_s: Array, marked: NDArray[np.bool_]) -> Array:
-    """(R,) time of the latest marked row before each row; long ago where there is none."""
-    row = _last_row(marked)
-    return np.where(row >= 0, time_s[np.maximum(row, 0)], -np.inf)
-
-
-def _last_row(marked: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(R,) number of the latest marked row before each row, -1 where there is none."""
+def _last(time_s: Array, marked: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
+    """(R,) number and time of the latest marked row before each; 0, long ago, if there is none."""
     rows = np.where(marked, np.arange(len(marked)), -1)
-    return np.concatenate([[-1], np.maximum.accumulate(rows)[:-1]]).astype(np.int64)
+    before = np.append(-1, np.maximum.accumulate(rows)[:-1])
+    return np.maximum(before, 0), np.where(before >= 0, time_s[before], -np.inf)

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablesense_gap.recordings.checks import Severity, check_form, check_recording, read_recording
+from cablesense_gap.recordings.checks import (
+    Finding,
+    RecordingReport,
+    Severity,
+    check_form,
+    check_recording,
+    read_recording,
+)
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
 from cablesense_gap.recordings.recording import Recording, RecordingError
@@ -19,6 +26,10 @@ from cablesense_sim.replay import read_tensions_n
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 MECHANISM = mechanism_of(LAB)
 ROWS = protocol_rows(LAB, standard_protocol(LAB), 2.0)
+
+
+def of_kind(report: RecordingReport, kind: str) -> list[Finding]:
+    return [finding for finding in report.findings if finding.kind == kind]
 
 
 def tensions_of(mechanism, recording):
@@ -94,7 +105,7 @@ def test_nor_are_gains_and_offsets(gain):
 )
 def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, said):
     report = check_recording(broken, LAB)
-    assert report.of_kind(kind), report.findings
+    assert of_kind(report, kind), report.findings
     assert not report.usable
     assert report.findings[0].severity is Severity.REFUSE
     with pytest.raises(RecordingError, match=said):
@@ -113,7 +124,7 @@ def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, sai
 def test_what_is_odd_is_a_warning(odd, kind, said):
     report = check_recording(odd, LAB)
     assert report.usable
-    assert any(said in finding.text for finding in report.of_kind(kind)), report.findings
+    assert any(said in finding.text for finding in of_kind(report, kind)), report.findings
 
 
 def test_a_break_within_a_trial_is_a_warning():
@@ -146,7 +157,7 @@ def test_a_dead_and_a_dying_channel_are_stuck():
     for nominal in (None, NOMINAL):
         assert (
             "tension_4_n is 0 N"
-            in check_recording(with_tensions(dead), LAB, nominal).of_kind("stuck")[0].text
+            in of_kind(check_recording(with_tensions(dead), LAB, nominal), "stuck")[0].text
         )
     finding = only(check_recording(with_tensions(dying), LAB, NOMINAL))
     assert finding.kind == "stuck"
@@ -155,11 +166,11 @@ def test_a_dead_and_a_dying_channel_are_stuck():
 
 def test_saturation_is_found_with_and_without_a_stated_range():
     clipped = with_tensions(lambda t: np.minimum(t, 90.0))
-    found = check_recording(clipped, LAB, NOMINAL).of_kind("saturated")
+    found = of_kind(check_recording(clipped, LAB, NOMINAL), "saturated")
     assert any(finding.text.startswith("tension_1_n does not exceed 90 N") for finding in found)
     sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 90.0)})
     stated = LAB.model_copy(update={"sensors": sensors})
-    found = check_recording(clipped, stated).of_kind("saturated")
+    found = of_kind(check_recording(clipped, stated), "saturated")
     assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in found)
 
 
@@ -173,7 +184,7 @@ def test_another_arm_and_other_units_are_refused():
     ):
         report = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
         assert not report.usable
-        assert report.of_kind(kind), report.findings
+        assert of_kind(report, kind), report.findings
 
 
 def test_a_recording_at_rest_has_no_findings_of_channels():
