@@ -70,7 +70,7 @@ def main() -> None:
     options = parser.parse_args()
     start = time.perf_counter()
     result: dict[str, Any] = {
-        **harness.origin("python " + " ".join(["benchmarks/accuracy.py", *sys.argv[1:]])),
+        **harness.origin(),
         "seed": TEST_SEED,
         "samples": options.samples,
         "paper": PAPER,

@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for angle in ANGLES_DEG
     ]
     report = {
-        **harness.origin("python benchmarks/admittance.py --write", ["mujoco"]),
+        **harness.origin("mujoco"),
         "assumed_worst_stiffness_n_m": settings.law.worst_stiffness_n_m,
         "deadband_n": settings.law.deadband_n,
         "period_s": PERIOD_S,

@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         and hard["converged"] == hard["cases"]
     )
     report = {
-        **harness.origin("python benchmarks/equilibria.py --write", ["numpy", "mujoco"]),
+        **harness.origin("numpy", "mujoco"),
         "workers": f"{workers} processes with one BLAS thread each",
         "load_average_at_the_end": os.getloadavg()[0],
         "bar": {"per_second": BAR_PER_S, "cdsm_lab_ratio_as_run": RATIO_BAR, "met": met},

@@ -20,8 +20,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import harness
 import numpy as np
@@ -54,19 +54,6 @@ SINK_QOS = Qos(depth=1000, reliable=True)
 
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
-
-
-@dataclass(frozen=True)
-class PathFigures:
-    """One path's figures; latencies in µs."""
-
-    sent: int
-    received: int
-    lost: int
-    median_us: float
-    p90_us: float
-    p99_us: float
-    worst_us: float
 
 
 class RelayNode(Node):
@@ -173,8 +160,8 @@ def _publish(
     return stamps
 
 
-def measure(arm_name: str, seconds: float) -> dict[str, object]:
-    """Run everything; figures by path."""
+def measure(arm_name: str, seconds: float) -> dict[str, Any]:
+    """Run everything; the result by path, with its origin and the bars."""
     os.environ.update(own_graph())
     arm = open_arm(arm_name)
     blocks = round(seconds / BLOCK_S)
@@ -204,65 +191,54 @@ def measure(arm_name: str, seconds: float) -> dict[str, object]:
             raise SystemExit(f"a process under test failed: {codes}")
         arrived = dict(np.load(file))
     interleaved = blocks * round(BLOCK_S * RATE_HZ)
-    figures = {path: _figures(sent[path][:interleaved], arrived[path]) for path in PATHS}
-    sustained = _figures(sent["estimator"][interleaved:], arrived["estimator"])
+    paths = {path: _latencies(sent[path][:interleaved], arrived[path]) for path in PATHS}
+    sustained = _latencies(sent["estimator"][interleaved:], arrived["estimator"])
+    ratios = {
+        relay: {
+            name: paths["estimator"][f"{name}_us"] / paths[relay][f"{name}_us"]
+            for name in ("median", "p99")
+        }
+        for relay in PATHS[1:]
+    }
+    bars = {"none lost while sustained": sustained["lost"] == 0}
+    for relay, ratio in ratios.items():
+        bars[f"median at most {MEDIAN_BAR} times {relay}"] = ratio["median"] <= MEDIAN_BAR
+        bars[f"p99 at most {P99_BAR} times {relay}"] = ratio["p99"] <= P99_BAR
     return {
-        "paths": {path: asdict(figure) for path, figure in figures.items()},
-        "sustained": {"seconds": seconds, **asdict(sustained)},
-        "ratios": {
-            relay: {
-                "median": figures["estimator"].median_us / figures[relay].median_us,
-                "p99": figures["estimator"].p99_us / figures[relay].p99_us,
-            }
-            for relay in PATHS[1:]
-        },
+        **harness.origin("rclpy"),
+        "load": round(os.getloadavg()[0], 2),
+        "arm": arm_name,
+        "rate_hz": RATE_HZ,
+        "paths": paths,
+        "sustained": {"seconds": seconds, **sustained},
+        "ratios": ratios,
+        "bars": bars,
     }
 
 
-def _figures(sent: Sequence[int], arrived: NDArray[np.int64]) -> PathFigures:
+def _latencies(sent: Sequence[int], arrived: NDArray[np.int64]) -> dict[str, Any]:
+    """One path's counts and latencies, µs."""
     wanted = np.isin(arrived[:, 0], np.asarray(sent))
     latency = (arrived[wanted, 1] - arrived[wanted, 0]) * 1e-3
     received = len(np.unique(arrived[wanted, 0]))
     if not received:
         raise SystemExit("nothing arrived at the sink; see the log above")
-    median, p90, p99 = np.percentile(latency, [50.0, 90.0, 99.0]).round(1).tolist()
-    return PathFigures(
-        len(sent), received, len(sent) - received, median, p90, p99, round(float(latency.max()), 1)
-    )
+    percentiles = np.percentile(latency, [50.0, 90.0, 99.0, 100.0]).round(1).tolist()
+    names = ("median_us", "p90_us", "p99_us", "worst_us")
+    counts = {"sent": len(sent), "received": received, "lost": len(sent) - received}
+    return counts | dict(zip(names, percentiles, strict=True))
 
 
-def report(result: dict[str, object], arm_name: str, seconds: float) -> dict[str, object]:
-    """The result with what made it and the bars."""
-    ratios, sustained = result["ratios"], result["sustained"]
-    assert isinstance(ratios, dict)
-    assert isinstance(sustained, dict)
-    bars = {"none lost while sustained": sustained["lost"] == 0}
-    for relay, ratio in ratios.items():
-        bars[f"median at most {MEDIAN_BAR} times {relay}"] = bool(ratio["median"] <= MEDIAN_BAR)
-        bars[f"p99 at most {P99_BAR} times {relay}"] = bool(ratio["p99"] <= P99_BAR)
-    command = f"python benchmarks/estimator_latency.py --seconds {seconds:g} --write"
-    return {
-        **harness.origin(command, ["rclpy"]),
-        "load": round(os.getloadavg()[0], 2),
-        "arm": arm_name,
-        "rate_hz": RATE_HZ,
-        **result,
-        "bars": bars,
-    }
-
-
-def _print(result: dict[str, object]) -> None:
+def _print(result: dict[str, Any]) -> None:
     print(f"{'path':<22}{'sent':>8}{'lost':>6}{'median':>9}{'p90':>9}{'p99':>9}{'worst':>10}  µs")
-    rows = {**result["paths"], "estimator, sustained": result["sustained"]}  # type: ignore[dict-item]
-    for name, row in rows.items():
+    for name, row in {**result["paths"], "estimator, sustained": result["sustained"]}.items():
         print(
             f"{name:<22}{row['sent']:>8}{row['lost']:>6}{row['median_us']:>9}{row['p90_us']:>9}"
             f"{row['p99_us']:>9}{row['worst_us']:>10}"
         )
-    for relay, ratio in result["ratios"].items():  # type: ignore[attr-defined]
+    for relay, ratio in result["ratios"].items():
         print(f"estimator over {relay}: median {ratio['median']:.2f}, p99 {ratio['p99']:.2f}")
-    for bar, kept in result["bars"].items():  # type: ignore[attr-defined]
-        print(f"{'kept  ' if kept else 'MISSED'} {bar}")
+    harness.print_bars(result["bars"])
 
 
 def main() -> int:
@@ -270,7 +246,7 @@ def main() -> int:
     parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--seconds", type=float, default=30.0, help="time for each path")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--role", choices=("sink", *PATHS[1:]), help=argparse.SUPPRESS)
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -280,7 +256,7 @@ def main() -> int:
         return run_node(lambda: RelayNode(given.role), [])
     if given.seconds < BLOCK_S:
         parser.error(f"--seconds must be at least {BLOCK_S:g}")
-    result = report(measure(given.arm, given.seconds), given.arm, given.seconds)
+    result = measure(given.arm, given.seconds)
     if given.json:
         print(json.dumps(result, indent=2))
     else:

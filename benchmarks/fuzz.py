@@ -142,7 +142,7 @@ def _report(
         inputs[target["unit"]] += target["inputs"]
     kinds = ("crashes", "hangs", "memory", "escaped", "false_answers")
     return {
-        **harness.origin("python benchmarks/fuzz.py --write", _LIBRARIES),
+        **harness.origin(*_LIBRARIES),
         "run_s": round(run_s, 1),
         "bars": BARS,
         "in all": {

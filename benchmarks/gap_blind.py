@@ -52,9 +52,7 @@ def main() -> None:
     began = time.monotonic()
     verdicts = _verdicts(folder, options.workers)
     result = {
-        **harness.origin(
-            f"python benchmarks/gap_blind.py --count {options.count} --seed {options.seed}"
-        ),
+        **harness.origin(),
         "arm": ARM,
         "seed": options.seed,
         "minutes": round((time.monotonic() - began) / 60.0, 1),

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -77,7 +76,7 @@ def main() -> None:
             {n: (answers[n].effects, e) for n, (e, _) in hurt.items() if e >= options.least}
         )
         result: dict[str, Any] = {
-            **harness.origin("python " + " ".join(["benchmarks/gap_retrain.py", *sys.argv[1:]])),
+            **harness.origin(),
             "arm": ARM,
             "drawn": options.count,
             "hurt_by_at_least_n": options.least,

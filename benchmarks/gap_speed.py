@@ -13,7 +13,6 @@ Rows where the arm has more than one place to rest count in neither.
 from __future__ import annotations
 
 import csv
-import json
 import os
 import subprocess
 import sys
@@ -84,16 +83,14 @@ def main() -> None:
         recording = read_recording(folder / "case_001.csv", open_arm(ARM))
         truth = next(csv.DictReader(answers.open()))
         result = {
-            **harness.origin("python " + " ".join(["benchmarks/gap_speed.py", *sys.argv[1:]])),
+            **harness.origin(),
             "load_average_before": [round(load, 1) for load in os.getloadavg()],
             "rows": len(recording),
             "hidden": {key: truth[key] for key in ("effects", "where", "form", "gap_n")},
             "diagnosis": _diagnosed(folder / "case_001.csv", folder / "out"),
             "mujoco_sysid": _fitted(recording),
         }
-    print(json.dumps(result, indent=1))
-    if options.write:
-        harness.write_result(RESULT, result)
+    harness.publish(RESULT, result, options)
 
 
 def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:

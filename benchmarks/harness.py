@@ -1,8 +1,7 @@
 """The harness of all benchmarks: options, the origin of a result, its file, process statistics.
 
-A benchmark is a script beside this file. `parser` gives its options, among them `--write`;
-`origin` gives the first entries of its result: command, time, machine and versions;
-`write_result` puts the result under `results/`, whole or not at all.
+A benchmark is a script beside this file: `parser` gives its options, `origin` the first entries
+of its result, `publish` or `write_result` its file under `results/`.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -33,26 +31,35 @@ END_WITHIN_S = 20.0
 
 
 def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
-    """The parser of a benchmark's options, with `--write`.
-
-    Args:
-        doc: the script's docstring, whose first line describes it.
-        writes: the names of the files that `--write` writes, for the help text.
-    """
+    """The parser of a script's options, with `--write` for the files that `writes` names."""
     made = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
     made.add_argument("--write", action="store_true", help=f"write {writes}")
     return made
 
 
-def origin(command: str, libraries: Sequence[str] = ()) -> dict[str, Any]:
+def origin(*libraries: str) -> dict[str, Any]:
     """Where a result comes from: command line, time (UTC), machine, versions of `libraries`."""
+    script = Path(sys.argv[0]).name
     return {
-        "command": command,
+        "command": " ".join(["python", f"benchmarks/{script}", *sys.argv[1:]]),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
         **{name: version(name) for name in libraries},
     }
+
+
+def publish(name: str, result: dict[str, Any], options: argparse.Namespace) -> None:
+    """Print a result as JSON, and with `--write` write it."""
+    print(json.dumps(result, indent=1))
+    if options.write:
+        write_result(name, result)
+
+
+def print_bars(bars: dict[str, bool]) -> None:
+    """Print a line for each bar, kept or missed."""
+    for bar, kept in bars.items():
+        print(f"{'kept  ' if kept else 'MISSED'} {bar}")
 
 
 def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Path:
@@ -64,18 +71,13 @@ def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Pa
     return path
 
 
-_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
-_TICKS_S = os.sysconf("SC_CLK_TCK")
-_USER_TICKS, _SYSTEM_TICKS = 11, 12  # in the fields after the name, which may hold spaces
-
-
 def rss_mb(pid: int) -> float:
     """Memory of a process that lies in RAM, MB (10^6 bytes); NaN when it has ended."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     except (OSError, IndexError):
         return float("nan")
-    return pages * _PAGE_BYTES / 1e6
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def cpu_s(pid: int) -> float:
@@ -84,8 +86,8 @@ def cpu_s(pid: int) -> float:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return float("nan")
-    fields = stat.rpartition(")")[2].split()
-    return (int(fields[_USER_TICKS]) + int(fields[_SYSTEM_TICKS])) / _TICKS_S
+    fields = stat.rpartition(")")[2].split()  # behind the name, which may hold spaces
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def shared_memory_mb() -> float:

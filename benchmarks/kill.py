@@ -17,7 +17,6 @@ liveliness that the estimator offers on `~/wrench`. Right is a force on the righ
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -237,13 +236,8 @@ def main() -> int:
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     given = parser.parse_args()
     os.environ.update(own_graph())
-    options = f"--times {given.times} --rate-hz {given.rate_hz:g} --write"
-    measured = measure(given.arm, given.rate_hz, given.times)
-    origin = harness.origin(f"python benchmarks/kill.py {options}", ["rclpy"])
-    result = {**origin, **measured}
-    print(json.dumps(result, indent=2))
-    if given.write:
-        harness.write_result("kill.json", result)
+    result = harness.origin("rclpy") | measure(given.arm, given.rate_hz, given.times)
+    harness.publish("kill.json", result, given)
     return 0
 
 

@@ -9,8 +9,6 @@ Table II's physical rows are put to gradient boosting as well.
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -49,15 +47,13 @@ def main() -> None:
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     figures["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
     result = {
-        **harness.origin("python " + " ".join(["benchmarks/multi_contact.py", *sys.argv[1:]])),
+        **harness.origin(),
         "seed": TEST_SEED,
         "samples": options.samples,
         "several_contacts": figures,
         "table2_gradient_boosting": _table2(),
     }
-    print(json.dumps(result, indent=1))
-    if options.write:
-        harness.write_result("multi_contact.json", result)
+    harness.publish("multi_contact.json", result, options)
 
 
 def _table2() -> list[dict[str, Any]]:

@@ -69,7 +69,7 @@ def _summary(studies: list[dict[str, Any]], wall_s: float | None) -> dict[str, A
         if comparison["source"] == "the paper"
     )
     return {
-        **origin(" ".join(["python benchmarks/paper.py", *sys.argv[1:]])),
+        **origin(),
         "load_average_at_the_end": os.getloadavg()[0],
         "seconds": round(sum(study["seconds"] for study in studies), 1),
         "seconds_of_the_command": wall_s,

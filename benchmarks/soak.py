@@ -18,7 +18,6 @@ one clock.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -283,11 +282,8 @@ def main() -> int:
     for map_name in [given.only] if given.only else [PACKED, CIA404]:
         run = measure(given.arm, map_name, minutes[map_name])
         runs.append({**run, "bars": bars(run)})
-    command = f"python benchmarks/soak.py --minutes {given.minutes:g} --write"
-    result = {**harness.origin(command, ["rclpy"]), "arm": given.arm, "runs": runs}
-    print(json.dumps(result, indent=2))
-    if given.write:
-        harness.write_result("soak.json", result)
+    result = {**harness.origin("rclpy"), "arm": given.arm, "runs": runs}
+    harness.publish("soak.json", result, given)
     return 0
 
 

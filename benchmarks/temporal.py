@@ -12,7 +12,6 @@ the time since. `--write` puts `temporal.json`, `temporal.md` and a picture into
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
@@ -87,7 +86,7 @@ def main() -> None:
     options = parser.parse_args()
     protocol = MotionProtocol(sequences=options.sequences, duration_s=options.duration)
     result: dict[str, Any] = {
-        **harness.origin("python " + " ".join(["benchmarks/temporal.py", *sys.argv[1:]])),
+        **harness.origin(),
         "seeds": [SEED, LONG_SEED],
         "protocol": protocol.options(),
         "arms": {},

@@ -39,7 +39,7 @@ def main() -> int:
         seconds = time.perf_counter() - start
     figures = json.loads(done.stdout)
     result = {
-        **harness.origin("python " + " ".join(["benchmarks/training.py", *sys.argv[1:]])),
+        **harness.origin(),
         "trained_by": " ".join(["cablesense", *command]),
         "seconds_in_all": round(seconds, 1),
         "seconds_of_training": round(figures["training_seconds"], 1),
@@ -48,9 +48,7 @@ def main() -> int:
         "magnitude_mae_n": figures["single"]["errors"]["magnitude_mae_n"],
         "bar_seconds": BAR_S,
     }
-    print(json.dumps(result, indent=1))
-    if options.write:
-        harness.write_result("training.json", result)
+    harness.publish("training.json", result, options)
     return 0 if seconds <= BAR_S else 1
 
 
