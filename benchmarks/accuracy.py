@@ -35,9 +35,6 @@ from cablesense_training.evaluation.comparison import (
     metrics_json,
     multi_protocol,
 )
-from cablesense_training.evaluation.metrics import (
-    SingleContactMetrics,
-)
 from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import fit
 from cablesense_training.inference.estimator import Estimator
@@ -81,9 +78,9 @@ def main() -> None:
         dataset = draw_dataset(
             setting.arm, setting.protocol(options.samples), TEST_SEED, workers=options.workers
         )
-        figures = evaluate_setting(setting, dataset)
+        evaluation = evaluate_setting(setting, dataset)
         extra = {} if options.quick else _trained_baselines(setting, dataset, options.workers)
-        result["single"][setting.name] = _setting_json(figures, extra)
+        result["single"][setting.name] = _setting_json(evaluation, extra)
     multi = draw_dataset(
         open_arm(MULTI_ARM), multi_protocol(options.samples), TEST_SEED, workers=options.workers
     )
@@ -124,23 +121,19 @@ def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[st
     return baselines
 
 
-def _setting_json(figures: SettingEvaluation, extra: dict[str, Any]) -> dict[str, Any]:
-    shipped = figures.models[SHIPPED]
-    bundled = {n: metrics_json(m) for n, m in figures.models.items() if n != SHIPPED}
+def _setting_json(evaluation: SettingEvaluation, extra: dict[str, Any]) -> dict[str, Any]:
+    shipped, errors = evaluation.models[SHIPPED], evaluation.models[SHIPPED].errors
+    bundled = {n: metrics_json(m) for n, m in evaluation.models.items() if n != SHIPPED}
     return {
-        "shipped": {**metrics_json(shipped), **_uncertainty(shipped)},
-        "mae_over_bound_above_2_n": figures.firm_ratio,
-        "bound": asdict(figures.bound),
+        "shipped": {
+            **metrics_json(shipped),
+            "magnitude_coverage95": errors.magnitude_coverage95,
+            "direction_coverage95": errors.direction_coverage95,
+        },
+        "mae_over_bound_above_2_n": evaluation.firm_ratio,
+        "bound": asdict(evaluation.bound),
         "peers": {**bundled, **extra},
         "confusion": [list(row) for row in shipped.confusion],
-    }
-
-
-def _uncertainty(metrics: SingleContactMetrics) -> dict[str, float]:
-    errors = metrics.errors
-    return {
-        "magnitude_coverage95": errors.magnitude_coverage95,
-        "direction_coverage95": errors.direction_coverage95,
     }
 
 
@@ -169,25 +162,29 @@ def markdown(result: dict[str, Any]) -> str:
         "The paper's numbers are for a straight arm without noise and without contact-free "
         "samples.",
     ]
+    headings = [heading for heading, _, _ in _COLUMNS]
     for name, setting in result["single"].items():
-        lines += ["", f"## {name.replace('_', ' ')}", "", *_HEADER]
+        lines += ["", f"## {name.replace('_', ' ')}", "", *_head("estimator", *headings)]
         lines.append(_row("**shipped model**", setting["shipped"]))
-        lines += [_row(peer.replace("_", " "), f) for peer, f in setting["peers"].items()]
+        lines += [_row(baseline.replace("_", " "), m) for baseline, m in setting["peers"].items()]
         lines.append(_row("noise bound", setting["bound"]))
         lines.append(_row("the paper", result["paper"]))
         ratio = setting["mae_over_bound_above_2_n"]
         lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}.", ""]
-        lines += _BIN_HEADER
+        columns = ("force, N", "contact", "direction MAE, °", "force MAE, N")
+        lines += _head("estimator", *columns)
         lines += _bin_rows("shipped", setting["shipped"])
         lines += _bin_rows("two stage", setting["peers"]["two_stage"])
-    lines += ["", "## several contacts", "", *_MULTI_HEADER]
+    lines += ["", "## several contacts", ""]
+    lines += _head("estimator", "recognised", "macro F1", "force MAE per segment, N")
     for name, multi in result["multi"].items():
         errors = ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
         lines.append(
             f"| {name.replace('_', ' ')} | {multi['recognition_accuracy']:.2%} "
             f"| {multi['macro_f1']:.4f} | {errors} |"
         )
-    lines += ["", "## Table II, physical rows", "", *_TABLE2_HEADER]
+    lines += ["", "## Table II, physical rows", ""]
+    lines += _head("estimator", "true", "estimated", "off from down", "error")
     for name, rows in result["table2"].items():
         for row in rows:
             error = row["magnitude_n"] / row["true_n"] - 1.0
@@ -200,46 +197,33 @@ def markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-_HEADER = (
-    "| estimator | contact | direction MAE, ° | force MAE, N | force RMSE, N "
-    "| 95 % interval holds | training, s |",
-    "| --- | --- | --- | --- | --- | --- | --- |",
-)
-_BIN_HEADER = (
-    "| estimator | force, N | contact | direction MAE, ° | force MAE, N |",
-    "| --- | --- | --- | --- | --- |",
-)
-_MULTI_HEADER = (
-    "| estimator | recognised | macro F1 | force MAE per segment, N |",
-    "| --- | --- | --- | --- |",
-)
-_TABLE2_HEADER = (
-    "| estimator | true | estimated | off from down | error |",
-    "| --- | --- | --- | --- | --- |",
+_COLUMNS = (
+    ("contact", "contact_accuracy", ".2%"),
+    ("direction MAE, °", "direction_mae_deg", ".3f"),
+    ("force MAE, N", "magnitude_mae_n", ".3f"),
+    ("force RMSE, N", "magnitude_rmse_n", ".3f"),
+    ("95 % interval holds", "coverage95", ".1%"),
+    ("training, s", "training_seconds", ".0f"),
 )
 
 
-def _row(name: str, figures: dict[str, Any]) -> str:
-    def shown(key: str, form: str) -> str:
-        return format(figures[key], form) if figures.get(key) is not None else ""
-
-    cells = (
-        name,
-        shown("contact_accuracy", ".2%"),
-        shown("direction_mae_deg", ".3f"),
-        shown("magnitude_mae_n", ".3f"),
-        shown("magnitude_rmse_n", ".3f"),
-        shown("coverage95", ".1%"),
-        shown("training_seconds", ".0f"),
-    )
-    return "| " + " | ".join(cells) + " |"
+def _head(*columns: str) -> list[str]:
+    return [f"| {' | '.join(columns)} |", f"|{' --- |' * len(columns)}"]
 
 
-def _bin_rows(name: str, figures: dict[str, Any]) -> list[str]:
+def _row(name: str, metrics: dict[str, Any]) -> str:
+    cells = [
+        format(metrics[key], form) if metrics.get(key) is not None else ""
+        for _, key, form in _COLUMNS
+    ]
+    return f"| {' | '.join([name, *cells])} |"
+
+
+def _bin_rows(name: str, metrics: dict[str, Any]) -> list[str]:
     return [
         f"| {name} | {b['low_n']:g}–{b['high_n']:g} | {b['contact_accuracy']:.2%} "
         f"| {b['direction_mae_deg']:.3f} | {b['magnitude_mae_n']:.3f} |"
-        for b in figures["by_force"]
+        for b in metrics["by_force"]
     ]
 
 

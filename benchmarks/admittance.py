@@ -167,11 +167,10 @@ def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) ->
 
 
 def _real_nodes() -> dict[str, Any]:
-    """The figures of one headless demo."""
+    """The metrics of one headless demo."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "demo"]
-        command += ["--controller", "admittance", "--headless", "--json"]
-        command += ["--duration", f"{DEMO_S:g}", "--out", folder]
+        command = [*harness.CABLESENSE, "demo", "--controller", "admittance", "--headless"]
+        command += ["--json", "--duration", f"{DEMO_S:g}", "--out", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)
     del found["picture"]

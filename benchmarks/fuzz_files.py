@@ -349,7 +349,7 @@ def make_parquet(seed: int) -> Run:
     content = _content(".parquet", lambda path: write_dataset(path, dataset))
 
     def make(rng: random.Random, item: int) -> tuple[bytes, str]:
-        if rng.random() < 0.5:  # the end says where all lies, and how much
+        if rng.random() < 0.5:  # offsets and sizes stand at the end
             at = rng.randrange(max(0, len(content) - 12_000), len(content))
             return content[:at] + mutated_bytes(rng, content[at:], most=2), ".parquet"
         return mutated_bytes(rng, content), ".parquet"

@@ -12,6 +12,7 @@ Rows where the arm has more than one place to rest count in neither.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import subprocess
@@ -95,14 +96,12 @@ def main() -> None:
 
 def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     """Wall seconds and peak memory of the verb, all of its processes together."""
-    command = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
-    command += ["gap", "diagnose", str(recording), "--arm", ARM, "--out", str(out)]
-    began, peak_bytes = time.monotonic(), 0
-    with subprocess.Popen(
-        [*command, "--workers", str(WORKERS)], stdout=subprocess.DEVNULL
-    ) as running:
+    command = [*harness.CABLESENSE, "gap", "diagnose", str(recording), "--arm", ARM]
+    command += ["--out", str(out), "--workers", str(WORKERS)]
+    began, peak_mb = time.monotonic(), 0.0
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         while running.poll() is None:
-            peak_bytes = max(peak_bytes, _resident_bytes(running.pid))
+            peak_mb = max(peak_mb, _resident_mb(running.pid))
             time.sleep(0.1)
     seconds = time.monotonic() - began
     if running.returncode:
@@ -111,7 +110,7 @@ def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     return {
         "workers": WORKERS,
         "seconds": round(seconds, 1),
-        "peak_memory_mb": round(peak_bytes / 1e6),
+        "peak_memory_mb": round(peak_mb),
         "candidates": len(verdict.candidates),
         "effects": list(verdict.effects),
         "probability": round(verdict.probability, 3),
@@ -121,19 +120,16 @@ def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     }
 
 
-def _resident_bytes(pid: int) -> int:
+def _resident_mb(pid: int) -> float:
     """Of a process and all that it started; pages that they share count in each."""
-    total, open_pids = 0, [pid]
-    page = os.sysconf("SC_PAGE_SIZE")
+    total_mb, open_pids = 0.0, [pid]
     while open_pids:
-        at = Path("/proc") / str(open_pids.pop())
-        try:
-            total += int((at / "statm").read_text().split()[1]) * page
-            for task in (at / "task").iterdir():
-                open_pids += [int(p) for p in (task / "children").read_text().split()]
-        except OSError:  # ended meanwhile
-            continue
-    return total
+        pid = open_pids.pop()
+        with contextlib.suppress(OSError):  # ended meanwhile
+            total_mb += np.nan_to_num(harness.rss_mb(pid))
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                open_pids += map(int, (task / "children").read_text().split())
+    return total_mb
 
 
 def _fitted(recording: Recording) -> dict[str, Any]:

@@ -40,17 +40,17 @@ def main() -> None:
     options = parser.parse_args()
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(options.samples), TEST_SEED)
-    figures = {name: asdict(found.metrics) for name, found in evaluate_multi_models(test).items()}
+    metrics = {name: asdict(found.metrics) for name, found in evaluate_multi_models(test).items()}
     training = draw_dataset(arm, multi_protocol(TRAINING_SAMPLES), seed=0)
     answer = MultiBoostingBaseline(training).answer(test)
-    figures["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
+    metrics["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
-    figures["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
+    metrics["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
     result = {
         **harness.origin(),
         "seed": TEST_SEED,
         "samples": options.samples,
-        "several_contacts": figures,
+        "several_contacts": metrics,
         "table2_gradient_boosting": _table2(),
     }
     harness.publish("multi_contact.json", result, options)
@@ -59,12 +59,12 @@ def main() -> None:
 def _table2() -> list[dict[str, Any]]:
     """The physical rows as boosted trees of the three-segment arm see them."""
     arm, rows = open_arm("cdsm_table2"), [r for r in read_table2() if r.source == "physical"]
-    peer = BoostingBaseline(
+    trees = BoostingBaseline(
         draw_dataset(arm, SingleContact(samples=TRAINING_SAMPLES, pose="straight"), 0)
     )
     blank = draw_dataset(arm, SingleContact(samples=len(rows), pose="straight"), 1)
     measured = np.stack([row.tension_difference_n for row in rows])
-    answer = peer.answer(replace(blank, tension_difference_n=measured))
+    answer = trees.answer(replace(blank, tension_difference_n=measured))
     return [
         {
             "true_segment": row.segment,

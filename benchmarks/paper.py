@@ -19,7 +19,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from harness import RESULTS, origin, parser, write_result
+from harness import CABLESENSE, RESULTS, origin, parser, write_result
 from PIL import Image
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
@@ -43,9 +43,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder, wall_s = options.made or Path(temporary), None
         if options.made is None:
-            program = Path(sys.executable).with_name("cablesense")
             quick, began = ["--quick"] if options.quick else [], time.perf_counter()
-            subprocess.run([program, "paper", *quick, "--out", folder], check=False)
+            subprocess.run([*CABLESENSE, "paper", *quick, "--out", folder], check=False)
             wall_s = round(time.perf_counter() - began, 1)
         report = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         result = _summary(report["studies"], wall_s)

@@ -3,8 +3,8 @@
     python benchmarks/replay.py [--seconds 60] [--json] [--write]
 
 Four processes as a user starts them: `sim` at 1,000 samples a second, `cablesense record`, the
-estimator after it, and here a person who pushes, commands, tares, takes tares back and turns a
-parameter, at times of chance. In mid-run a second recorder joins, and is killed with SIGKILL.
+estimator after it, and here an operator that pushes, commands, tares, undoes tares and changes a
+parameter, at random times. In mid-run a second recorder joins, and is killed with SIGKILL.
 
 Both recordings are replayed in process, and the whole one once more through a fresh estimator
 node. An estimate is the same if every byte of its wrench is: frame, force, torque (through a node
@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +52,13 @@ LATE_JOINS_AT, LATE_DIES_AT = 0.4, 0.7
 """Shares of the run."""
 
 
-class Person:
-    """Does things to the arm and to the estimator."""
+class Operator:
+    """Random actions on the arm and on the estimator; `done` counts them."""
 
     def __init__(self, arm_name: str) -> None:
         rclpy.init()
         self._arm = open_arm(arm_name)
-        self._node = rclpy.create_node("person")
+        self._node = rclpy.create_node("operator")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._rng = np.random.default_rng(SEED)
@@ -73,22 +74,22 @@ class Person:
         }
         self._parameters = self._node.create_client(SetParameters, "/estimator/set_parameters")
         self._loaded = 0
-        self.done: dict[str, int] = {}
+        self.done: Counter[str] = Counter()
 
     def wait(self, listeners: int, estimator: Process) -> None:
-        """Until sim, estimator and recorder listen."""
+        """Wait until sim, estimator and recorder are subscribed."""
         wait_until(
             lambda: (
                 self._commands.get_subscription_count() >= listeners
                 and all(client.service_is_ready() for client in self._services.values())
             ),
             30.0,
-            "sim, estimator and recorder do not all listen",
+            "sim, estimator and recorder are not all subscribed",
             estimator.check,
         )
 
     def act(self) -> None:
-        """One thing of chance, then some time until the next."""
+        """One random action, then a random pause."""
         chance = self._rng.random()
         if chance < 0.45:
             self._push()
@@ -99,16 +100,16 @@ class Person:
         elif chance < 0.93:
             self._call("tare_undo")
         else:
-            self._turn()
+            self._change_threshold()
         self.rest(float(self._rng.exponential(0.6)))
 
     def rest(self, seconds: float) -> None:
-        """Let time pass."""
+        """Spin for a while."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.02)
 
-    def leave(self) -> None:
+    def close(self) -> None:
         """End."""
         self._executor.shutdown()
         self._node.destroy_node()
@@ -121,7 +122,7 @@ class Person:
         side = self._rng.normal(size=3)
         force = self._rng.uniform(5.0, LARGEST_FORCE_N) * side / np.linalg.norm(side)
         self._load(self._loaded, force)
-        self._note("loads")
+        self.done["loads"] += 1
 
     def _load(self, segment: int, force_n: Any) -> None:
         message = WrenchStamped()
@@ -137,7 +138,7 @@ class Person:
             self._commands.publish(
                 JointState(name=list(self._arm.joint_names), position=angles.tolist())
             )
-            self._note("commands")
+            self.done["commands"] += 1
             self.rest(float(self._rng.exponential(0.1)))
             angles = angles * self._rng.uniform(0.5, 1.0)
 
@@ -146,9 +147,9 @@ class Person:
         self._executor.spin_until_future_complete(future, timeout_sec=10.0)
         answer = future.result()
         if answer is not None:
-            self._note(name if answer.success else f"{name}, refused")
+            self.done[name if answer.success else f"{name}, refused"] += 1
 
-    def _turn(self) -> None:
+    def _change_threshold(self) -> None:
         threshold = float(self._rng.uniform(0.3, 0.9))
         request = SetParameters.Request(
             parameters=[Parameter("contact_threshold", value=threshold).to_parameter_msg()]
@@ -156,41 +157,39 @@ class Person:
         self._executor.spin_until_future_complete(
             self._parameters.call_async(request), timeout_sec=10.0
         )
-        self._note("parameters turned")
-
-    def _note(self, what: str) -> None:
-        self.done[what] = self.done.get(what, 0) + 1
+        self.done["parameters turned"] += 1
 
 
 def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
-    """Run, record, replay; figures."""
+    """Run, record and replay; the result with its origin and the bars."""
     whole, late = folder / "whole.mcap", folder / "late.mcap"
-    sim = Process("sim", node_command("sim", _sim(arm)), folder / "sim.log")
+    sim = Process("sim", node_command("sim", {"arm": arm, "rate_hz": RATE_HZ}), folder / "sim.log")
     estimator_command = node_command("estimator", {"arm": arm})
     with sim, _recorder(whole) as recorder:
-        person = Person(arm)
-        time.sleep(3.0)  # the recorder listens before the estimator says its first word
+        operator = Operator(arm)
+        time.sleep(3.0)  # the recorder is subscribed before the estimator publishes first
         with Process("estimator", estimator_command, folder / "estimator.log") as estimator:
-            person.wait(3, estimator)
-            person.rest(2.0)
+            operator.wait(3, estimator)
+            operator.rest(2.0)
             end = time.monotonic() + seconds
             joins, dies = end - (1 - LATE_JOINS_AT) * seconds, end - (1 - LATE_DIES_AT) * seconds
             began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
             second = None
             while time.monotonic() < end:
-                person.act()
+                operator.act()
                 if second is None and time.monotonic() > joins:
                     second = _recorder(late)
                 elif second is not None and second.alive and time.monotonic() > dies:
                     second.kill()
             share = (harness.cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
             recorder.stop()
-        person.leave()
-    result = {
+        operator.close()
+    result: dict[str, Any] = {
+        **harness.origin("rclpy"),
         "arm": arm,
         "rate_hz": RATE_HZ,
         "seconds": seconds,
-        "done to it": person.done,
+        "done to it": dict(operator.done),
         "recording": _recording(whole) | {"recorder, share of a core": round(share, 3)},
         "in process": _replay(whole),
         "begun in mid-run and killed, in process": _replay(late),
@@ -198,11 +197,19 @@ def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
     with Process("estimator", estimator_command, folder / "fresh.log") as fresh:
         result["through a live node"] = _replay(whole, "--publish")
         fresh.check()
-    return result
-
-
-def _sim(arm: str) -> dict[str, Any]:
-    return {"arm": arm, "rate_hz": RATE_HZ}
+    replays = ("in process", "begun in mid-run and killed, in process", "through a live node")
+    bars = {
+        f"all estimates bit-identical: {name}": result[name]["exit code"] == 0
+        and 0 < result[name]["compared"] == result[name]["identical"]
+        for name in replays
+    }
+    bars["no contact without its sample in the recording"] = (
+        result["in process"]["lone_contacts"] == 0
+    )
+    bars["the killed recording reads up to its last chunk"] = bool(
+        result["begun in mid-run and killed, in process"]["cut"]
+    )
+    return result | {"bars": bars}
 
 
 def _recorder(path: Path) -> Process:
@@ -212,10 +219,8 @@ def _recorder(path: Path) -> Process:
 
 
 def _recording(path: Path) -> dict[str, Any]:
-    """What it holds, and whether samples lack between the first and the last answer."""
-    counts: dict[str, int] = {}
-    for message in McapMessages(path):
-        counts[message.topic] = counts.get(message.topic, 0) + 1
+    """Its content, and the samples without an answer between the first and the last."""
+    counts = Counter(message.topic for message in McapMessages(path))
     answered = [step.pair.answer is not None for step in RecordedRun(path).steps()]
     first, last = answered.index(True), len(answered) - answered[::-1].index(True)
     stamps = np.array(
@@ -245,34 +250,16 @@ def _replay(path: Path, *arguments: str) -> dict[str, Any]:
         raise SystemExit(f"{path.name}: {done.stdout}{done.stderr}") from error
 
 
-def report(result: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """The result with what made it and the bars."""
-    replays = ("in process", "begun in mid-run and killed, in process", "through a live node")
-    bars = {
-        f"all estimates bit-identical: {name}": result[name]["exit code"] == 0
-        and 0 < result[name]["compared"] == result[name]["identical"]
-        for name in replays
-    }
-    bars["no contact without its sample in the recording"] = (
-        result["in process"]["lone_contacts"] == 0
-    )
-    bars["the killed recording reads up to its last chunk"] = bool(
-        result["begun in mid-run and killed, in process"]["cut"]
-    )
-    command = f"python benchmarks/replay.py --seconds {seconds:g} --write"
-    return {**harness.origin(command, ["rclpy"]), **result, "bars": bars}
-
-
 def main() -> int:
-    """Measure and say."""
+    """Measure and print; 1 where a bar is missed."""
     parser = harness.parser(__doc__, "results/replay.json")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the run")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     given = parser.parse_args()
     os.environ.update(own_graph())
     with tempfile.TemporaryDirectory() as folder:
-        result = report(measure(given.arm, given.seconds, Path(folder)), given.seconds)
+        result = measure(given.arm, given.seconds, Path(folder))
     if given.write:
         harness.write_result("replay.json", result)
     if given.json:
@@ -280,11 +267,10 @@ def main() -> int:
     else:
         for name in ("recording", "done to it"):
             print(name, json.dumps(result[name]))
-        for name, figures in result.items():
-            if isinstance(figures, dict) and "identical" in figures:
-                print(f"{name}: {figures['identical']} of {figures['compared']} identical")
-        for bar, kept in result["bars"].items():
-            print(f"{'kept  ' if kept else 'MISSED'} {bar}")
+        for name, part in result.items():
+            if isinstance(part, dict) and "identical" in part:
+                print(f"{name}: {part['identical']} of {part['compared']} identical")
+        harness.print_bars(result["bars"])
     return 0 if all(result["bars"].values()) else 1
 
 

@@ -167,7 +167,7 @@ def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, l
         dropped[cycle] = port.dropped - before
     np.savez(log, written_ns=written_ns, dropped=dropped, real_time=real_time)
     print("played", flush=True)
-    sys.stdin.readline()  # the port stays until the benchmark has heard all
+    sys.stdin.readline()  # the port stays until the benchmark has received all
     emulator.close()
     return 0
 
@@ -279,8 +279,7 @@ def delivery(
     wrong = np.flatnonzero(~right)
     mixed[wrong] = _of_neighbours(sequence, guess[wrong], steps[wrong])
     on_wire = dropped == 0
-    came = np.zeros(len(written_ns), dtype=np.int64)
-    np.add.at(came, cycle[right], 1)
+    came = np.bincount(cycle[right], minlength=len(written_ns))
     lost = on_wire & (came == 0)
     return {
         "cycles played": len(written_ns),
@@ -342,6 +341,7 @@ def answers(
     pushed = judged & (sequence.segment[row] > 0)
     free = judged & (sequence.segment[row] == 0)
     error = np.abs(force - sequence.force_n[row])[pushed]
+    hits = (segment == sequence.segment[row])[pushed]
     return {
         "wrenches heard": wrenches.count,
         "samples answered": int(answered.sum()),
@@ -350,7 +350,7 @@ def answers(
         "latency from the last frame to the sample (ms)": _spread_ms(to_sample),
         "force": {
             "samples judged, pushed": int(pushed.sum()),
-            "right segment (%)": _percent((segment == sequence.segment[row])[pushed]),
+            "right segment (%)": round(100.0 * float(hits.mean()), 3),
             "error (N): median, 99 %, worst": _percentiles(error, (50.0, 99.0, 100.0)),
             "samples judged, untouched": int(free.sum()),
             "false forces": int((force[free] > FALSE_FORCE_N).sum()),
@@ -358,27 +358,27 @@ def answers(
     }
 
 
-def memory(looks: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
+def memory(notes: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
     """MB of each process: at a minute, at the end, the line through what is between, and most.
 
     Runs of up to two minutes count from their first quarter.
     """
-    times = np.array([elapsed_s for elapsed_s, _ in looks])
+    times = np.array([elapsed_s for elapsed_s, _ in notes])
     settled_s = FIRST_MINUTE_S if times[-1] > 2 * FIRST_MINUTE_S else times[-1] / 4
     later = times >= settled_s
-    figures = {}
-    for name in looks[0][1]:
-        rss = np.array([mb[name] for _, mb in looks])[later]
-        at = times[later]
-        slope = float(np.polyfit(at, rss, 1)[0])
-        figures[name] = {
-            "MB when settled": round(float(rss[0]), 2),
-            "MB at the end": round(float(rss[-1]), 2),
-            "growth at most (MB)": round(float(rss.max() - rss[0]), 2),
-            "growth by the fitted line (MB)": round(slope * float(at[-1] - at[0]), 2),
-            "fitted line (kB a minute)": round(slope * 60e3, 2),
+    at, grown = times[later], {}
+    for name in notes[0][1]:
+        rss = np.array([mb[name] for _, mb in notes])[later]
+        slope = np.polyfit(at, rss, 1)[0]
+        numbers = {
+            "MB when settled": rss[0],
+            "MB at the end": rss[-1],
+            "growth at most (MB)": rss.max() - rss[0],
+            "growth by the fitted line (MB)": slope * (at[-1] - at[0]),
+            "fitted line (kB a minute)": slope * 60e3,
         }
-    return {"settled after (s)": round(float(settled_s), 1), **figures}
+        grown[name] = {key: round(float(value), 2) for key, value in numbers.items()}
+    return {"settled after (s)": round(float(settled_s), 1), **grown}
 
 
 def _spread_ms(ns: NDArray[np.int64]) -> dict[str, float]:
@@ -389,7 +389,3 @@ def _spread_ms(ns: NDArray[np.int64]) -> dict[str, float]:
 
 def _percentiles(values: NDArray[np.float64], at: Sequence[float]) -> list[float]:
     return np.percentile(values, at).round(3).tolist() if len(values) else []
-
-
-def _percent(true: NDArray[np.bool_]) -> float:
-    return round(100.0 * float(true.mean()), 3) if len(true) else float("nan")

@@ -44,7 +44,7 @@ GATED = "statics, silent in motion (as the node runs it)"
 
 
 class Case(NamedTuple):
-    """An arm, how many long sequences it gets, and its estimators by their names in the table."""
+    """An arm, its number of long sequences, and its estimators by their names in the table."""
 
     arm: str
     why: str
@@ -105,18 +105,27 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
     sequences = _drawn(case.arm, protocol, SEED, workers)
     long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
-    figures: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
         answer = sequence_answer(estimator, sequences)
-        figures[name] = _plain(sequence_metrics(answer, sequences))
+        metrics[name] = _plain(sequence_metrics(answer, sequences))
         error_n = _force_error_n(sequence_answer(estimator, long), long)
-        figures[name]["by_tenth_of_the_long_courses"] = _tenths(error_n)
+        metrics[name]["by_tenth_of_the_long_courses"] = [
+            float(part.mean()) for part in np.array_split(error_n, 10, axis=1)
+        ]
         if case.long_sequences > 1:
-            figures[name]["of_long_courses_started"] = _by_start(error_n, long)
-        figures[name]["trained by"] = estimator.metadata.command
+            # whether the estimator has all commands, or only those after a late start
+            moved = np.abs(long.before_rad - long.before_rad[:, -1:]).max((1, 2)) > 0.0
+            metrics[name]["of_long_courses_started"] = {
+                "before the arm moved": float(error_n[moved].mean()),
+                "late": float(error_n[~moved].mean()),
+            }
+        metrics[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
-            figures[GATED] = _plain(sequence_metrics(_gated(answer, sequences), sequences))
+            silent = unsettled(sequences).ravel()  # in motion and half a second after
+            gated = replace(answer, segment=np.where(silent, 0, answer.segment))
+            metrics[GATED] = _plain(sequence_metrics(gated, sequences))
         _draw(axis, name, answer, sequences)
     axis.set_title(f"arm {case.arm}", fontsize=9)
     axis.set_xlabel("error of the force, N")
@@ -128,7 +137,7 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> 
         "why": case.why,
         "sequences": len(sequences),
         "long courses": len(long),
-        "estimators": figures,
+        "estimators": metrics,
     }
 
 
@@ -137,14 +146,8 @@ def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Seque
         return draw_sequences(open_arm(arm), protocol, seed, workers=workers, on_done=advance)
 
 
-def _gated(answer: ContactAnswer, sequences: Sequences) -> ContactAnswer:
-    """No contact while the arm moves and half a second after."""
-    silent = unsettled(sequences).ravel()
-    return replace(answer, segment=np.where(silent, 0, answer.segment))
-
-
-def _plain(figures: SequenceMetrics) -> dict[str, Any]:
-    plain = asdict(figures)
+def _plain(metrics: SequenceMetrics) -> dict[str, Any]:
+    plain = asdict(metrics)
     for part in ("every", "moving", "rest"):
         for bulky in ("confusion", "bins"):
             del plain[part][bulky]
@@ -159,24 +162,9 @@ def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
     return np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
 
 
-def _tenths(error_n: Array) -> list[float]:
-    """Means over all ticks, tenth by tenth."""
-    return [float(part.mean()) for part in np.array_split(error_n, 10, axis=1)]
-
-
-def _by_start(error_n: Array, sequences: Sequences) -> dict[str, float]:
-    """Means over courses whose earlier commands the estimator has heard, and over the others."""
-    moved = np.abs(sequences.before_rad - sequences.before_rad[:, -1:]).max((1, 2)) > 0.0
-    return {
-        "before the arm moved": float(error_n[moved].mean()),
-        "late": float(error_n[~moved].mean()),
-    }
-
-
 def _draw(axis: plt.Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
-    answered = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
-    chosen = unsettled(sequences).ravel() & (sequences.segment.ravel() > 0)
-    error = np.sort(np.abs(answered - sequences.magnitude_n.ravel())[chosen])
+    chosen = unsettled(sequences) & (sequences.segment > 0)
+    error = np.sort(_force_error_n(answer, sequences)[chosen])
     axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
 
 
@@ -200,53 +188,49 @@ def _tables(result: dict[str, Any]) -> str:
             "contact at rest | direction | force MAE | false force |",
             "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         ]
-        for name, figures in part["estimators"].items():
+        for name, metrics in part["estimators"].items():
             cells = [name]
             for state in ("moving", "rest"):
-                errors = figures[state]["errors"]
+                errors = metrics[state]["errors"]
+                direction = errors["direction_mae_deg"]  # none where no contact was found
                 cells += [
-                    f"{figures[state]['contact_accuracy']:.2%}",
-                    _degrees(errors["direction_mae_deg"]),
+                    f"{metrics[state]['contact_accuracy']:.2%}",
+                    "–" if direction is None else f"{direction:.2f}°",
                     f"{errors['magnitude_mae_n']:.3f} N",
-                    f"{figures[f'false_force_{state}_n']:.3f} N",
+                    f"{metrics[f'false_force_{state}_n']:.3f} N",
                 ]
             lines.append("| " + " | ".join(cells) + " |")
         lines += [
             "",
             f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
             + "; ".join(
-                f"{name}: " + " ".join(f"{n:.2f}" for n in figures["by_tenth_of_the_long_courses"])
-                for name, figures in part["estimators"].items()
-                if "by_tenth_of_the_long_courses" in figures
+                f"{name}: " + " ".join(f"{n:.2f}" for n in metrics["by_tenth_of_the_long_courses"])
+                for name, metrics in part["estimators"].items()
+                if "by_tenth_of_the_long_courses" in metrics
             )
             + " N."
-            + "".join(_starts(part["estimators"])),
+            + _starts(part["estimators"]),
             "",
             "Trained by:",
             "",
             *(
-                f"- {name}: `{figures['trained by']}`"
-                for name, figures in part["estimators"].items()
-                if "trained by" in figures
+                f"- {name}: `{metrics['trained by']}`"
+                for name, metrics in part["estimators"].items()
+                if "trained by" in metrics
             ),
             "",
         ]
     return "\n".join(lines)
 
 
-def _starts(estimators: dict[str, Any]) -> list[str]:
-    return [
+def _starts(estimators: dict[str, Any]) -> str:
+    return "".join(
         f" {name}, started "
-        + ", ".join(f"{when}: {n:.2f} N" for when, n in figures["of_long_courses_started"].items())
+        + ", ".join(f"{when}: {n:.2f} N" for when, n in metrics["of_long_courses_started"].items())
         + "."
-        for name, figures in estimators.items()
-        if "of_long_courses_started" in figures
-    ]
-
-
-def _degrees(angle_deg: float | None) -> str:
-    """A dash where no contact was found; JSON has no NaN."""
-    return "–" if angle_deg is None else f"{angle_deg:.2f}°"
+        for name, metrics in estimators.items()
+        if "of_long_courses_started" in metrics
+    )
 
 
 if __name__ == "__main__":
