@@ -88,7 +88,7 @@ def main() -> None:
     result: dict[str, Any] = {
         **harness.origin(),
         "seeds": [SEED, LONG_SEED],
-        "protocol": protocol.options(),
+        "protocol": asdict(protocol),
         "arms": {},
     }
     figure, axes = plt.subplots(1, len(CASES), figsize=(9.0, 3.4), layout="constrained")

@@ -6,16 +6,14 @@ import json
 import shlex
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from cablesense_base.errors import CableSenseError
 from cablesense_cli.options import refuse_given
-
-if TYPE_CHECKING:
-    from cablesense_training.data.dataset import Summary
 
 
 def dataset(
@@ -74,7 +72,7 @@ def dataset(
         typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead."),
     ] = None,
     json_output: Annotated[
-        bool, typer.Option("--json", help="Print the figures as JSON.")
+        bool, typer.Option("--json", help="Print the statistics as JSON.")
     ] = False,
 ) -> None:
     """Generate training data: cable tensions of the simulated arm, with the contacts behind them.
@@ -125,11 +123,20 @@ def dataset(
         show_progress=not json_output,
     )
     took_s = time.perf_counter() - started
-    figures = _figures(summary, out, description.identity, took_s)
+    statistics = asdict(summary)
+    force_range_n = [statistics.pop("weakest_n"), statistics.pop("strongest_n")]
+    statistics = {
+        "out": str(out),
+        "arm": description.identity,
+        **statistics,
+        "force_range_n": force_range_n,
+        "seconds": took_s,
+        "rows_per_second": summary.rows / took_s,
+    }
     if json_output:
-        typer.echo(json.dumps(figures))
+        typer.echo(json.dumps(statistics))
     else:
-        _print_table(figures)
+        _print_table(statistics)
 
 
 def dataset_command(arm: str, protocol_options: Mapping[str, Any], seed: int) -> str:
@@ -157,35 +164,24 @@ def command_line(verb: str, options: Mapping[str, Any]) -> str:
     return shlex.join(parts)
 
 
-def _figures(summary: Summary, out: Path, identity: str, took_s: float) -> dict[str, Any]:
-    return {
-        "out": str(out),
-        "arm": identity,
-        "rows": summary.rows,
-        "contact_free": summary.contact_free,
-        "contacts_per_segment": list(summary.contacts_per_segment),
-        "force_range_n": [summary.weakest_n, summary.strongest_n],
-        "slack_rows": summary.slack_rows,
-        "redrawn_rows": summary.redrawn_rows,
-        "seconds": took_s,
-        "rows_per_second": summary.rows / took_s,
-    }
-
-
-def _print_table(figures: dict[str, Any]) -> None:
+def _print_table(statistics: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    weakest, strongest = figures["force_range_n"]
-    table = Table(title=f"{figures['out']}, arm {figures['arm']}", show_header=False)
-    table.add_row("samples", f"{figures['rows']:,}")
-    table.add_row("without contact", f"{figures['contact_free']:,}")
-    for number, count in enumerate(figures["contacts_per_segment"], start=1):
-        table.add_row(f"contacts on segment {number}", f"{count:,}")
-    table.add_row("contact forces", f"{weakest:.3g} to {strongest:.4g} N")
-    table.add_row("with slack cables", f"{figures['slack_rows']:,}")
-    table.add_row("drawn again (beyond the arm)", f"{figures['redrawn_rows']:,}")
-    table.add_row(
-        "rate", f"{figures['rows_per_second']:,.0f} samples/s, {figures['seconds']:.1f} s"
-    )
+    weakest, strongest = statistics["force_range_n"]
+    segments = enumerate(statistics["contacts_per_segment"], start=1)
+    table = Table(title=f"{statistics['out']}, arm {statistics['arm']}", show_header=False)
+    for label, text in (
+        ("samples", f"{statistics['rows']:,}"),
+        ("without contact", f"{statistics['contact_free']:,}"),
+        *((f"contacts on segment {number}", f"{count:,}") for number, count in segments),
+        ("contact forces", f"{weakest:.3g} to {strongest:.4g} N"),
+        ("with slack cables", f"{statistics['slack_rows']:,}"),
+        ("drawn again (beyond the arm)", f"{statistics['redrawn_rows']:,}"),
+        (
+            "rate",
+            f"{statistics['rows_per_second']:,.0f} samples/s, {statistics['seconds']:.1f} s",
+        ),
+    ):
+        table.add_row(label, text)
     Console().print(table)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cablesense_training.evaluation.comparison import Comparison
-    from cablesense_training.evaluation.metrics import SingleContactMetrics
+    from cablesense_training.evaluation.metrics import ErrorMetrics, SingleContactMetrics
     from cablesense_training.evaluation.noise_bound import NoiseBound
 
 
@@ -115,24 +115,22 @@ def _show_model(
     from cablesense_training.inference.metadata import find_model
 
     estimator = Estimator.load(find_model(model))
-    said = estimator.metadata
+    described = estimator.metadata
     protocol = SingleContact(
         samples=samples,
-        pose="random" if said.pose_range_deg > 0 else "straight",
-        pose_range_deg=said.pose_range_deg,
-        force_high_n=said.force_range_n,
-        tare_samples=said.tare_samples,
+        pose="random" if described.pose_range_deg > 0 else "straight",
+        pose_range_deg=described.pose_range_deg,
+        force_high_n=described.force_range_n,
+        tare_samples=described.tare_samples,
     )
-    dataset = draw_dataset(said.arm, protocol, seed, workers=workers)
-    figures = evaluate_estimator(estimator, dataset).metrics
+    dataset = draw_dataset(described.arm, protocol, seed, workers=workers)
+    metrics = evaluate_estimator(estimator, dataset).metrics
     bound = noise_bound(dataset)
     if json_output:
-        print(json.dumps({"single": metrics_json(figures), "bound": asdict(bound)}, indent=2))
+        print(json.dumps({"single": metrics_json(metrics), "bound": asdict(bound)}, indent=2))
         return
-    table = _figures_table(f"{said.network} on {said.arm_identity}, {samples} fresh samples")
-    _add_figures(table, said.network, figures)
-    _add_bound(table, bound)
-    console.print(table)
+    title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
+    console.print(_errors_table(title, {described.network: metrics}, bound))
 
 
 def _show_comparison(
@@ -158,14 +156,15 @@ def _comparison_tables(comparison: Comparison) -> list[Table]:
 
     from cablesense_training.evaluation.comparison import SHIPPED
 
-    tables = []
-    for figures in comparison.settings:
-        table = _figures_table(figures.setting.replace("_", " "))
-        for name, metrics in figures.models.items():
-            label = "shipped model" if name == SHIPPED else name.replace("_", " ")
-            _add_figures(table, label, metrics)
-        _add_bound(table, figures.bound)
-        tables.append(table)
+    labels = {SHIPPED: "shipped model"}
+    tables = [
+        _errors_table(
+            evaluation.setting.replace("_", " "),
+            {labels.get(n, n.replace("_", " ")): m for n, m in evaluation.models.items()},
+            evaluation.bound,
+        )
+        for evaluation in comparison.settings
+    ]
     table = Table(
         "estimator", "recognised", "macro F1", "force MAE per segment", title="several contacts"
     )
@@ -179,33 +178,21 @@ def _comparison_tables(comparison: Comparison) -> list[Table]:
     return [*tables, table]
 
 
-def _figures_table(title: str) -> Table:
+def _errors_table(title: str, models: dict[str, SingleContactMetrics], bound: NoiseBound) -> Table:
+    """Errors of models on the same samples, and of the noise bound."""
     from rich.table import Table
 
-    return Table(
+    table = Table(
         "estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds",
         title=title,
     )  # fmt: skip
 
+    def add(name: str, errors: ErrorMetrics | NoiseBound, accuracy: str, coverage: str) -> None:
+        mae, rmse = f"{errors.magnitude_mae_n:.3f} N", f"{errors.magnitude_rmse_n:.3f} N"
+        table.add_row(name, accuracy, f"{errors.direction_mae_deg:.3f}°", mae, rmse, coverage)
 
-def _add_figures(table: Table, name: str, metrics: SingleContactMetrics) -> None:
-    errors = metrics.errors
-    table.add_row(
-        name,
-        f"{metrics.contact_accuracy:.2%}",
-        f"{errors.direction_mae_deg:.3f}°",
-        f"{errors.magnitude_mae_n:.3f} N",
-        f"{errors.magnitude_rmse_n:.3f} N",
-        f"{errors.magnitude_coverage95:.1%}",
-    )
-
-
-def _add_bound(table: Table, bound: NoiseBound) -> None:
-    table.add_row(
-        "noise bound",
-        "",
-        f"{bound.direction_mae_deg:.3f}°",
-        f"{bound.magnitude_mae_n:.3f} N",
-        f"{bound.magnitude_rmse_n:.3f} N",
-        "",
-    )
+    for name, metrics in models.items():
+        coverage = f"{metrics.errors.magnitude_coverage95:.1%}"
+        add(name, metrics.errors, f"{metrics.contact_accuracy:.2%}", coverage)
+    add("noise bound", bound, "", "")
+    return table

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from cablesense_training.errors import DatasetError
-from cablesense_training.motion.motion_protocol import STEP_S, MotionProtocol, drawn_motion
+from cablesense_training.motion.motion_protocol import (
+    STEP_S,
+    MotionProtocol,
+    drawn_contacts,
+    drawn_motion,
+)
 
 PROTOCOL = MotionProtocol(duration_s=12.0)
 
@@ -61,3 +66,26 @@ def test_ticks_fill_the_duration():
 def test_a_value_out_of_range_is_refused(name, value):
     with pytest.raises(DatasetError, match=rf"{name} = .*: must be a number from"):
         MotionProtocol(**{name: value})
+
+
+CONTACTS = MotionProtocol(duration_s=200.0, force_high_n=80.0)
+
+
+def test_free_ticks_have_no_force_and_contacts_stay_within_the_range():
+    contact = drawn_contacts(CONTACTS, 4, np.random.default_rng(0))
+    free = contact.segment == 0
+    assert 0.2 < free.mean() < 0.8
+    assert (contact.magnitude_n[free] == 0.0).all()
+    assert (contact.magnitude_n >= 0.0).all()
+    assert 40.0 < contact.magnitude_n.max() <= 80.0
+    assert set(contact.segment) == {0, 1, 2, 3, 4}
+    assert ((contact.angle_deg >= 0.0) & (contact.angle_deg < 360.0)).all()
+
+
+def test_a_contact_rises_from_nothing_and_ends_in_nothing():
+    contact = drawn_contacts(CONTACTS, 4, np.random.default_rng(1))
+    starts = np.flatnonzero((contact.segment[1:] > 0) & (contact.segment[:-1] == 0)) + 1
+    peak = contact.magnitude_n.max()
+    assert np.median(contact.magnitude_n[starts]) < 0.5 * peak
+    changes = (contact.segment[1:] != contact.segment[:-1]) & (contact.segment[1:] > 0)
+    assert (contact.segment[:-1][changes] == 0).all()

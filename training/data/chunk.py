@@ -20,6 +20,7 @@ back (`LoadHistory`, whose times are drawn once for a block of samples).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,42 +42,22 @@ from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import Dataset, contact_forces_n
 from cablesense_training.data.protocols import (
+    ARM,
     CHUNK_SAMPLES,
+    NOISE,
+    REDRAW,
     Protocol,
-    arm_stream,
     chunk_sizes,
     drawn_entries,
     effect_names,
-    noise_stream,
-    redraw_stream,
+    random_stream,
     unit_points,
 )
 from cablesense_training.errors import DatasetError
 
 
-class TooManyFailures(Exception):  # noqa: N818
+class _TooManyFailures(Exception):  # noqa: N818
     """More cases without equilibrium than were allowed; the text gives one, and why."""
-
-
-def tensions_at_rest_n(
-    mechanism: Mechanism, command_rad: Array, forces_n: Array, allowed_failures: int
-) -> Array:
-    """Tensions (B, M) for commands (B, 2N) and forces (B, N, 3); NaN in rows without equilibrium.
-
-    Raises:
-        TooManyFailures: more than `allowed_failures` rows have no equilibrium.
-    """
-    tensions = np.full((len(command_rad), mechanism.cable_count), np.nan)
-    rows = np.arange(len(command_rad))
-    try:
-        rest = solve_equilibrium(mechanism, command_rad, forces_n)
-    except EquilibriumError as error:
-        if not 0 < error.failed.size <= allowed_failures:
-            raise TooManyFailures(str(error)) from error
-        rows = np.delete(rows, error.failed)
-        rest = solve_equilibrium(mechanism, command_rad[rows], forces_n[rows])
-    tensions[rows] = rest.tensions_n
-    return tensions
 
 
 _ON_THE_WAY = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -139,41 +120,42 @@ class LoadHistory:
         return share[..., None, None] * forces_n
 
 
-def readings_after_n(
+def _solved_rows(
+    shape: tuple[int, ...], allowed_failures: int, solve: Callable[[NDArray[np.int64]], Array]
+) -> Array:
+    """What `solve` gives for rows, the last axis but one of `shape`; NaN without equilibrium.
+
+    Raises:
+        _TooManyFailures: more rows than allowed have none.
+    """
+    whole = np.full(shape, np.nan)
+    rows = np.arange(shape[-2])
+    while rows.size:
+        try:
+            whole[..., rows, :] = solve(rows)
+        except EquilibriumError as error:
+            allowed_failures -= error.failed.size
+            if not error.failed.size or allowed_failures < 0:
+                raise _TooManyFailures(str(error)) from error
+            rows = np.delete(rows, error.failed)
+            continue
+        break
+    return whole
+
+
+def _readings_after_n(
     nominal: Mechanism,
     entries: list[EffectEntry],
     history: LoadHistory,
     command_rad: Array,
     forces_n: Array,
-    allowed_failures: int,
-) -> tuple[Array, Array, Array]:
-    """Loaded and unloaded readings without noise, and loaded tensions, each (B, M).
-
-    NaN in rows that find no rest somewhere on their way.
-
-    Raises:
-        TooManyFailures: more rows than allowed find none.
-    """
-    found = np.full((3, len(command_rad), nominal.cable_count), np.nan)
-    rows = np.arange(len(command_rad))
-    while rows.size:
-        try:
-            tensions = _tensions_n(
-                nominal, entries, history.select(rows), command_rad[rows], forces_n[rows]
-            )
-        except EquilibriumError as error:
-            allowed_failures -= error.failed.size
-            if not error.failed.size or allowed_failures < 0:
-                raise TooManyFailures(str(error)) from error
-            rows = np.delete(rows, error.failed)
-            continue
-        readings = tensions
-        for sensing in sensings([entries] * len(rows)):
-            read = [sensing.step(t, readings[r]) for r, t in enumerate(history.time_s)]
-            readings = np.stack(read)
-        found[:, rows] = readings[-1], readings[_TARED], tensions[-1]
-        break
-    return found[0], found[1], found[2]
+) -> Array:
+    """(3, B, M): loaded and unloaded readings without noise, and loaded tensions."""
+    tensions = _tensions_n(nominal, entries, history, command_rad, forces_n)
+    readings = tensions
+    for sensing in sensings([entries] * len(command_rad)):
+        readings = np.stack([sensing.step(t, readings[r]) for r, t in enumerate(history.time_s)])
+    return np.stack([readings[-1], readings[_TARED], tensions[-1]])
 
 
 def _tensions_n(
@@ -227,19 +209,17 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     rows = chunk_sizes(protocol.samples)[chunk]
     count = arm.segment_count
     resting = _Resting(arm, protocol, seed, chunk)
-    stream = redraw_stream(seed, chunk)
+    stream = random_stream(REDRAW, seed, chunk)
     points = unit_points(protocol.dimensions(count), seed, chunk)[:rows]
-    loaded, unloaded, borne = np.empty((3, rows, arm.cable_count))
+    loaded, unloaded, borne = found = np.empty((3, rows, arm.cable_count))
     redrawn = np.zeros(rows, dtype=np.int64)
     share = MAX_REDRAWN_SHARE if protocol.randomise is None else 2.0 * MAX_FAILING_SHARE
     allowed = math.ceil(share * rows)
     open_rows = np.arange(rows)
     while open_rows.size:
         try:
-            loaded[open_rows], unloaded[open_rows], borne[open_rows] = resting(
-                points[open_rows], open_rows, allowed
-            )
-        except TooManyFailures as error:
+            found[:, open_rows] = resting(points[open_rows], open_rows, allowed)
+        except _TooManyFailures as error:
             raise DatasetError(
                 f"samples {chunk * CHUNK_SAMPLES} and following: more than "
                 f"{share:.0%} lie beyond arm {arm.identity}, for example: {error}"
@@ -252,7 +232,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     cases = protocol.cases(count, points)
     reading, tare = loaded, unloaded
     if protocol.noise:
-        noise = noise_stream(seed, chunk)
+        noise = random_stream(NOISE, seed, chunk)
         reading = read_tensions_n(loaded, arm.sensors, noise)
         tare = np.zeros_like(unloaded)
         for _ in range(protocol.tare_samples):
@@ -276,102 +256,86 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
 
 
 class _Resting:
-    """Readings without noise of the samples of one chunk, at points of the unit cube.
+    """Samples of one chunk at rest, without noise, at points of the unit cube.
 
     Called with points (B, dimensions), their rows in the chunk and the number that may fail, it
-    gives loaded and unloaded readings and the loaded tensions, each (B, M); NaN without rest.
+    gives (3, B, M): loaded and unloaded readings and the loaded tensions; NaN without equilibrium.
     """
 
     def __init__(self, arm: Arm, protocol: Protocol, seed: int, chunk: int) -> None:
-        self._arm, self._protocol = arm, protocol
+        self._protocol = protocol
         self._mechanism = mechanism_of(arm)
         self._listed = entries_of(arm)
         self._seed = seed, chunk
-        self._drawn: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
+        self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
 
-    def __call__(
-        self, points: Array, rows: NDArray[np.int64], allowed: int
-    ) -> tuple[Array, Array, Array]:
-        if self._listed or self._protocol.randomise is not None:
-            return self._on_arms_with_effects(points, rows, allowed)
-        loaded, unloaded = _rest(self._mechanism, self._protocol, points, allowed)
-        return loaded, unloaded, loaded
-
-    def _on_arms_with_effects(
-        self, points: Array, rows: NDArray[np.int64], allowed: int
-    ) -> tuple[Array, Array, Array]:
+    def __call__(self, points: Array, rows: NDArray[np.int64], allowed: int) -> Array:
         cases = self._protocol.cases(self._mechanism.segment_count, points)
-        forces = contact_forces_n(
-            self._mechanism, cases.command_rad, cases.angles_deg, cases.magnitudes_n
-        )
-        found = np.empty((3, len(points), self._mechanism.cable_count))
-        block = rows // BLOCK_SAMPLES
-        for number in np.unique(block):
-            own = np.flatnonzero(block == number)
-            found[:, own] = self._block(
-                int(number),
-                rows[own] % BLOCK_SAMPLES,
-                cases.command_rad[own],
-                forces[own],
-                allowed,
+        command = cases.command_rad
+        forces = contact_forces_n(self._mechanism, command, cases.angles_deg, cases.magnitudes_n)
+        if not self._listed and self._protocol.randomise is None:
+            return self._without_effects(
+                command, forces, np.flatnonzero(cases.contacts.any(axis=1)), allowed
             )
+        found = np.empty((3, len(points), self._mechanism.cable_count))
+        blocks = rows // BLOCK_SAMPLES
+        for block in np.unique(blocks):
+            own = np.flatnonzero(blocks == block)
+            places = rows[own] % BLOCK_SAMPLES
+            found[:, own] = self._block(int(block), places, command[own], forces[own], allowed)
             allowed -= int(np.isnan(found[0, own, 0]).sum())
-        return found[0], found[1], found[2]
+        return found
+
+    def _without_effects(
+        self, command: Array, forces: Array, touched: NDArray[np.int64], allowed: int
+    ) -> Array:
+        def at_rest(command: Array, forces: Array) -> Array:
+            return _solved_rows(
+                (len(command), self._mechanism.cable_count),
+                allowed,
+                lambda rows: (
+                    solve_equilibrium(self._mechanism, command[rows], forces[rows]).tensions_n
+                ),
+            )
+
+        # the straight arm has one unloaded state
+        poses = command if self._protocol.pose == "random" else command[:1]
+        unloaded = np.empty((len(command), self._mechanism.cable_count))
+        unloaded[:] = at_rest(poses, np.zeros((len(poses), *forces.shape[1:])))
+        loaded = unloaded.copy()
+        loaded[touched] = at_rest(command[touched], forces[touched])
+        return np.stack([loaded, unloaded, loaded])
 
     def _block(
-        self, block: int, rows: NDArray[np.int64], command: Array, forces: Array, allowed: int
-    ) -> tuple[Array, Array, Array]:
-        """Some rows of a block, on the arm that was drawn for it or is now."""
-        known = self._drawn.get(block)
-        if known is not None:
-            return self._through(known, rows, command, forces, allowed)
+        self, block: int, places: NDArray[np.int64], command: Array, forces: Array, allowed: int
+    ) -> Array:
+        """Some samples of a block, on the arm that was drawn for it or is now."""
+        segments, cables = self._mechanism.segment_count, self._mechanism.cable_count
+
+        def readings(allowed: int) -> Array:
+            entries, whole = self._arms[block]
+            history = whole.select(places)
+            return _solved_rows(
+                (3, len(command), cables),
+                allowed,
+                lambda rows: _readings_after_n(
+                    self._mechanism, entries, history.select(rows), command[rows], forces[rows]
+                ),
+            )
+
+        if block in self._arms:
+            return readings(allowed)
         randomise = self._protocol.randomise
-        most = allowed if randomise is None else math.ceil(MAX_FAILING_SHARE * len(rows))
-        rng = arm_stream(*self._seed, block)
+        most = allowed if randomise is None else math.ceil(MAX_FAILING_SHARE * len(places))
+        rng = random_stream(ARM, *self._seed, block)
         for attempt in range(MAX_ARMS_DRAWN):
             history, entries = LoadHistory.drawn(BLOCK_SAMPLES, rng), list(self._listed)
             if randomise is not None:
-                arm = self._arm
-                names = effect_names(randomise)
-                entries += drawn_entries(names, arm.segment_count, arm.cable_count, rng)
-            self._drawn[block] = entries, history
+                entries += drawn_entries(effect_names(randomise), segments, cables, rng)
+            self._arms[block] = entries, history
             try:
-                return self._through(self._drawn[block], rows, command, forces, most)
-            except TooManyFailures:
+                return readings(most)
+            except _TooManyFailures:
                 if randomise is None or attempt + 1 == MAX_ARMS_DRAWN:
                     raise
         raise AssertionError("a loop that returns or raises")
-
-    def _through(
-        self,
-        drawn: tuple[list[EffectEntry], LoadHistory],
-        rows: NDArray[np.int64],
-        command: Array,
-        forces: Array,
-        allowed: int,
-    ) -> tuple[Array, Array, Array]:
-        entries, history = drawn
-        return readings_after_n(
-            self._mechanism, entries, history.select(rows), command, forces, allowed
-        )
-
-
-def _rest(
-    mechanism: Mechanism, protocol: Protocol, points: Array, allowed_failures: int
-) -> tuple[Array, Array]:
-    """Loaded and unloaded tensions (B, M) at points of the unit cube; NaN without rest."""
-    count = mechanism.segment_count
-    cases = protocol.cases(count, points)
-    command = cases.command_rad
-    # the straight arm has one unloaded state
-    poses = command if protocol.pose == "random" else command[:1]
-    nothing = np.zeros((len(poses), count, 3))
-    unloaded = np.empty((len(points), mechanism.cable_count))
-    unloaded[:] = tensions_at_rest_n(mechanism, poses, nothing, allowed_failures)
-    loaded = unloaded.copy()
-    forces = contact_forces_n(mechanism, command, cases.angles_deg, cases.magnitudes_n)
-    touched = np.flatnonzero(cases.contacts.any(axis=1))
-    loaded[touched] = tensions_at_rest_n(
-        mechanism, command[touched], forces[touched], allowed_failures
-    )
-    return loaded, unloaded

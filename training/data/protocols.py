@@ -19,11 +19,8 @@ touches* is an answer.
 
 Points come from a scrambled Sobol sequence in the unit cube, addressed by chunk.
 
-A grid covers a space exhaustively, but its size is a product of resolutions that somebody has to
-choose, and a random draw of the same size leaves holes. A Sobol sequence covers evenly at any
-number of points (every dyadic box of volume 2^-m holds its share of each aligned block of 2^m
-points) and has no resolution to choose, so 5,000 samples and 5,000,000 come from one rule.
-Scrambling makes different seeds independent of each other.
+Unlike a grid, such a sequence has no resolution to choose, and unlike a random draw it leaves no
+holes: every dyadic box of volume 2^-m holds its share of each aligned block of 2^m points.
 
 Work is cut into chunks of `CHUNK_SAMPLES`, whatever the number of workers. A chunk's points and
 its random stream follow from the seed and the chunk's number alone; that is why one worker and
@@ -37,7 +34,6 @@ manufacturing tolerances are everywhere at once.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
@@ -48,7 +44,7 @@ from scipy.stats import qmc
 
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
-from cablesense_training.errors import DatasetError
+from cablesense_training.errors import DatasetError, require_within
 
 CHUNK_SAMPLES = 2048
 """A power of two, so that every chunk is a balanced block of the sequence."""
@@ -56,31 +52,21 @@ CHUNK_SAMPLES = 2048
 MAX_SAMPLES = 2**30
 """The length of the sequence."""
 
-_DESIGN, _NOISE, _REDRAW, _ARM = 0, 1, 2, 3
+DESIGN, NOISE, REDRAW, ARM = 0, 1, 2, 3
+"""Purposes of random streams: points, sensor noise, points drawn again, arms with effects."""
+
+
+def random_stream(purpose: int, seed: int, *place: int) -> np.random.Generator:
+    """The stream of a purpose; `place` is the chunk and, for an arm, the block in it."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose, *place)))
 
 
 def unit_points(dimensions: int, seed: int, chunk: int) -> NDArray[np.float64]:
     """Points (CHUNK_SAMPLES, dimensions) in [0, 1) of the given chunk of the seed's sequence."""
-    scramble = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
-    sequence = qmc.Sobol(dimensions, scramble=True, rng=scramble)
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=random_stream(DESIGN, seed))
     if chunk:
         sequence.fast_forward(chunk * CHUNK_SAMPLES)
     return np.asarray(sequence.random(CHUNK_SAMPLES))
-
-
-def noise_stream(seed: int, chunk: int) -> np.random.Generator:
-    """The random stream of a chunk's sensor noise, independent of the points."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NOISE, chunk)))
-
-
-def redraw_stream(seed: int, chunk: int) -> np.random.Generator:
-    """The random stream that replaces a chunk's points beyond the arm."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_REDRAW, chunk)))
-
-
-def arm_stream(seed: int, chunk: int, block: int) -> np.random.Generator:
-    """The random stream of the arm that a block of a chunk is drawn on, and of its course."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ARM, chunk, block)))
 
 
 def chunk_sizes(samples: int) -> list[int]:
@@ -195,11 +181,11 @@ class Protocol(ABC):
     randomise: str | None = None
 
     def __post_init__(self) -> None:
-        _within("samples", self.samples, 1, MAX_SAMPLES, whole=True)
-        _within("tare_samples", self.tare_samples, 1, MAX_TARE_SAMPLES, whole=True)
-        _within("pose_range_deg", self.pose_range_deg, 0.0, MAX_POSE_RANGE_DEG)
-        _within("force_low_n", self.force_low_n, 0.0, MAX_FORCE_N)
-        _within("force_high_n", self.force_high_n, 0.0, MAX_FORCE_N)
+        require_within("samples", self.samples, 1, MAX_SAMPLES, whole=True)
+        require_within("tare_samples", self.tare_samples, 1, MAX_TARE_SAMPLES, whole=True)
+        require_within("pose_range_deg", self.pose_range_deg, 0.0, MAX_POSE_RANGE_DEG)
+        require_within("force_low_n", self.force_low_n, 0.0, MAX_FORCE_N)
+        require_within("force_high_n", self.force_high_n, 0.0, MAX_FORCE_N)
         if self.pose not in get_args(Pose):
             raise DatasetError(f"pose = {self.pose!r}: must be one of {', '.join(get_args(Pose))}")
         if not isinstance(self.noise, bool):
@@ -210,7 +196,7 @@ class Protocol(ABC):
                 f"force_high_n = {self.force_high_n:g}"
             )
         if self.no_contact_fraction is not None:
-            _within("no_contact_fraction", self.no_contact_fraction, 0.0, 1.0)
+            require_within("no_contact_fraction", self.no_contact_fraction, 0.0, 1.0)
         if self.randomise is not None:
             effect_names(self.randomise)
 
@@ -297,7 +283,7 @@ class MultiContact(Protocol):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.max_contacts is not None:
-            _within("max_contacts", self.max_contacts, 1, 1_000, whole=True)
+            require_within("max_contacts", self.max_contacts, 1, 1_000, whole=True)
 
     def _contact_dimensions(self, segment_count: int) -> int:
         return 1 + 3 * segment_count
@@ -349,13 +335,3 @@ def _number_touched(
     place = (coordinate[touched] - contact_free) / (1.0 - contact_free)
     number[touched] = 1 + np.minimum(np.floor(place * highest), highest - 1)
     return number
-
-
-def _within(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
-    """Refuse what is not a number, not finite or out of range."""
-    numeric = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if whole and not isinstance(value, int | np.integer):
-        numeric = False
-    if not numeric or not math.isfinite(value) or not low <= value <= high:
-        kind = "a whole number" if whole else "a number"
-        raise DatasetError(f"{name} = {value!r}: must be {kind} from {low:,} to {high:,}")

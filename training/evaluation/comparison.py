@@ -166,7 +166,7 @@ class Comparison:
 
 
 def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
-    """Errors of answers, whoever gave them."""
+    """Errors of answers on a single-contact dataset."""
     truth = ContactTruth.of(dataset)
     return Evaluation(answer, single_contact_metrics(truth, answer, dataset.arm.segment_count))
 
@@ -174,14 +174,7 @@ def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
 def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
     """Answers of a single-contact model on a dataset, and their errors."""
     found = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-    answer = ContactAnswer(
-        segment=found.segment,
-        angle_deg=found.angle_deg,
-        magnitude_n=found.magnitude_n,
-        magnitude_std_n=found.magnitude_std_n,
-        angle_std_deg=found.angle_std_deg,
-    )
-    return evaluate_answer(answer, dataset)
+    return evaluate_answer(ContactAnswer.of(found), dataset)
 
 
 def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Evaluation]:
@@ -286,9 +279,7 @@ def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
     errors = metrics.errors
     overall = {
         "contact_accuracy": metrics.contact_accuracy,
-        "direction_mae_deg": errors.direction_mae_deg,
-        "magnitude_mae_n": errors.magnitude_mae_n,
-        "magnitude_rmse_n": errors.magnitude_rmse_n,
+        **{name: getattr(errors, name) for name in (*_MAE, "magnitude_rmse_n")},
         "macro_f1": metrics.macro_f1,
         "coverage95": errors.magnitude_coverage95,
     }
@@ -296,14 +287,17 @@ def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
         {
             "low_n": part.low_n,
             "high_n": part.high_n,
-            "contacts": part.errors.contacts,
-            "contact_accuracy": part.errors.contact_accuracy,
-            "direction_mae_deg": part.errors.direction_mae_deg,
-            "magnitude_mae_n": part.errors.magnitude_mae_n,
+            **{
+                name: getattr(part.errors, name)
+                for name in ("contacts", "contact_accuracy", *_MAE)
+            },
         }
         for part in metrics.bins
     ]
     return {**_none_for_nan(overall), "by_force": [_none_for_nan(part) for part in by_force]}
+
+
+_MAE = ("direction_mae_deg", "magnitude_mae_n")
 
 
 def _none_for_nan(values: dict[str, float]) -> dict[str, float | None]:

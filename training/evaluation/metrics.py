@@ -1,15 +1,16 @@
-"""Figures of merit: contacts recognised, errors of direction and magnitude, honest spread."""
+"""Metrics: contacts recognised, errors of direction and magnitude, coverage of the intervals."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.inference.estimator import Estimates
 
 Integers = NDArray[np.int64]
 
@@ -43,9 +44,14 @@ class ContactAnswer:
     magnitude_std_n: Array
     angle_std_deg: Array
 
+    @classmethod
+    def of(cls, estimates: Estimates) -> ContactAnswer:
+        """Of an estimator's answers with any leading axes."""
+        return cls(*(getattr(estimates, part.name).ravel() for part in fields(cls)))
+
 
 @dataclass(frozen=True)
-class ErrorFigures:
+class ErrorMetrics:
     """Errors over a set of samples with a contact; NaN where there is nothing to average.
 
     Attributes:
@@ -75,12 +81,12 @@ class ForceBin:
 
     low_n: float
     high_n: float
-    errors: ErrorFigures
+    errors: ErrorMetrics
 
 
 @dataclass(frozen=True)
 class SingleContactMetrics:
-    """Figures over a test set, contact-free samples included.
+    """Metrics over a test set, contact-free samples included.
 
     Attributes:
         samples: number of samples.
@@ -95,7 +101,7 @@ class SingleContactMetrics:
     contact_accuracy: float
     macro_f1: float
     confusion: tuple[tuple[int, ...], ...]
-    errors: ErrorFigures
+    errors: ErrorMetrics
     bins: tuple[ForceBin, ...]
 
     @property
@@ -106,7 +112,7 @@ class SingleContactMetrics:
 
 @dataclass(frozen=True)
 class MultiContactMetrics:
-    """Figures over samples with any number of contacts.
+    """Metrics over samples with any number of contacts.
 
     Attributes:
         judged: number of (sample, segment) pairs that were counted.
@@ -141,12 +147,8 @@ def macro_f1(true: ArrayLike, answered: ArrayLike, classes: int) -> float:
     missed or invented altogether counts 0.
     """
     counts = confusion_matrix(true, answered, classes)
-    scores = [
-        _f1(counts[c, c], counts[:, c].sum() - counts[c, c], counts[c].sum() - counts[c, c])
-        for c in range(classes)
-    ]
-    present = [score for score in scores if score is not None]
-    return float(np.mean(present)) if present else float("nan")
+    hits = counts.diagonal()
+    return _mean_f1(hits, counts.sum(axis=0) - hits, counts.sum(axis=1) - hits)
 
 
 def single_contact_metrics(
@@ -188,33 +190,25 @@ def multi_contact_metrics(
     estimate = np.where(found, np.asarray(answered_magnitude_n, dtype=float), 0.0)
     counted = ~true | (force >= smallest_force_n)
     right = true == found
-    scores = [
-        _f1(
-            int((true & found & counted)[:, n].sum()),
-            int((~true & found & counted)[:, n].sum()),
-            int((true & ~found & counted)[:, n].sum()),
-        )
-        for n in range(true.shape[1])
-    ]
-    present = [score for score in scores if score is not None]
+    outcomes = (true & found, ~true & found, true & ~found)
     error = np.abs(estimate - force)
     return MultiContactMetrics(
         judged=int(counted.sum()),
         recognition_accuracy=_mean(right[counted]),
         all_segments_right=_mean((right | ~counted).all(axis=1)),
-        macro_f1=float(np.mean(present)) if present else float("nan"),
+        macro_f1=_mean_f1(*((part & counted).sum(axis=0) for part in outcomes)),
         magnitude_mae_n=tuple(
             _mean(error[(true & counted)[:, n], n]) for n in range(true.shape[1])
         ),
     )
 
 
-def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_]) -> ErrorFigures:
+def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_]) -> ErrorMetrics:
     found = chosen & (answer.segment > 0)
     magnitude = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
     magnitude_error = np.abs(magnitude - truth.magnitude_n)
     angle_error = np.abs(angle_difference_deg(answer.angle_deg, truth.angle_deg))
-    return ErrorFigures(
+    return ErrorMetrics(
         contacts=int(chosen.sum()),
         found=int(found.sum()),
         contact_accuracy=_mean((truth.segment == answer.segment)[chosen]),
@@ -226,14 +220,16 @@ def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_
     )
 
 
-def _f1(hits: int, invented: int, missed: int) -> float | None:
-    """F1 of one class; None where the class never occurs."""
-    if hits + invented + missed == 0:
-        return None
-    if hits == 0:
-        return 0.0
-    precision, recall = hits / (hits + invented), hits / (hits + missed)
-    return 2.0 * precision * recall / (precision + recall)
+def _mean_f1(hits: Integers, invented: Integers, missed: Integers) -> float:
+    """Mean F1 of the classes that occur; NaN where none does."""
+    scores = []
+    for hit, extra, lost in zip(hits.tolist(), invented.tolist(), missed.tolist(), strict=True):
+        if hit:
+            precision, recall = hit / (hit + extra), hit / (hit + lost)
+            scores.append(2.0 * precision * recall / (precision + recall))
+        elif extra or lost:
+            scores.append(0.0)
+    return float(np.mean(scores)) if scores else float("nan")
 
 
 def _mean(values: NDArray[np.bool_] | Array) -> float:

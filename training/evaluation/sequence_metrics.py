@@ -26,7 +26,7 @@ SETTLED_S = 0.5
 
 @dataclass(frozen=True)
 class SequenceMetrics:
-    """Figures over sequences.
+    """Metrics over sequences.
 
     Attributes:
         every, moving, rest: over all ticks, those in motion or just after it, and the others.
@@ -45,7 +45,7 @@ class SequenceMetrics:
 def sequence_answer(
     estimator: Estimator | TemporalEstimator, sequences: Sequences
 ) -> ContactAnswer:
-    """Answers (S · T,) of an estimator; one without memory is told the set-point at every tick."""
+    """Answers (S · T,) of an estimator; a memoryless one receives the set-point at every tick."""
     if isinstance(estimator, TemporalEstimator):
         found = estimator.estimate_sequences(
             sequences.tension_difference_n,
@@ -59,17 +59,11 @@ def sequence_answer(
             sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
             sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
         )
-    return ContactAnswer(
-        segment=found.segment.ravel(),
-        angle_deg=found.angle_deg.ravel(),
-        magnitude_n=found.magnitude_n.ravel(),
-        magnitude_std_n=found.magnitude_std_n.ravel(),
-        angle_std_deg=found.angle_std_deg.ravel(),
-    )
+    return ContactAnswer.of(found)
 
 
 def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:
-    """The figures of answers (S · T,), in motion and at rest."""
+    """The metrics of answers (S · T,), in motion and at rest."""
     truth = ContactTruth(
         sequences.segment.ravel(), sequences.angle_deg.ravel(), sequences.magnitude_n.ravel()
     )

@@ -6,17 +6,16 @@ steps. `drawn_contacts` gives contacts that come and go: segment, direction and 
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.errors import DatasetError
+from cablesense_training.errors import require_within
 
 LONGEST_S = 3600.0
 
@@ -47,30 +46,18 @@ class MotionProtocol:
     noise: bool = True
 
     def __post_init__(self) -> None:
-        _within("sequences", self.sequences, 1, 1_000_000)
-        _within("tick_s", self.tick_s, 1e-3, 1.0)
-        _within("duration_s", self.duration_s, self.tick_s, LONGEST_S)
-        _within("pose_range_deg", self.pose_range_deg, 0.0, 45.0)
-        _within("joint_speed_deg_s", self.joint_speed_deg_s, 0.1, 1000.0)
-        _within("force_high_n", self.force_high_n, 0.1, 10_000.0)
-        _within("tare_samples", self.tare_samples, 1, 10_000)
+        require_within("sequences", self.sequences, 1, 1_000_000)
+        require_within("tick_s", self.tick_s, 1e-3, 1.0)
+        require_within("duration_s", self.duration_s, self.tick_s, LONGEST_S)
+        require_within("pose_range_deg", self.pose_range_deg, 0.0, 45.0)
+        require_within("joint_speed_deg_s", self.joint_speed_deg_s, 0.1, 1000.0)
+        require_within("force_high_n", self.force_high_n, 0.1, 10_000.0)
+        require_within("tare_samples", self.tare_samples, 1, 10_000)
 
     @property
     def ticks(self) -> int:
         """Samples in a sequence."""
         return max(1, round(self.duration_s / self.tick_s))
-
-    def options(self) -> dict[str, Any]:
-        """As plain values."""
-        return asdict(self)
-
-
-def _within(name: str, value: float, low: float, high: float) -> None:
-    if not math.isfinite(value) or not low <= value <= high:
-        raise DatasetError(f"{name} = {value!r}: must be a number from {low:,g} to {high:,g}")
-
-
-OPTION_NAMES = tuple(field.name for field in fields(MotionProtocol))
 
 
 STEP_S = 1e-3
@@ -106,7 +93,7 @@ class CommandedMotion(NamedTuple):
 def drawn_motion(
     protocol: MotionProtocol, joint_count: int, rng: np.random.Generator
 ) -> CommandedMotion:
-    """A course through random poses, beginning at rest at one of them."""
+    """A trajectory through random poses, beginning at rest at one of them."""
     reach = np.deg2rad(protocol.pose_range_deg)
     start = rng.uniform(-reach, reach, joint_count)
     motion = JointMotion(start, np.deg2rad(protocol.joint_speed_deg_s))
@@ -128,7 +115,7 @@ def drawn_motion(
 def drawn_before(start_rad: Array, reach_rad: float, rng: np.random.Generator) -> Array:
     """(S, W, 2N) set-points that lead through random poses to `start_rad` (S, 2N).
 
-    They give the friction of each arm a past, and whoever counts commands knows it.
+    They give the friction of each arm a history that follows from the commands.
     """
     poses = [rng.uniform(-reach_rad, reach_rad, start_rad.shape) for _ in range(_MOVES_BEFORE)]
     poses.append(start_rad)
@@ -204,7 +191,7 @@ _SWELL = 0.3
 _SWELL_HZ = (0.2, 2.0)
 
 
-class ContactCourse(NamedTuple):
+class ContactTrajectory(NamedTuple):
     """Of T ticks: segment (T,), 0 for none; angle (T,), degrees; magnitude (T,), N."""
 
     segment: NDArray[np.int64]
@@ -214,7 +201,7 @@ class ContactCourse(NamedTuple):
 
 def drawn_contacts(
     protocol: MotionProtocol, segment_count: int, rng: np.random.Generator
-) -> ContactCourse:
+) -> ContactTrajectory:
     """One contact at a time, with pauses between; most swell, and turn a little, while they last.
 
     A contact rises within 20 ms to 1.5 s, holds, and falls likewise. A third are weak.
@@ -223,7 +210,7 @@ def drawn_contacts(
     segment = np.zeros(ticks, dtype=np.int64)
     angle, magnitude = np.zeros(ticks), np.zeros(ticks)
     time_s = np.arange(ticks) * protocol.tick_s
-    start_s = _free_s(rng)
+    start_s = _SHORTEST_FREE_S + rng.exponential(_MEAN_FREE_S)
     while start_s < time_s[-1]:
         rise_s, fall_s = np.exp(rng.uniform(*_LOG_RISE, 2))
         hold_s = rng.exponential(_MEAN_HOLD_S)
@@ -240,9 +227,5 @@ def drawn_contacts(
         magnitude[rows] = peak * envelope * (1.0 - swell * (0.5 + 0.5 * np.sin(phase)))
         turning = rng.uniform(-_MOST_TURNED_DEG_S, _MOST_TURNED_DEG_S) * (rng.random() < 0.5)
         angle[rows] = (rng.uniform(0.0, 360.0) + turning * since) % 360.0
-        start_s = end_s + _free_s(rng)
-    return ContactCourse(segment, angle, magnitude)
-
-
-def _free_s(rng: np.random.Generator) -> float:
-    return float(_SHORTEST_FREE_S + rng.exponential(_MEAN_FREE_S))
+        start_s = end_s + _SHORTEST_FREE_S + rng.exponential(_MEAN_FREE_S)
+    return ContactTrajectory(segment, angle, magnitude)

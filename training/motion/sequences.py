@@ -29,7 +29,7 @@ from cablesense_training.errors import DatasetError
 from cablesense_training.motion.motion_protocol import (
     STEP_S,
     CommandedMotion,
-    ContactCourse,
+    ContactTrajectory,
     MotionProtocol,
     drawn_before,
     drawn_contacts,
@@ -101,7 +101,7 @@ ARRAY_NAMES = tuple(f.name for f in fields(Sequences) if f.name not in ("arm", "
 """Names of the arrays that have one row per sequence."""
 
 
-def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
+def _tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
     """(T, M) tensions of a memoryless arm under loads (T, N, 3), at rest at the start."""
     dynamics = ArmDynamics(arm, STEP_S)
     dynamics.reset(motion.angle_rad[0])
@@ -116,47 +116,42 @@ def tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Ar
     return found
 
 
-def quasi_static_tensions_n(
-    arm: Arm,
-    before_rad: Array,
-    command_rad: Array,
-    forces_n: Array,
-    tick_s: float,
+def _quasi_static_tensions_n(
+    arm: Arm, before_rad: Array, command_rad: Array, forces_n: Array, tick_s: float
 ) -> Array:
     """(S, T, M) tensions of history-dependent arms, side by side, under loads (S, T, N, 3).
 
     Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
     sequences in which an arm finds no rest.
     """
-    before = before_rad.swapaxes(0, 1)
-    course = np.concatenate([before, command_rad.swapaxes(0, 1)])
-    none = np.zeros((len(before), *forces_n.swapaxes(0, 1).shape[1:]))
-    loads = np.concatenate([none, forces_n.swapaxes(0, 1)])
-    found = np.full((*course.shape[:2], arm.cable_count), np.nan)
-    rows = np.arange(course.shape[1])
+    before = before_rad.shape[1]
+    path = np.concatenate([before_rad, command_rad], axis=1).swapaxes(0, 1)
+    loads = np.pad(forces_n, ((0, 0), (before, 0), (0, 0), (0, 0))).swapaxes(0, 1)
+    found = np.full((*path.shape[:2], arm.cable_count), np.nan)
+    rows = np.arange(path.shape[1])
     while rows.size:
         try:
-            found[:, rows] = _through(arm, course[:, rows], loads[:, rows], tick_s)
+            found[:, rows] = _along_path_n(arm, path[:, rows], loads[:, rows], tick_s)
         except EquilibriumError as error:
             if not error.failed.size:
                 raise
             rows = np.delete(rows, error.failed)
             continue
         break
-    return found[len(before) :].swapaxes(0, 1)
+    return found[before:].swapaxes(0, 1)
 
 
-def _through(arm: Arm, course_rad: Array, loads_n: Array, tick_s: float) -> Array:
+def _along_path_n(arm: Arm, path_rad: Array, loads_n: Array, tick_s: float) -> Array:
     entries, nominal = entries_of(arm), mechanism_of(arm)
-    count = course_rad.shape[1]
-    resting = QuasiStaticArm([amended(nominal, entries)] * count, [entries] * count)
+    count = path_rad.shape[1]
+    quasi_static = QuasiStaticArm([amended(nominal, entries)] * count, [entries] * count)
     acting = actuations([entries] * count)
-    found = np.empty((len(course_rad), count, arm.cable_count))
-    for tick, command in enumerate(course_rad):
+    found = np.empty((len(path_rad), count, arm.cable_count))
+    for tick, command in enumerate(path_rad):
         held = held_lengths_m(nominal, command)
         for actuation in acting:
             held = actuation.step(tick * tick_s, held)
-        found[tick] = resting.step(tick * tick_s, held, loads_n[tick])
+        found[tick] = quasi_static.step(tick * tick_s, held, loads_n[tick])
     return found
 
 
@@ -175,24 +170,28 @@ def draw_sequences(
     workers: int = 1,
     on_done: Callable[[int], None] | None = None,
 ) -> Sequences:
-    """The sequences that arm, protocol and seed determine; `on_done` is told how many are.
+    """The sequences that arm, protocol and seed determine; `on_done` counts them.
 
     Sequences in which the arm finds no rest are left out.
 
     Raises:
         DatasetError: none is left.
     """
-    counts = _block_sizes(protocol.sequences)
+    full, rest = divmod(protocol.sequences, BLOCK_SEQUENCES)
+    counts = [BLOCK_SEQUENCES] * full + [rest] * (rest > 0)
     parts: list[Sequences] = []
     with WorkerPool(min(workers, len(counts)), arm, protocol, seed, refusal=DatasetError) as pool:
-        results = pool.map(draw_block, range(len(counts)), counts)
+        results = pool.map(_draw_block, range(len(counts)), counts)
         for part, count in zip(results, counts, strict=True):
             parts.append(part)
-            _tell(on_done, count)
+            if on_done is not None:
+                on_done(count)
     return Sequences.concatenate([part for part in parts if len(part)])
 
 
-def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int) -> Sequences:
+def _draw_block(
+    arm: Arm, protocol: MotionProtocol, seed: int, block: int, count: int
+) -> Sequences:
     """Some sequences of a run, by their block's number."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block,)))
     nominal, entries = mechanism_of(arm), entries_of(arm)
@@ -200,14 +199,17 @@ def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count:
     contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
     command = np.stack([motion.angle_rad for motion in motions])
     forces = np.stack(
-        [_forces_n(nominal, pose, course) for pose, course in zip(command, contacts, strict=True)]
+        [
+            _forces_n(nominal, pose, contact)
+            for pose, contact in zip(command, contacts, strict=True)
+        ]
     )
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if transmissions([entries]):
-        true = quasi_static_tensions_n(arm, before, command, forces, protocol.tick_s)
+        true = _quasi_static_tensions_n(arm, before, command, forces, protocol.tick_s)
     else:
-        pairs = zip(motions, forces, strict=True)
-        true = np.stack([tensions_in_time_n(arm, motion, loads) for motion, loads in pairs])
+        moved = zip(motions, forces, strict=True)
+        true = np.stack([_tensions_in_time_n(arm, motion, loads) for motion, loads in moved])
     sensed = _sensed_n(arm, true, protocol.tick_s)
     reading, tare = sensed, sensed[:, :1]
     if protocol.noise:
@@ -217,32 +219,27 @@ def draw_block(arm: Arm, protocol: MotionProtocol, seed: int, block: int, count:
     held = held_lengths_m(nominal, command)
     predicted = solve_equilibrium(amended(nominal, entries), command, held_m=held).tensions_n
     whole = np.isfinite(true).all(axis=(1, 2))
+    late = rng.random(count) < SHARE_STARTED_LATE
     return Sequences(
         arm=arm,
         protocol=protocol,
         seed=seed,
-        before_rad=_as_known(before, rng),
+        before_rad=np.where(late[:, None, None], before[:, -1:], before),
         tension_difference_n=reading - tare - (predicted - predicted[:, :1]),
         joint_command_rad=command,
         joint_speed_rad_s=np.stack([motion.speed_rad_s for motion in motions]),
         joint_acceleration_rad_s2=np.stack([m.acceleration_rad_s2 for m in motions]),
-        segment=np.stack([course.segment for course in contacts]),
-        angle_deg=np.stack([course.angle_deg for course in contacts]),
-        magnitude_n=np.stack([course.magnitude_n for course in contacts]),
+        segment=np.stack([contact.segment for contact in contacts]),
+        angle_deg=np.stack([contact.angle_deg for contact in contacts]),
+        magnitude_n=np.stack([contact.magnitude_n for contact in contacts]),
     ).select(whole)
 
 
-def _as_known(before_rad: Array, rng: np.random.Generator) -> Array:
-    """What an estimator knows of set-points (S, W, 2N): nothing, where it was started later."""
-    late = rng.random(len(before_rad)) < SHARE_STARTED_LATE
-    return np.where(late[:, None, None], before_rad[:, -1:], before_rad)
-
-
-def _forces_n(mechanism: Mechanism, command_rad: Array, course: ContactCourse) -> Array:
+def _forces_n(mechanism: Mechanism, command_rad: Array, contact: ContactTrajectory) -> Array:
     """(T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
-    here = course.segment[:, None] == np.arange(1, mechanism.segment_count + 1)
-    angles = np.where(here, course.angle_deg[:, None], 0.0)
-    magnitudes = np.where(here, course.magnitude_n[:, None], 0.0)
+    here = contact.segment[:, None] == np.arange(1, mechanism.segment_count + 1)
+    angles = np.where(here, contact.angle_deg[:, None], 0.0)
+    magnitudes = np.where(here, contact.magnitude_n[:, None], 0.0)
     return contact_forces_n(mechanism, command_rad, angles, magnitudes)
 
 
@@ -254,13 +251,3 @@ def _sensed_n(arm: Arm, true_n: Array, tick_s: float) -> Array:
         ticks = [sensing.step(t * tick_s, sensed[:, t]) for t in range(sensed.shape[1])]
         sensed = np.stack(ticks, axis=1)
     return sensed
-
-
-def _block_sizes(count: int) -> list[int]:
-    full, rest = divmod(count, BLOCK_SEQUENCES)
-    return [BLOCK_SEQUENCES] * full + ([rest] if rest else [])
-
-
-def _tell(on_done: Callable[[int], None] | None, count: int) -> None:
-    if on_done is not None:
-        on_done(count)

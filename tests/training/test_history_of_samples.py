@@ -76,11 +76,11 @@ def test_the_past_shows_in_the_samples(name: str, place: str, values: dict[str, 
 
 
 def test_half_the_samples_come_from_above_their_force() -> None:
-    course = LoadHistory.drawn(4000, np.random.default_rng(0))
-    loads = course.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
-    commands = course.commands_rad(np.ones((4000, 8)))[:, :, 0]
-    assert len(course.time_s) == len(loads) == len(commands)
-    assert (np.diff(course.time_s) >= 0.0).all()
+    history = LoadHistory.drawn(4000, np.random.default_rng(0))
+    loads = history.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
+    commands = history.commands_rad(np.ones((4000, 8)))[:, :, 0]
+    assert len(history.time_s) == len(loads) == len(commands)
+    assert (np.diff(history.time_s) >= 0.0).all()
     np.testing.assert_allclose(loads[-1], 1.0)
     np.testing.assert_array_equal(loads[:5], 0.0)
     np.testing.assert_array_equal(commands[4:], 1.0)  # there, and at rest, before the tare
