@@ -8,21 +8,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cablesense_cli.options import print_json, titled_table
+
 if TYPE_CHECKING:
     from rich.table import Table
 
     from cablesense_gap.recordings.protocol import Block
-    from cablesense_gap.scoring import Proportion, Score
+    from cablesense_gap.scoring import Score
+
+
+_Recording = Annotated[Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")]
+_NominalArm = Annotated[
+    str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
+]
 
 
 def diagnose(
-    recording: Annotated[
-        Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
-    ],
+    recording: _Recording,
     out: Annotated[Path, typer.Option(help="Folder for verdict.json, report.html and arm.yaml.")],
-    arm: Annotated[
-        str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
-    ] = "cdsm_lab",
+    arm: _NominalArm = "cdsm_lab",
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
     retrain: Annotated[
         bool,
@@ -73,9 +77,7 @@ def diagnose(
 
 
 def predict(
-    recording: Annotated[
-        Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
-    ],
+    recording: _Recording,
     out: Annotated[Path, typer.Option(help="CSV file for the recording's rows as predicted.")],
     arm: Annotated[
         str, typer.Option(help="Arm: a path, or the name of a bundled one; amended or nominal.")
@@ -86,8 +88,6 @@ def predict(
     Example: [bold]cablesense gap predict new.csv --arm diagnosis/arm.yaml --out new_predicted.csv\
 [/bold]
     """
-    from dataclasses import replace
-
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
@@ -148,19 +148,14 @@ def protocol(
 
 
 def _table(blocks: tuple[Block, ...], title: str) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", header_style="bold")
-    table.add_column("trial", justify="right")
-    table.add_column("at, s", justify="right")
-    table.add_column("takes, s", justify="right")
+    numbers = "trial", "at, s", "takes, s"
+    table = titled_table(title, *numbers, right=numbers)
     table.add_column("what", no_wrap=True)
     table.add_column("what to do")
     at_s = 0.0
     for number, block in enumerate(blocks):
-        table.add_row(
-            str(number), f"{at_s:.0f}", f"{block.duration_s:.0f}", str(block.kind), block.does
-        )
+        times = f"{at_s:.0f}", f"{block.duration_s:.0f}"
+        table.add_row(str(number), *times, str(block.kind), block.does)
         at_s += block.duration_s
     return table
 
@@ -227,8 +222,6 @@ def score(
 
     Example: cablesense gap score verdicts --answers answers.csv --json
     """
-    import json
-
     from rich.console import Console
 
     from cablesense_gap.scoring import as_json, read_answers, read_verdicts
@@ -237,7 +230,7 @@ def score(
     listed = read_answers(answers)
     found = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
     if json_output:
-        print(json.dumps(as_json(found), indent=2))
+        print_json(as_json(found))
         return
     console = Console()
     console.print(_statistics(found))
@@ -261,23 +254,20 @@ def _statistics(found: Score) -> Table:
         ("right places, of correct verdicts", found.where),
         *((f"exact, {effect}", share) for effect, share in found.by_effect.items()),
     ):
-        table.add_row(name, *_cells(share))
-    removed = found.median_removed_fraction
+        if share.value is None:
+            table.add_row(name, "–", "", "0")
+            continue
+        low, high = share.ci95
+        cells = f"{share.value:.1%}", f"{low:.0%} to {high:.0%}", f"{share.hits} of {share.count}"
+        table.add_row(name, *cells)
     for name, value in (
-        ("removable gap removed, median of correct verdicts", removed),
+        ("removable gap removed, median of correct verdicts", found.median_removed_fraction),
         ("mean probability on the truth", found.mean_probability_on_truth),
         ("Brier score of the verdicts", found.reliability.brier),
         ("expected calibration error", found.reliability.expected_error),
     ):
         table.add_row(name, "–" if value is None else f"{value:.3f}", "", str(found.cases))
     return table
-
-
-def _cells(share: Proportion) -> tuple[str, str, str]:
-    if share.value is None:
-        return "–", "", "0"
-    low, high = share.ci95
-    return f"{share.value:.1%}", f"{low:.0%} to {high:.0%}", f"{share.hits} of {share.count}"
 
 
 def _confusion(found: Score) -> Table:
@@ -294,9 +284,7 @@ def withhold(
     count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
     out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
     seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
-    arm: Annotated[
-        str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
-    ] = "cdsm_lab",
+    arm: _NominalArm = "cdsm_lab",
     answers: Annotated[
         Path | None,
         typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv."),

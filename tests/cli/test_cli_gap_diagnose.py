@@ -20,8 +20,8 @@ from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
-PROBLEM = small_recording(peak_n=25.0)
-SHORT = PROBLEM.rows(np.flatnonzero(np.arange(len(PROBLEM)) % 4 == 0))
+PROTOCOL = small_recording(peak_n=25.0)
+SHORT = PROTOCOL.rows(np.flatnonzero(np.arange(len(PROTOCOL)) % 4 == 0))
 
 
 def run(*arguments, cwd):
@@ -30,10 +30,10 @@ def run(*arguments, cwd):
     )
 
 
-def recorded(arm: Arm, problem: Recording = SHORT) -> Recording:
-    ideal = replay_arm(arm, problem.time_s, problem.command_rad, problem.forces_n)
+def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
+    ideal = replay_arm(arm, protocol.time_s, protocol.command_rad, protocol.forces_n)
     readings = read_tensions_n(ideal, arm.sensors, np.random.default_rng(4))
-    return replace(problem, tensions_n=readings)
+    return replace(protocol, tensions_n=readings)
 
 
 @pytest.mark.slow  # the full library, from which to choose, in a process of its own
@@ -52,7 +52,9 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     assert verdict.where.segments == ("segment_3",)
     assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.06)
     # on loads and poses that the diagnosis never saw
-    unseen = replace(PROBLEM, command_rad=-0.7 * PROBLEM.command_rad, load_n=0.6 * PROBLEM.load_n)
+    unseen = replace(
+        PROTOCOL, command_rad=-0.7 * PROTOCOL.command_rad, load_n=0.6 * PROTOCOL.load_n
+    )
     real, after, before = (
         replay_arm(arm, unseen.time_s, unseen.command_rad, unseen.forces_n)
         for arm in (heavy, load_arm(folder / "arm.yaml"), LAB)

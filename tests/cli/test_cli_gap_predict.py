@@ -19,7 +19,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import replay_arm
 
-PROBLEM = small_recording(peak_n=20.0).rows(slice(0, 80))
+RECORDING = small_recording(peak_n=20.0).rows(slice(0, 80))
 FOUND = {
     Term("payload", "segment_2", "mass_kg"): 0.4,
     Term("capstan_friction", "arm", "coefficient"): 0.05,
@@ -34,8 +34,8 @@ def run(*arguments):
 @pytest.fixture
 def recording(tmp_path):
     path = tmp_path / "new.csv"
-    noise_n = np.random.default_rng(0).normal(0.0, 5.0, PROBLEM.tensions_n.shape)
-    write_csv(path, replace(PROBLEM, tensions_n=PROBLEM.tensions_n + noise_n))
+    noise_n = np.random.default_rng(0).normal(0.0, 5.0, RECORDING.tensions_n.shape)
+    write_csv(path, replace(RECORDING, tensions_n=RECORDING.tensions_n + noise_n))
     return path
 
 
@@ -43,7 +43,7 @@ def test_the_nominal_arm_gives_the_nominal_prediction(recording, tmp_path):
     out = tmp_path / "predicted.csv"
     result = run(recording, "--arm", "cdsm_lab", "--out", out)
     assert result.exit_code == 0, result.output
-    nominal = solve_equilibrium(mechanism_of(LAB), PROBLEM.command_rad, PROBLEM.forces_n)
+    nominal = solve_equilibrium(mechanism_of(LAB), RECORDING.command_rad, RECORDING.forces_n)
     assert_allclose(read_csv(out, LAB).tensions_n, nominal.tensions_n, atol=1e-3)
 
 
@@ -53,7 +53,7 @@ def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
     write_arm(arm, amended, "made for this test")
     result = run(recording, "--arm", arm, "--out", out)
     assert result.exit_code == 0, result.output
-    wanted = replay_arm(amended, PROBLEM.time_s, PROBLEM.command_rad, PROBLEM.forces_n)
+    wanted = replay_arm(amended, RECORDING.time_s, RECORDING.command_rad, RECORDING.forces_n)
     assert_allclose(read_csv(out, LAB).tensions_n, wanted, atol=1e-3)
 
 
@@ -69,7 +69,7 @@ def test_the_rows_are_those_of_the_recording(recording, tmp_path):
 def test_what_was_read_does_not_matter(recording, tmp_path):
     """Nothing of the readings may leak into the prediction of them."""
     other = tmp_path / "other.csv"
-    write_csv(other, replace(PROBLEM, tensions_n=7.0 + 0.0 * PROBLEM.tensions_n))
+    write_csv(other, replace(RECORDING, tensions_n=7.0 + 0.0 * RECORDING.tensions_n))
     found = []
     for path in (recording, other):
         out = tmp_path / f"{path.stem}_predicted.csv"

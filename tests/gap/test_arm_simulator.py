@@ -268,11 +268,13 @@ def test_the_heading_is_comment_lines_and_the_whole_arm_needs_no_place(tmp_path)
 
 def test_the_file_predicts_what_the_diagnosis_did(tmp_path):
     values = {MASS_KG_TERM: 0.3, GAINS[0]: 0.03, ZERO_N: 0.1}
-    problem = small_recording(peak_n=20.0).rows(slice(0, 60))
+    recording = small_recording(peak_n=20.0).rows(slice(0, 60))
     path = tmp_path / "arm.yaml"
     write_arm(path, amended_arm(LAB, values, {}), "x")
-    replayed = replay_arm(load_arm(path), problem.time_s, problem.command_rad, problem.forces_n)
-    assert_allclose(replayed, ArmSimulator(LAB, problem).predict([values])[0], atol=1e-6)
+    replayed = replay_arm(
+        load_arm(path), recording.time_s, recording.command_rad, recording.forces_n
+    )
+    assert_allclose(replayed, ArmSimulator(LAB, recording).predict([values])[0], atol=1e-6)
 
 
 @pytest.mark.parametrize(("arm", "slack_n"), [(LAB, 2.5), (five_by_four(), 2.5), (TAUT, 5.0)])

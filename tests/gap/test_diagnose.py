@@ -28,13 +28,13 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
-PROBLEM = small_recording(peak_n=25.0)
+PROTOCOL = small_recording(peak_n=25.0)
 MASS_KG = 0.5
 
 
 def made(truth: Assignment, seed: int = 0) -> Recording:
-    """The course as read off an arm with what is true of it, and what a workshop leaves."""
-    simulator, rng = ArmSimulator(LAB, PROBLEM), np.random.default_rng(seed)
+    """The protocol as recorded on an arm with these effects and manufacturing tolerances."""
+    simulator, rng = ArmSimulator(LAB, PROTOCOL), np.random.default_rng(seed)
     left = {
         term: float(rng.normal(0.0, parameter.typical))
         for tolerance in simulator.tolerances
@@ -42,7 +42,7 @@ def made(truth: Assignment, seed: int = 0) -> Recording:
         for term, parameter in zip(tolerance.terms(place), tolerance.parameters, strict=True)
     }
     ideal = simulator.predict([{**left, **truth}])[0]
-    return replace(PROBLEM, tensions_n=read_tensions_n(ideal, LAB.sensors, rng))
+    return replace(PROTOCOL, tensions_n=read_tensions_n(ideal, LAB.sensors, rng))
 
 
 @cache
@@ -74,7 +74,7 @@ def test_what_it_leaves_is_the_noise():
 def test_the_amended_arm_reads_as_is_said():
     """Tolerances go in linearly in the one, and bend the arm in the other: less than the noise."""
     found = loaded()
-    replayed = replay_arm(found.amended, PROBLEM.time_s, PROBLEM.command_rad, PROBLEM.forces_n)
+    replayed = replay_arm(found.amended, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
     difference_n = replayed - found.predicted_after_n
     assert np.sqrt((difference_n**2).mean()) < found.verdict.gap.floor_n
 
@@ -95,10 +95,10 @@ def test_what_a_workshop_leaves_is_no_effect():
 
 
 def test_a_load_that_the_nominal_arm_cannot_bear_is_refused_in_a_line():
-    load_n = PROBLEM.load_n.copy()
+    load_n = PROTOCOL.load_n.copy()
     load_n[25:40] = [0.0, 1500.0, 0.0]
     with pytest.raises(CableSenseError, match="guide plates touch"):
-        diagnose(replace(PROBLEM, load_n=load_n), LAB)
+        diagnose(replace(PROTOCOL, load_n=load_n), LAB)
 
 
 def trials(kinds: list[tuple[int, bool]], rows: int = 4) -> Recording:

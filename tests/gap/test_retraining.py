@@ -37,13 +37,13 @@ from cablesense_sim.loads import contact_angle_deg, normal_force_n
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.inference.estimator import Estimates, Estimator
 
-PROBLEM = small_recording()
+PROTOCOL = small_recording()
 
 
 def test_the_tare_is_the_mean_of_the_unloaded_rows_just_before():
     rng = np.random.default_rng(0)
-    readings = rng.normal(50.0, 1.0, PROBLEM.tensions_n.shape)
-    loads = tared_loads(replace(PROBLEM, tensions_n=readings))
+    readings = rng.normal(50.0, 1.0, PROTOCOL.tensions_n.shape)
+    loads = tared_loads(replace(PROTOCOL, tensions_n=readings))
     second = np.flatnonzero(loads.trial == 2)[0]
     # four rows at the end of the cycle before it and four at its own beginning
     first = loads.row[second]
@@ -51,31 +51,31 @@ def test_the_tare_is_the_mean_of_the_unloaded_rows_just_before():
     assert loads.tension_difference_n[second] == pytest.approx(readings[first] - tare)
 
 
-def test_every_loaded_row_of_the_course_has_a_tare():
-    loads = tared_loads(PROBLEM)
-    assert np.array_equal(loads.row, np.flatnonzero(PROBLEM.load_segment))
-    assert np.array_equal(loads.force_n, PROBLEM.load_n[loads.row])
-    assert np.array_equal(loads.segment, PROBLEM.load_segment[loads.row])
+def test_every_loaded_row_of_the_protocol_has_a_tare():
+    loads = tared_loads(PROTOCOL)
+    assert np.array_equal(loads.row, np.flatnonzero(PROTOCOL.load_segment))
+    assert np.array_equal(loads.force_n, PROTOCOL.load_n[loads.row])
+    assert np.array_equal(loads.segment, PROTOCOL.load_segment[loads.row])
 
 
 def test_the_peak_is_of_each_trial():
-    loads = tared_loads(PROBLEM)
+    loads = tared_loads(PROTOCOL)
     expected = int((CYCLE >= AT_PEAK).sum())
     assert [int(loads.at_peak[loads.trial == t].sum()) for t in range(1, 9)] == [expected] * 8
 
 
 def test_a_load_under_another_command_than_its_tare_is_left_out():
-    command = PROBLEM.command_rad.copy()
-    loaded = np.flatnonzero(PROBLEM.load_segment)[0]
+    command = PROTOCOL.command_rad.copy()
+    loaded = np.flatnonzero(PROTOCOL.load_segment)[0]
     command[loaded:] += 0.01
-    loads = tared_loads(replace(PROBLEM, command_rad=command))
+    loads = tared_loads(replace(PROTOCOL, command_rad=command))
     assert loaded not in loads.row
-    assert len(loads) < len(tared_loads(PROBLEM))
+    assert len(loads) < len(tared_loads(PROTOCOL))
 
 
 def test_no_rest_no_tare():
-    everywhere = np.ones_like(PROBLEM.load_segment)
-    assert len(tared_loads(replace(PROBLEM, load_segment=everywhere))) == 0
+    everywhere = np.ones_like(PROTOCOL.load_segment)
+    assert len(tared_loads(replace(PROTOCOL, load_segment=everywhere))) == 0
 
 
 LOADS = tared_loads(small_recording())
@@ -140,8 +140,8 @@ def having(*effects: ListedEffect) -> Arm:
 
 
 def recorded(arm: Arm) -> Recording:
-    read = replay_arm(arm, PROBLEM.time_s, PROBLEM.command_rad, PROBLEM.forces_n)
-    return replace(PROBLEM, tensions_n=read)
+    read = replay_arm(arm, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
+    return replace(PROTOCOL, tensions_n=read)
 
 
 @cache
@@ -268,7 +268,7 @@ def test_with_nothing_found_nothing_changes(trained_before: list[Arm]):
 
 def test_a_recording_without_loads_is_refused():
     idle = replace(
-        PROBLEM, load_segment=np.zeros_like(PROBLEM.load_segment), load_n=0.0 * PROBLEM.load_n
+        PROTOCOL, load_segment=np.zeros_like(PROTOCOL.load_segment), load_n=0.0 * PROTOCOL.load_n
     )
     with pytest.raises(RetrainingError, match="small: no load"):
         estimator_errors(idle, LAB, LAB)

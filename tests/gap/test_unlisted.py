@@ -22,13 +22,13 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import read_tensions_n
 
-PROBLEM = small_recording()
-NOMINAL_N = ArmSimulator(LAB, PROBLEM).predict([{}])[0]
+RECORDING = small_recording()
+NOMINAL_N = ArmSimulator(LAB, RECORDING).predict([{}])[0]
 
 
 def described(gap_n: np.ndarray, rows: slice = slice(None)) -> Unlisted:
     tensions_n = read_tensions_n(NOMINAL_N + gap_n, LAB.sensors, np.random.default_rng(0))
-    recording = replace(PROBLEM, tensions_n=tensions_n).rows(rows)
+    recording = replace(RECORDING, tensions_n=tensions_n).rows(rows)
     simulator = ArmSimulator(LAB, recording)
     problem = problem_of(recording, simulator, simulator.predict([{}])[0])
     none = refine(problem, {}, [[]])
@@ -64,7 +64,7 @@ def test_the_flexible_model_predicts_every_row(bowed):
 
 
 def test_trials_too_short_to_repeat_leave_a_general_word():
-    short = np.flatnonzero(np.arange(len(PROBLEM.trial)) % 8 == 0)
+    short = np.flatnonzero(np.arange(len(RECORDING.trial)) % 8 == 0)
     assert described(np.zeros_like(NOMINAL_N), short).next_experiment == ONE_AT_A_TIME
 
 
