@@ -105,9 +105,10 @@ def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_pred
     assert made.returncode == 0, made.stderr
     arm = load_arm(tmp_path / "arm.yaml")
     whole = read_csv(tmp_path / "cases" / "case_001.csv", arm)
-    half = whole.rows(whole.trial % 2 == 0)
-    write_csv(tmp_path / "half.csv", half)
-    done = run("diagnose", "half.csv", "--arm", "arm.yaml", "--out", "found", cwd=tmp_path)
+    seen = whole.trial % 3 == 0
+    few = whole.rows(seen & (np.arange(len(whole)) % 4 == 0))  # rows cost most of the time
+    write_csv(tmp_path / "few.csv", few)
+    done = run("diagnose", "few.csv", "--arm", "arm.yaml", "--out", "found", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     verdict = read_verdict(tmp_path / "found" / "verdict.json")
     (answer,) = read_answers(tmp_path / "cases" / "answers" / "answers.csv")
@@ -119,6 +120,5 @@ def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_pred
         cwd=tmp_path,
     )  # fmt: skip
     assert predicted.returncode == 0, predicted.stderr
-    unseen = whole.trial % 2 == 1
-    left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[unseen]
+    left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[~seen]
     assert np.sqrt((left_n**2).mean()) < 0.3 * verdict.gap.before_n
