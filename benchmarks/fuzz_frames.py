@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import random
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import can
 from fuzz_mutation import mutated_bytes
@@ -58,12 +58,8 @@ class _Amplifier:
 
     def opens(self, frame: can.Message) -> bool:
         """Whether it is a counter frame as the manual has it."""
-        return (
-            self.packed
-            and _plain(frame)
-            and frame.arbitration_id == 0x120
-            and len(frame.data) == 1
-        )
+        counter = self.packed and frame.arbitration_id == 0x120 and len(frame.data) == 1
+        return counter and _plain(frame)
 
     def values(self, frame: can.Message) -> Iterator[tuple[int, float]]:
         """(channel, N) of a well-formed frame, those in range alone."""
@@ -82,10 +78,8 @@ class _Amplifier:
         for channel, tension_n in found:
             if low < tension_n < high:
                 cable = self.map.channels[self.map.cable_names[channel]]
-                message = self.ids[frame.arbitration_id]
-                value = float(
-                    message.decode(bytes(frame.data), decode_choices=False)[cable.signal]
-                )
+                message, data = self.ids[frame.arbitration_id], bytes(frame.data)
+                value = float(message.decode(data, decode_choices=False)[cable.signal])
                 if not math.isclose(cable.tension_n(value), tension_n, rel_tol=1e-9, abs_tol=1e-9):
                     raise FalseAnswerError(f"cantools reads {value} where {tension_n} N are sent")
                 yield channel, tension_n
@@ -295,11 +289,4 @@ def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
         yield received, 2.5e-4
 
 
-_SEQUENCES: tuple[Callable[[random.Random, _Amplifier], Iterator[Timed]], ...] = (
-    _reordered,
-    _reordered,
-    _changed,
-    _changed,
-    _random,
-    _lines,
-)
+_SEQUENCES = (_reordered, _reordered, _changed, _changed, _random, _lines)

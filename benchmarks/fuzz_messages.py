@@ -188,7 +188,6 @@ class _Feed:
         self.bench = bench
         self.estimation = Estimation(bench.arm, bench.estimator, SETTINGS, 0.0)
         self.now_ns = TARED_NS
-        self.last_ns = 0
         for _ in range(SETTINGS.tare_samples):
             self.now_ns += 10**7
             raw = _joint_state(self.now_ns, bench.arm.cable_names, bench.unloaded)

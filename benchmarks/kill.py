@@ -57,14 +57,9 @@ WRITING_S = (0.0, 2.0)
 UP_WITHIN_S = 20.0
 DRIVER_AWAY_S = 0.1
 _SPREADS = (
-    "stale_s",
-    "last_force_s",
-    "zero_age_s",
-    "set_up_s",
-    "first_sample_s",
-    "right_s",
+    "stale_s", "last_force_s", "zero_age_s", "set_up_s", "first_sample_s", "right_s",
     "right_after_set_up_s",
-)
+)  # fmt: skip
 
 
 def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
