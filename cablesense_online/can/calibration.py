@@ -11,10 +11,9 @@ from typing import Annotated
 
 import yaml
 from cantools.database.can import Database
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field
 
 from cablesense_base.files import read_bounded_text, write_atomically
-from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.channel_map import (
     MAX_CHANNELS,
@@ -67,14 +66,6 @@ class CalibratedSensor(FilePart):
     hysteresis_n: Number | None = None
     repeatability_n: Number | None = None
 
-    @model_validator(mode="after")
-    def _scale_is_not_zero(self) -> CalibratedSensor:
-        if self.scale_n_per_unit == 0.0:
-            raise ValueError(
-                "gives scale_n_per_unit = 0, so that every reading is 0 N; calibrate it anew"
-            )
-        return self
-
 
 class Calibration(FilePart):
     """A whole file.
@@ -115,19 +106,16 @@ def calibrated(
     for cable, sensor in calibration.cables.items():
         channel = channels[cable]
         expected = channel_signal(database, channel)
-        made_of = (sensor.message, sensor.signal, sensor.signal_unit)
-        is_now = (channel.message, channel.signal, expected.unit)
-        same_bits = (sensor.signal_factor, sensor.signal_offset) == (
-            expected.factor,
-            expected.offset,
+        text = "{}.{} in {!r}, factor {:g}, offset {:g}"
+        now = (channel.message, channel.signal, expected.unit, expected.factor, expected.offset)
+        then = (
+            *(sensor.message, sensor.signal, sensor.signal_unit),
+            *(sensor.signal_factor, sensor.signal_offset),
         )
-        if made_of != is_now or not same_bits:
+        if then != now:
             raise ChannelMapError(
-                f"{source}: {cable} was calibrated as {sensor.message}.{sensor.signal} in "
-                f"{sensor.signal_unit!r}, factor {sensor.signal_factor:g}, offset "
-                f"{sensor.signal_offset:g}; map and DBC file now give it {channel.message}."
-                f"{channel.signal} in {expected.unit!r}, factor {expected.factor:g}, offset "
-                f"{expected.offset:g}: calibrate it anew"
+                f"{source}: {cable} was calibrated as {text.format(*then)}; map and DBC file now "
+                f"give it {text.format(*now)}: calibrate it anew"
             )
         update = {"scale_n_per_unit": sensor.scale_n_per_unit, "zero": sensor.zero}
         channels[cable] = channel.model_copy(update=update)
@@ -139,19 +127,17 @@ def _check_cables(channel_map: ChannelMap, calibration: Calibration, source: str
     unknown = [cable for cable in named if cable not in channel_map.channels]
     twice = sorted({cable for cable in named if named.count(cable) > 1})
     silent = [cable for cable in channel_map.channels if cable not in named]
-    if unknown:
-        raise ChannelMapError(
-            f"{source}: has {', '.join(unknown)}, which map {channel_map.name} has not"
-        )
-    if twice:
-        raise ChannelMapError(
-            f"{source}: names {', '.join(twice)} twice; a cable is calibrated or uncalibrated"
-        )
-    if silent:
-        raise ChannelMapError(
-            f"{source}: leaves out {', '.join(silent)}; name them under uncalibrated, if "
-            "they are to keep the map's scale and zero"
-        )
+    for cables, text in (
+        (unknown, f"has {{}}, which map {channel_map.name} has not"),
+        (twice, "names {} twice; a cable is calibrated or uncalibrated"),
+        (
+            silent,
+            "leaves out {}; name them under uncalibrated, if they are to keep the map's scale and "
+            "zero",
+        ),
+    ):
+        if cables:
+            raise ChannelMapError(f"{source}: {text.format(', '.join(cables))}")
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -162,12 +148,7 @@ def load_calibration(path: str | Path) -> Calibration:
             cannot be.
     """
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
-    keys = ", ".join(Calibration.model_fields)
-    content = parse_plain_mapping(text, str(path), keys, ChannelMapError)
-    try:
-        return Calibration.model_validate(content)
-    except ValidationError as error:
-        raise ChannelMapError(f"{path}: {describe_problem(error, Calibration)}") from None
+    return Calibration.from_yaml(text, str(path))
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:

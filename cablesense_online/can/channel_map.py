@@ -12,11 +12,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import cantools
 from cantools.database.can import Database, Message, Signal
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -40,7 +41,6 @@ MOST_BYTES = 1785
 MOST_SIGNAL_BITS = 64
 
 _LARGEST_FACTOR = 1e30
-_SHOWN_NAMES = 8
 
 
 class ChannelMapError(CableSenseError):
@@ -52,6 +52,19 @@ class FilePart(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    @classmethod
+    def from_yaml(cls, text: str, source: str) -> Self:
+        """Read it from YAML text; `source` names that in errors.
+
+        Raises:
+            ChannelMapError: no YAML, an unknown key, or a value that cannot be true.
+        """
+        content = parse_plain_mapping(text, source, ", ".join(cls.model_fields), ChannelMapError)
+        try:
+            return cls.model_validate(content)
+        except ValidationError as error:
+            raise ChannelMapError(f"{source}: {describe_problem(error, cls)}") from None
+
 
 def _not_a_boolean(value: Any) -> Any:
     """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
@@ -60,12 +73,21 @@ def _not_a_boolean(value: Any) -> Any:
     return value
 
 
+def _not_zero(scale_n_per_unit: float) -> float:
+    if scale_n_per_unit == 0.0:
+        raise ValueError(
+            "= 0, so that every reading is 0 N; it must be the newtons of one unit of the signal "
+            "(negative if it falls under tension)"
+        )
+    return scale_n_per_unit
+
+
 Number = Annotated[float, BeforeValidator(_not_a_boolean)]
 Count = Annotated[int, BeforeValidator(_not_a_boolean)]
 Mask = Annotated[Count, Field(ge=0, le=0xFFFF)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,127}$")]
 """A DBC identifier."""
-Scale = Annotated[Number, Field(ge=-1e9, le=1e9)]
+Scale = Annotated[Number, Field(ge=-1e9, le=1e9), AfterValidator(_not_zero)]
 Zero = Annotated[Number, Field(ge=-1e12, le=1e12)]
 
 
@@ -81,15 +103,6 @@ class Channel(FilePart):
     status: Name | None = None
     scale_n_per_unit: Scale = 1.0
     zero: Zero = 0.0
-
-    @model_validator(mode="after")
-    def _scale_is_not_zero(self) -> Channel:
-        if self.scale_n_per_unit == 0.0:
-            raise ValueError(
-                "gives scale_n_per_unit = 0, so that every reading is 0 N; it must be the newtons "
-                "of one unit of the signal (negative if it falls under tension)"
-            )
-        return self
 
     def tension_n(self, value: float) -> float:
         """The tension in N of a signal's value."""
@@ -159,6 +172,12 @@ class ChannelMap(FilePart):
         """In the order of the map."""
         return tuple(self.channels)
 
+    @property
+    def message_names(self) -> set[str]:
+        """Of the messages that make one sample, the counter's included."""
+        counter = {self.counter.message} if self.counter else set()
+        return counter | {channel.message for channel in self.channels.values()}
+
     def arranged(self, cable_names: Sequence[str]) -> ChannelMap:
         """The map with its channels in an arm's order.
 
@@ -179,19 +198,23 @@ class ChannelMap(FilePart):
 
     @model_validator(mode="after")
     def _is_possible(self) -> ChannelMap:
-        if not self.dbc.endswith(".dbc") or "/" in self.dbc or "\\" in self.dbc:
-            raise ValueError(
-                f"gives dbc = {self.dbc!r}; it must be the name of a .dbc file beside the map"
-            )
-        if self.skew_limit_s > self.cycle_time_s:
-            raise ValueError(
-                f"gives skew_limit_s = {self.skew_limit_s:g}; it must be at most cycle_time_s = "
-                f"{self.cycle_time_s:g}, or frames of two cycles would make one sample"
-            )
-        if self.range_n[0] >= self.range_n[1]:
-            raise ValueError(
-                f"gives range_n = {list(self.range_n)}; it must be [lowest, highest] in N"
-            )
+        for wrong, text in (
+            (
+                not self.dbc.endswith(".dbc") or "/" in self.dbc or "\\" in self.dbc,
+                f"dbc = {self.dbc!r}; it must be the name of a .dbc file beside the map",
+            ),
+            (
+                self.skew_limit_s > self.cycle_time_s,
+                f"skew_limit_s = {self.skew_limit_s:g}; it must be at most cycle_time_s = "
+                f"{self.cycle_time_s:g}, or frames of two cycles would make one sample",
+            ),
+            (
+                self.range_n[0] >= self.range_n[1],
+                f"range_n = {list(self.range_n)}; it must be [lowest, highest] in N",
+            ),
+        ):
+            if wrong:
+                raise ValueError(f"gives {text}")
         by_signal: dict[tuple[str, str], str] = {}
         for cable, channel in self.channels.items():
             other = by_signal.setdefault((channel.message, channel.signal), cable)
@@ -229,22 +252,8 @@ def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:
     """
     path = find_channel_map(name_or_path)
     text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
-    channel_map = parse_channel_map(text, source=str(path))
+    channel_map = ChannelMap.from_yaml(text, str(path))
     return channel_map, path.parent / channel_map.dbc
-
-
-def parse_channel_map(text: str, source: str = "channel map") -> ChannelMap:
-    """Read a map from YAML text; `source` names it in errors.
-
-    Raises:
-        ChannelMapError: as `load_channel_map`.
-    """
-    keys = ", ".join(ChannelMap.model_fields)
-    content = parse_plain_mapping(text, source, keys, ChannelMapError)
-    try:
-        return ChannelMap.model_validate(content)
-    except ValidationError as error:
-        raise ChannelMapError(f"{source}: {describe_problem(error, ChannelMap)}") from None
 
 
 _TOKEN = re.compile(
@@ -259,11 +268,7 @@ _LIMITS = {
 
 
 def _require_bounded_sizes(text: str, source: str) -> None:
-    """Refuse DBC text with messages or signals that no bus carries; `source` names it in errors.
-
-    Raises:
-        ChannelMapError: names the line, the number, and what it may be.
-    """
+    """Refuse DBC text with messages or signals that no bus carries."""
     sign: str | None = None
     number: re.Match[str] | None = None
     for token in _TOKEN.finditer(text):
@@ -332,11 +337,9 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
     """
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
-        message = _message_of(database, channel.message, where)
-        _require_plausible(_signal_of(message, channel.signal, where), where)
+        _signal_of(database, channel.message, channel.signal, where)
         if channel.status is not None:
-            status = _signal_of(message, channel.status, where)
-            _require_plausible(status, where)
+            status = _signal_of(database, channel.message, channel.status, where)
             if status.is_float:
                 raise ChannelMapError(
                     f"{where}: status {channel.status} is a floating value; it must be of whole "
@@ -344,9 +347,9 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
                 )
     if channel_map.counter is not None:
         where = f"{source}: counter"
-        message = _message_of(database, channel_map.counter.message, where)
-        counter = _signal_of(message, channel_map.counter.signal, where)
-        _require_plausible(counter, where)
+        counter = _signal_of(
+            database, channel_map.counter.message, channel_map.counter.signal, where
+        )
         if counter.is_float or counter.is_signed or counter.length < 2:
             raise ChannelMapError(
                 f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
@@ -360,20 +363,14 @@ def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
     Raises:
         ChannelMapError: the database lacks its message or signal.
     """
-    message = _message_of(database, channel.message, "DBC file")
-    signal = _signal_of(message, channel.signal, "DBC file")
+    signal = _signal_of(database, channel.message, channel.signal, "DBC file")
     return ChannelSignal(signal.unit or "", float(signal.scale), float(signal.offset))
 
 
 def _message_of(database: Database, name: str, where: str) -> Message:
-    """The message of that name.
-
-    Raises:
-        ChannelMapError: there is none, or it is multiplexed or not of classical CAN.
-    """
     names = [message.name for message in database.messages]
     if name not in names:
-        raise ChannelMapError(f"{where}: no message {name}; there are {_listed(names)}")
+        raise ChannelMapError(f"{where}: no message {name}; there are {listed(names)}")
     found = database.messages[names.index(name)]
     number = (found.frame_id, found.is_extended_frame)
     same = [
@@ -395,25 +392,25 @@ def _message_of(database: Database, name: str, where: str) -> Message:
     return found
 
 
-def _require_plausible(signal: Signal, where: str) -> None:
+def _signal_of(database: Database, message_name: str, name: str, where: str) -> Signal:
+    message = _message_of(database, message_name, where)
+    signals = {signal.name: signal for signal in message.signals}
+    if name not in signals:
+        raise ChannelMapError(
+            f"{where}: no signal {name} in message {message.name}; there are "
+            f"{listed(list(signals))}"
+        )
+    signal = signals[name]
     if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
         raise ChannelMapError(
             f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
             f"both must be finite, at most {_LARGEST_FACTOR:g}"
         )
+    return signal
 
 
-def _signal_of(message: Message, name: str, where: str) -> Signal:
-    for signal in message.signals:
-        if signal.name == name:
-            return signal
-    names = [signal.name for signal in message.signals]
-    raise ChannelMapError(
-        f"{where}: no signal {name} in message {message.name}; there are {_listed(names)}"
-    )
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:_SHOWN_NAMES])
-    more = len(names) - _SHOWN_NAMES
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """The first names, and how many more there are."""
+    shown = ", ".join(names[:most])
+    more = len(names) - most
     return f"{shown} and {more} more" if more > 0 else shown or "none"

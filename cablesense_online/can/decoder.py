@@ -74,16 +74,19 @@ class FrameDecoder:
         self.counter_modulo = 0
         self._described = {(m.frame_id, m.is_extended_frame) for m in database.messages}
         counter = channel_map.counter
-        names = {channel.message for channel in channel_map.channels.values()}
-        names |= {counter.message} if counter else set()
-        self.frames_per_cycle = len(names)
-        for name in sorted(names):
+        self.frames_per_cycle = len(channel_map.message_names)
+        for name in sorted(channel_map.message_names):
             message = database.get_message_by_name(name)
             counts = counter.signal if counter and counter.message == name else None
             if counts:
                 self.counter_modulo = 1 << message.get_signal_by_name(counts).length
             key = (message.frame_id, message.is_extended_frame)
-            self._plans[key] = _Plan(message, _places(channel_map, name), counts)
+            places = tuple(
+                _Place(n, cable, one.signal, one.status, one.scale_n_per_unit, one.zero)
+                for n, (cable, one) in enumerate(channel_map.channels.items())
+                if one.message == name
+            )
+            self._plans[key] = _Plan(message, places, counts)
 
     def knows(self, frame: can.Message) -> bool:
         """Whether the frame's id is one that carries readings or the counter."""
@@ -122,7 +125,9 @@ class FrameDecoder:
                 fault = _fault(tension_n, status, self._range_n, self._masks)
                 if fault is not None:
                     valid = False
-                    self._ledger.note(fault, place.cable, _sentence(place, tension_n, status))
+                    suffix = f", status 0x{status:02X}" if status else ""
+                    detail = f"{place.cable} reads {tension_n:g} N{suffix}"
+                    self._ledger.note(fault, place.cable, detail)
             readings.append((place.channel, tension_n))
         counter = int(values[plan.counter]) if plan.counter is not None else None
         return Decoded(readings, valid, counter)
@@ -131,11 +136,7 @@ class FrameDecoder:
 def _fault(
     tension_n: float, status: int, range_n: tuple[float, float], masks: StatusMasks
 ) -> FaultKind | None:
-    """The fault of a reading by its status bits and its range, if any.
-
-    At or beyond an end of the range a reading means only that the tension lies there or further,
-    so any force computed from it would be false.
-    """
+    """A reading at or beyond an end of the range is none: the tension lies there or further."""
     low, high = range_n
     for applies, kind in (
         (status & masks.over_range, FaultKind.OVER_RANGE),
@@ -148,21 +149,6 @@ def _fault(
         if applies:
             return kind
     return None
-
-
-def _sentence(place: _Place, tension_n: float, status: int) -> str:
-    suffix = f", status 0x{status:02X}" if status else ""
-    return f"{place.cable} reads {tension_n:g} N{suffix}"
-
-
-def _places(channel_map: ChannelMap, message: str) -> tuple[_Place, ...]:
-    return tuple(
-        _Place(
-            position, cable, channel.signal, channel.status, channel.scale_n_per_unit, channel.zero
-        )
-        for position, (cable, channel) in enumerate(channel_map.channels.items())
-        if channel.message == message
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +214,7 @@ class SampleAssembler:
             time_s: its bus time, s.
         """
         if decoded.counter is not None:
-            self._close()
+            self.close()
             self._open(time_s)
             self._count(decoded.counter)
         if not decoded.readings:
@@ -238,10 +224,6 @@ class SampleAssembler:
                 return None  # the rest of a cycle whose beginning did not come
             self._open(time_s)
         return self._put(decoded, time_s)
-
-    def silence(self) -> None:
-        """Nothing came for longer than a cycle: what is open will not be finished."""
-        self._close()
 
     def restart(self) -> None:
         """The interface was opened again: what came before has no bearing on what comes."""
@@ -258,7 +240,7 @@ class SampleAssembler:
             if self._modulo:
                 self._late = True
             else:
-                self._close()
+                self.close()
                 self._open(time_s)
         else:
             self._earliest_s, self._latest_s = earliest_s, latest_s
@@ -309,7 +291,8 @@ class SampleAssembler:
         self._missing = set(range(len(self._names)))
         self._valid, self._late = True, False
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Give up the open sample, if any: nothing came for longer than a cycle."""
         if self._open_s is None:
             return
         for channel in sorted(self._missing):

@@ -9,18 +9,18 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
 from time import monotonic
-from typing import Protocol
 
 import can
+import numpy as np
 from cantools.database.can import Database
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.bus import BusCondition, CanInterface, booted_node, start_frames
-from cablesense_online.can.channel_map import ChannelMap
+from cablesense_online.can.channel_map import ChannelMap, listed
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.faults import FaultKind, FaultLedger, FaultReport
 from cablesense_online.can.tension_reader import TensionReader
@@ -39,8 +39,6 @@ REOPEN_AFTER_SILENCE_S = 2.0
 
 UNREADABLE_IN_A_ROW = 10
 """So many lines that are no frames, one after the other, are an adapter out of step."""
-
-_SHOWN_PLACES = 4
 
 
 class CanDriver:
@@ -78,7 +76,7 @@ class CanDriver:
         self._loop.stop()
 
     def opened(self, send: Callable[[can.Message], None]) -> None:
-        """The interface is open (called by the loop)."""
+        """The interface is open; `send` sends a frame on it (called by the loop)."""
         self._reader.reopened()
         self._send = send
         for frame in start_frames(self._nodes):
@@ -97,7 +95,7 @@ class CanDriver:
             self._on_sample(sample)
 
     def silence(self) -> None:
-        """No frame for a while (called by the loop)."""
+        """No frame in the last two waits of `WAKE_S` (called by the loop)."""
         self._reader.silence(monotonic())
 
     def report(self, stale_after_s: float) -> tuple[list[Status], FaultReport]:
@@ -121,26 +119,9 @@ class CanDriver:
             reader.bus.condition,
             reader.bus.recoveries,
         )
-        statuses = [
-            interface_status(interface, recent, counts, period_s),
-            sample_status(
-                recent, counts, period_s, silence_s, silence_s > stale_after_s, skew_s, faults
-            ),
-        ]
-        return statuses, faults
-
-
-class Receiver(Protocol):
-    """What a `ReceiveLoop` serves."""
-
-    def opened(self, send: Callable[[can.Message], None]) -> None:
-        """The interface is open; `send` sends a frame on it."""
-
-    def received(self, frame: can.Message) -> None:
-        """A frame came."""
-
-    def silence(self) -> None:
-        """No frame in the last two waits of `WAKE_S`."""
+        stale = silence_s > stale_after_s
+        samples = sample_status(recent, counts, period_s, silence_s, stale, skew_s, faults)
+        return [interface_status(interface, recent, counts, period_s), samples], faults
 
 
 class ReceiveLoop:
@@ -156,7 +137,7 @@ class ReceiveLoop:
         self,
         name: str,
         open_bus: Callable[[], can.BusABC],
-        receiver: Receiver,
+        receiver: CanDriver,
         ledger: FaultLedger,
     ) -> None:
         """`open_bus` raises when the interface cannot be opened; `name` names it in faults."""
@@ -258,11 +239,7 @@ class SampleCounts:
     withheld: int = 0
 
     def __sub__(self, earlier: SampleCounts) -> SampleCounts:
-        return SampleCounts(
-            self.frames - earlier.frames,
-            self.samples - earlier.samples,
-            self.withheld - earlier.withheld,
-        )
+        return SampleCounts(*np.subtract(astuple(self), astuple(earlier)).tolist())
 
 
 @dataclass(frozen=True)
@@ -316,8 +293,8 @@ def sample_status(
 
     Args:
         recent: counts of the last `period_s`.
-        total: counts since the node was configured.
-        period_s: length of that time.
+        total: since the node was configured.
+        period_s: see `recent`.
         silence_s: time since the last sample.
         stale: whether that is too long.
         skew_s: largest of the samples of the period.
@@ -325,7 +302,7 @@ def sample_status(
     """
     level, message = Level.OK, "every sample whole"
     text = "; ".join(
-        f"{count} {kind.value} ({_listed(faults.places[kind])})"
+        f"{count} {kind.value} ({listed(sorted(faults.places[kind]), most=4)})"
         for kind, count in faults.recent.items()
     )
     if stale:
@@ -346,9 +323,3 @@ def sample_status(
     values |= {f"{kind.value} in all": str(faults.total.get(kind, 0)) for kind in FaultKind}
     values |= {f"last {kind.value}": detail for kind, detail in faults.last.items()}
     return Status("samples", level, message, values)
-
-
-def _listed(places: Mapping[str, int]) -> str:
-    shown = ", ".join(sorted(places)[:_SHOWN_PLACES])
-    more = len(places) - _SHOWN_PLACES
-    return f"{shown} and {more} more" if more > 0 else shown

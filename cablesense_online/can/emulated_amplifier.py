@@ -68,11 +68,8 @@ class EmulatedAmplifier:
             FaultRequestError: no such fault, or NaN of a signal that holds whole numbers.
         """
         fault = parse_fault(text, self._map)
-        if (
-            fault
-            and fault.kind is FaultKind.NOT_FINITE
-            and not self._encoder.is_float(fault.cable)
-        ):
+        not_finite = fault is not None and fault.kind is FaultKind.NOT_FINITE
+        if fault and not_finite and not self._encoder.is_float(fault.cable):
             raise FaultRequestError(
                 f"{fault.cable} is sent as a whole number, which cannot be NaN; request over_range"
             )
@@ -170,7 +167,9 @@ class EmulatedAmplifier:
                 late_s = LATE_FACTOR * self._map.skew_limit_s
                 return others + [PlannedFrame(frame, late_s) for frame in ours]
             case FaultKind.WRONG_LENGTH:
-                return others + [PlannedFrame(_shortened(frame)) for frame in ours]
+                for frame in ours:
+                    frame.data, frame.dlc = frame.data[:-1], frame.dlc - 1
+                return others + [PlannedFrame(frame) for frame in ours]
             case FaultKind.UNREADABLE:
                 remote = can.Message(
                     arbitration_id=number, is_extended_id=False, is_remote_frame=True, dlc=8
@@ -238,14 +237,11 @@ class FrameEncoder:
         """`channel_map` must fit `database` (`channel_map.check_fit`)."""
         self._map = channel_map
         self._counter = channel_map.counter
-        names = {channel.message for channel in channel_map.channels.values()}
-        if self._counter:
-            names.discard(self._counter.message)
+        opens = self._counter.message if self._counter else None
         self._messages = sorted(
-            (database.get_message_by_name(name) for name in names), key=lambda m: m.frame_id
+            map(database.get_message_by_name, channel_map.message_names),
+            key=lambda message: (message.name != opens, message.frame_id),
         )
-        if self._counter:
-            self._messages.insert(0, database.get_message_by_name(self._counter.message))
         self._signals = {
             message.name: {signal.name: signal for signal in message.signals}
             for message in self._messages
@@ -310,14 +306,6 @@ def _raw(signal: Signal, value: float) -> float:
     lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
     highest = (1 << (signal.length - signal.is_signed)) - 1
     return max(lowest, min(highest, round(scaled)))
-
-
-def _shortened(frame: can.Message) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.arbitration_id,
-        is_extended_id=frame.is_extended_id,
-        data=frame.data[:-1],
-    )
 
 
 def _error_frame(number: int) -> PlannedFrame:

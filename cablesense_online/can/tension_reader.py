@@ -101,7 +101,7 @@ class TensionReader:
     def silence(self, monotonic_s: float) -> None:
         """No frame came for a while; after a whole cycle of it an open sample is given up."""
         if monotonic_s - self._last_frame_s > self._cycle_time_s:
-            self._assembler.silence()
+            self._assembler.close()
 
     def reopened(self) -> None:
         """The interface was opened again: clocks, counters and error state start anew."""

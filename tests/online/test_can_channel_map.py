@@ -18,7 +18,6 @@ from cablesense_online.can.channel_map import (
     find_channel_map,
     load_channel_map,
     open_channel_map,
-    parse_channel_map,
     parse_database,
 )
 from cablesense_sim.arm import open_arm
@@ -152,7 +151,7 @@ def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
 )
 def test_a_broken_map_says_what_is_wrong_and_where(text, said):
     with pytest.raises(ChannelMapError, match=said) as caught:
-        parse_channel_map(text, source="mine.yaml")
+        ChannelMap.from_yaml(text, "mine.yaml")
     assert str(caught.value).startswith("mine.yaml: ")
     assert "\n" not in str(caught.value)
 
@@ -170,7 +169,7 @@ def test_any_value_under_any_key_is_taken_or_refused_in_one_line(value, key):
     content = {**yaml.safe_load(BUNDLED), key: value}
     said = ""
     try:
-        parse_channel_map(yaml.safe_dump(content, allow_unicode=True))
+        ChannelMap.from_yaml(yaml.safe_dump(content, allow_unicode=True), "mine.yaml")
     except ChannelMapError as error:
         said = str(error)
     assert "\n" not in said

@@ -333,7 +333,7 @@ def test_a_reading_not_to_be_believed_costs_its_sample_without_a_missing_channel
 def test_silence_ends_an_unfinished_sample(bench):
     bench.cycle(0)
     bench.cycle(1, groups=(0,))
-    bench.assembler.silence()
+    bench.assembler.close()
     assert bench.faults[FaultKind.MISSING_CHANNEL] == dict.fromkeys(NAMES[2:], 1)
     bench.cycle(2)
     assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 2.0]
