@@ -138,9 +138,10 @@ def _table(
 
     table = Table(title="± is 95 %; all else in N", title_justify="left", header_style="bold")
     table.add_column("cable")
-    for heading in ("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"):
-        table.add_column(heading, justify="right")
-    for heading in ("nonlinearity", "hysteresis", "repeatability", "furthest off, line"):
+    for heading in (
+        *("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"),
+        *("nonlinearity", "hysteresis", "repeatability", "furthest off, line"),
+    ):
         table.add_column(heading, justify="right")
     for cable, sensor in found.items():
         line = known[cable][sensor.largest_residual_at].where.rpartition(" ")[2]
@@ -187,7 +188,7 @@ def check(
         str | None,
         typer.Option(
             help="Live: cables that you pull by hand when asked, joined by commas, or all; shows "
-            "exchanged plugs.",
+            "exchanged plugs."
         ),
     ] = None,
     pulls: Annotated[
@@ -292,31 +293,30 @@ def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
         f"{timing.lost} lost"
     )
     table = Table(title=title, title_justify="left", header_style="bold")
-    table.add_column("cable")
-    table.add_column("at rest, N", justify="right")
-    table.add_column(f"noise, N\n≤ {expected.noise_n:.3f}", justify="right")
     step = f"≤ {expected.step_n:.3f}" if expected.step_n else "any"
-    table.add_column(f"step, N\n{step}", justify="right")
-    table.add_column(f"drift, N\n≤ {expected.drift_n:.2f}", justify="right")
-    pulled = {result.cable: result for result in report.pulls}
-    if pulled:
-        table.add_column("pulled, moved most\nitself", justify="right")
+    pulled = {result.cable: f"{result.moved}, {result.verdict}" for result in report.pulls}
+    table.add_column("cable")
+    for heading in (
+        "at rest, N",
+        f"noise, N\n≤ {expected.noise_n:.3f}",
+        f"step, N\n{step}",
+        f"drift, N\n≤ {expected.drift_n:.2f}",
+        *(["pulled, moved most\nitself"] if pulled else []),
+    ):
+        table.add_column(heading, justify="right")
     wrong = {(finding.where, finding.kind) for finding in report.findings if finding.wrong}
     for channel in report.channels:
-
-        def cell(text: str, kind: str, cable: str = channel.cable) -> str:
-            return f"[red]{text}[/red]" if (cable, kind) in wrong else text
-
-        cells = [
-            cell(channel.cable, "stuck"),
-            cell(f"{channel.mean_n:.2f}", "range"),
-            cell(_newtons(channel.noise_n, ".3f", "unknown"), "noise"),
-            cell(_newtons(channel.step_n, ".3f", "none seen"), "step"),
-            cell(_newtons(channel.drift_n, "+.2f", "unknown"), "drift"),
-        ]
-        if pulled:
-            result = pulled.get(channel.cable)
-            text = "" if result is None else f"{result.moved}, {result.verdict}"
-            cells.append(cell(text, "swapped"))
-        table.add_row(*cells)
+        cells = {
+            "stuck": channel.cable,
+            "range": f"{channel.mean_n:.2f}",
+            "noise": _newtons(channel.noise_n, ".3f", "unknown"),
+            "step": _newtons(channel.step_n, ".3f", "none seen"),
+            "drift": _newtons(channel.drift_n, "+.2f", "unknown"),
+        } | ({"swapped": pulled.get(channel.cable, "")} if pulled else {})
+        table.add_row(
+            *(
+                f"[red]{text}[/red]" if (channel.cable, kind) in wrong else text
+                for kind, text in cells.items()
+            )
+        )
     return table

@@ -26,7 +26,6 @@ INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast"
 NMT_ID = 0x000
 START_REMOTE_NODE = 0x01
 HEARTBEAT_ID = 0x700
-_BOOT_UP = b"\x00"
 
 CONTROLLER_CLASS, BUS_OFF_CLASS, BUS_ERROR_CLASS, RESTARTED_CLASS = 0x04, 0x40, 0x80, 0x100
 _CLASSES = {
@@ -70,7 +69,7 @@ class CanInterface:
 
     Attributes:
         interface: python-can's name of the kind of adapter.
-        channel: `can0`, `/dev/ttyACM0`, `PCAN_USBBUS1`, …, as that kind names its channels.
+        channel: `can0`, `/dev/ttyACM0`, … as that kind names its channels.
         bitrate_bit_s: of the bus; 0 where the system sets it (SocketCAN) or there is none.
     """
 
@@ -79,11 +78,7 @@ class CanInterface:
     bitrate_bit_s: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what can never be opened.
-
-        Raises:
-            CanInterfaceError: the kind is unknown to python-can, or the channel is empty.
-        """
+        """Raise CanInterfaceError where the kind is unknown to python-can, or no channel given."""
         if self.interface not in can.VALID_INTERFACES:
             raise CanInterfaceError(
                 f"interface {self.interface[:40]!r} is unknown to python-can; it must be one of "
@@ -144,6 +139,14 @@ class BusCondition(Enum):
     OFF = "bus off"
 
 
+_CONDITIONS = (
+    (0x30, BusCondition.PASSIVE),
+    (0x0C, BusCondition.WARNING),
+    (0x40, BusCondition.ACTIVE),
+)
+"""By bits of a controller frame; the first that applies counts."""
+
+
 class BusState:
     """Follows the error state of the bus.
 
@@ -182,8 +185,12 @@ class BusState:
         if arbitration_id & RESTARTED_CLASS:
             self.data_frame()
             self.condition = BusCondition.ACTIVE
-        if arbitration_id & CONTROLLER_CLASS and len(data) > 1:
-            self._controller(data[1])
+        bits = data[1] if arbitration_id & CONTROLLER_CLASS and len(data) > 1 else 0
+        if self.condition is not BusCondition.OFF:
+            for mask, condition in _CONDITIONS:
+                if bits & mask:
+                    self.condition = condition
+                    break
 
     def data_frame(self) -> None:
         """A data frame came, so the controller is on the bus."""
@@ -194,18 +201,6 @@ class BusState:
     def reopened(self) -> None:
         """The interface was opened anew."""
         self.condition = BusCondition.ACTIVE
-
-    def _controller(self, bits: int) -> None:
-        if self.condition is BusCondition.OFF:
-            return
-        for mask, condition in (
-            (0x30, BusCondition.PASSIVE),
-            (0x0C, BusCondition.WARNING),
-            (0x40, BusCondition.ACTIVE),
-        ):
-            if bits & mask:
-                self.condition = condition
-                return
 
 
 def error_text(arbitration_id: int, data: bytes) -> str:
@@ -267,4 +262,4 @@ def booted_node(frame: can.Message, nodes: Sequence[int]) -> int | None:
     """
     node = frame.arbitration_id - HEARTBEAT_ID
     plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame)
-    return node if plain and node in nodes and bytes(frame.data) == _BOOT_UP else None
+    return node if plain and node in nodes and bytes(frame.data) == b"\x00" else None

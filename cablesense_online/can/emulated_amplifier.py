@@ -248,10 +248,7 @@ class FrameEncoder:
         }
 
     def cycle(
-        self,
-        tensions_n: Sequence[float],
-        counter: int,
-        statuses: Mapping[str, int] | None = None,
+        self, tensions_n: Sequence[float], counter: int, statuses: Mapping[str, int] | None = None
     ) -> list[can.Message]:
         """The frames of one cycle.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import can
 from cantools.database.can import Database
@@ -18,26 +17,12 @@ from cablesense_base.arrays import Array
 from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, PlannedFrame
 from cablesense_online.can.faults import FaultKind
+from cablesense_online.can.slcan import SlcanPort
 
 COMMAND_EVERY_S = 1.0
 
 PAUSE_S = 0.5
 """Between the end of a recording and its next beginning."""
-
-
-class FrameSink(Protocol):
-    """A destination of frames (`BusSink`, `SlcanPort`); `dropped` counts those not passed on."""
-
-    dropped: int
-
-    def send(self, frames: Sequence[can.Message]) -> None:
-        """Send frames in their order, at once."""
-
-    def received(self) -> list[can.Message]:
-        """The frames that others have sent since the last call."""
-
-    def close(self) -> None:
-        """Release it."""
 
 
 class BusSink:
@@ -70,6 +55,10 @@ class BusSink:
     def close(self) -> None:
         """Shut the bus down."""
         self._bus.shutdown()
+
+
+FrameSink = BusSink | SlcanPort
+"""A destination of frames; its `dropped` counts those not passed on."""
 
 
 def play(

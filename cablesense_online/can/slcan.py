@@ -237,7 +237,12 @@ class SlcanPort:
         with self._write_lock:
             if self._ended.is_set():
                 return 0
-            left = self._write(self._unfinished + b"".join(lines))
+            data = self._unfinished + b"".join(lines)
+            sent = 0
+            with contextlib.suppress(OSError):  # it is full, or the host is gone
+                while sent < len(data):
+                    sent += os.write(self._master, data[sent:])
+            left = len(data) - sent
             passed = len(lines)
             while passed and left >= len(lines[passed - 1]):
                 passed -= 1
@@ -245,14 +250,6 @@ class SlcanPort:
             open_line = lines[passed - 1] if passed else self._unfinished
             self._unfinished = open_line[-left:] if left else b""
             return passed
-
-    def _write(self, data: bytes) -> int:
-        """Write what the terminal takes; how many bytes it left."""
-        sent = 0
-        with contextlib.suppress(OSError):  # it is full, or the host is gone
-            while sent < len(data):
-                sent += os.write(self._master, data[sent:])
-        return len(data) - sent
 
     def _answer(self) -> None:
         buffer = b""
@@ -283,17 +280,14 @@ class SlcanPort:
             self.channel_open = False
             return _OK
         if command and command in FRAME_COMMANDS:
-            return self._take(line)
+            try:
+                frame = line_frame(line)
+            except ValueError:
+                return _BELL
+            if not self.channel_open:
+                return _BELL
+            self._received.append(frame)
+            return (b"z" if command.islower() else b"Z") + _OK
         if command in _ANSWERS:
             return _ANSWERS[command] + _OK
         return _OK if command in (b"", b"S", b"s", b"Z", b"M", b"m", b"Y") else _BELL
-
-    def _take(self, line: bytes) -> bytes:
-        """A frame that the host sends."""
-        if not self.channel_open:
-            return _BELL
-        try:
-            self._received.append(line_frame(line))
-        except ValueError:
-            return _BELL
-        return (b"z" if line[:1].islower() else b"Z") + _OK

@@ -19,7 +19,7 @@ testing machine.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from datetime import datetime
 from typing import Any
 
@@ -31,7 +31,7 @@ from scipy.stats import t as student_t
 from cablesense_base.arrays import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import CalibratedSensor, Calibration
-from cablesense_online.can.channel_map import Channel, ChannelMap, channel_signal
+from cablesense_online.can.channel_map import ChannelMap, channel_signal
 from cablesense_online.commissioning.tables import CommissioningError, KnownLoad
 
 LEAST_CHANGE = 1e-6
@@ -96,9 +96,7 @@ class SensorCalibration:
 
 
 def calibration_points(
-    loads: Mapping[str, Sequence[KnownLoad]],
-    as_recorded: ChannelMap,
-    recording: Recording | None,
+    loads: Mapping[str, Sequence[KnownLoad]], as_recorded: ChannelMap, recording: Recording | None
 ) -> dict[str, list[CalibrationPoint]]:
     """The points of every cable that has loads, in the order of the loads.
 
@@ -133,10 +131,7 @@ def calibrate_sensor(
         CommissioningError: too few points or loads, loads too close together, uncertainties for
             some points only, or readings that do not follow the loads.
     """
-    force_n = np.array([point.force_n for point in points])
-    raw = np.array([point.raw for point in points])
-    force_u_n = np.array([point.force_u_n for point in points])
-    raw_u = np.array([point.raw_u for point in points])
+    force_n, raw, force_u_n, raw_u = np.array([astuple(point) for point in points]).T
     _check_loads(cable, force_n)
     if 0 < np.count_nonzero(raw_u) < len(points) or (force_u_n.any() and not raw_u.all()):
         raise CommissioningError(
@@ -192,17 +187,30 @@ def calibration_record(
         gravity_m_s2: with which masses were converted to forces; none where there were no masses.
         common_relative_u: relative standard uncertainty that all loads shared.
     """
+    cables = {}
+    for cable, channel in channel_map.channels.items():
+        if cable in found:
+            signal = channel_signal(database, channel)
+            values = {
+                name: value
+                for name, value in asdict(found[cable]).items()
+                if name in CalibratedSensor.model_fields
+            }
+            cables[cable] = CalibratedSensor(
+                message=channel.message,
+                signal=channel.signal,
+                signal_unit=signal.unit,
+                signal_factor=signal.factor,
+                signal_offset=signal.offset,
+                **values,
+            )
     return Calibration(
         map=channel_map.name,
         made=made,
         gravity_m_s2=gravity_m_s2,
         common_relative_u=common_relative_u,
         uncalibrated=[cable for cable in channel_map.channels if cable not in found],
-        cables={
-            cable: _sensor(found[cable], channel, database)
-            for cable, channel in channel_map.channels.items()
-            if cable in found
-        },
+        cables=cables,
     )
 
 
@@ -367,16 +375,3 @@ def _check_loads(cable: str, force_n: Array) -> None:
             f"{cable}: loads lie from {low:.4g} to {high:.4g} N; they must cover at least half of "
             "the largest, better all from the bare cable on, or the zero is guessed"
         )
-
-
-def _sensor(found: SensorCalibration, channel: Channel, database: Database) -> CalibratedSensor:
-    signal = channel_signal(database, channel)
-    values = {k: v for k, v in asdict(found).items() if k in CalibratedSensor.model_fields}
-    return CalibratedSensor(
-        message=channel.message,
-        signal=channel.signal,
-        signal_unit=signal.unit,
-        signal_factor=signal.factor,
-        signal_offset=signal.offset,
-        **values,
-    )

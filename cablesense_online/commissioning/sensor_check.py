@@ -7,7 +7,7 @@ poses, channels are also compared with the nominal arm's tensions.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,10 +20,10 @@ from cablesense_online.commissioning.sensor_statistics import (
     PullVerdict,
     TensionSeries,
     TimingStatistics,
+    at_rest_without,
     channel_statistics,
     judge_pull,
     timing_statistics,
-    without,
 )
 from cablesense_online.commissioning.tables import Pull
 from cablesense_sim.arm import Arm, Sensors
@@ -46,12 +46,12 @@ DRIFT_FLOORS = 4.0
 
 @dataclass(frozen=True)
 class SensorExpectation:
-    """Bounds of each statistic.
+    """Bounds of each statistic, upper limits unless something else is stated.
 
     Attributes:
         rate_hz: of samples, to 5 %.
         floor_n: standard deviation of one reading at rest: noise, and the step's rounding.
-        noise_n, step_n, drift_n: upper limits; a step of 0 is not judged.
+        step_n: 0 is not judged.
         range_n: the ends at which a reading means nothing; none where unknown.
     """
 
@@ -132,19 +132,16 @@ def check_sensors(
     """
     timing = timing_statistics(series)
     results = tuple(judge_pull(series, pull, expected.floor_n) for pull in pulls)
-    resting = series
-    for pull in pulls:
-        at_rest = without(resting, pull.window.start_s, pull.window.end_s)
-        resting = replace(resting, at_rest=at_rest)
+    at_rest = at_rest_without(series, pulls)
     channels = tuple(
-        channel_statistics(cable, series.time_s, readings_n, resting.at_rest)
+        channel_statistics(cable, series.time_s, readings_n, at_rest)
         for cable, readings_n in zip(series.cable_names, series.tensions_n.T, strict=True)
     )
     findings = [SensorFinding(True, "samples", "all", line) for line in series.problems]
     findings += _of_timing(timing, expected)
     for channel in channels:
         findings += _of_channel(channel, expected)
-        findings += _of_drift(channel, expected, alone=bool(resting.at_rest.all()))
+        findings += _of_drift(channel, expected, alone=bool(at_rest.all()))
     findings += _of_standstill(series, expected)
     for result in results:
         findings += _of_pull(result, expected)

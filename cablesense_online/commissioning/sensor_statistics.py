@@ -6,7 +6,8 @@ static equilibrium in one pose with nothing touching the arm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -74,18 +75,19 @@ def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeri
         usual = int(np.bincount(number[unloaded], minlength=len(poses)).argmax())
         at_rest = unloaded & (number == usual)
     changed = np.concatenate([[False], np.diff(at_rest.astype(int)) == 1])
-    for start_s in recording.time_s[changed].tolist():
-        since_s = recording.time_s - start_s
+    time_s = recording.time_s
+    for start_s in time_s[changed].tolist():
+        since_s = time_s - start_s
         at_rest &= ~((since_s >= 0.0) & (since_s < SETTLING_S))
-    return TensionSeries(
-        cable_names, recording.time_s, recording.trial, at_rest, recording.tensions_n
-    )
+    return TensionSeries(cable_names, time_s, recording.trial, at_rest, recording.tensions_n)
 
 
-def without(series: TensionSeries, start_s: float, end_s: float) -> NDArray[np.bool_]:
-    """(R,) at rest, and not from `start_s` to `end_s`, nor while the arm then settles."""
-    touched = (series.time_s >= start_s) & (series.time_s <= end_s + SETTLING_S)
-    return series.at_rest & ~touched
+def at_rest_without(series: TensionSeries, pulls: Sequence[Pull]) -> NDArray[np.bool_]:
+    """(R,) at rest, and neither during a pull nor while the arm then settles."""
+    at_rest = series.at_rest.copy()
+    for window in (pull.window for pull in pulls):
+        at_rest &= ~replace(window, end_s=window.end_s + SETTLING_S).rows(series.time_s)
+    return at_rest
 
 
 @dataclass(frozen=True)
@@ -272,15 +274,9 @@ def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
     else:
         clear = moved_n[own] <= CLEARLY * moved_n[first]
         verdict = PullVerdict.SWAPPED if clear else PullVerdict.UNCLEAR
-    names = series.cable_names
+    names, by_n = series.cable_names, moved_n.tolist()
     return PullResult(
-        pull.cable,
-        float(moved_n[own]),
-        names[first],
-        float(moved_n[first]),
-        names[second],
-        float(moved_n[second]),
-        verdict,
+        pull.cable, by_n[own], names[first], by_n[first], names[second], by_n[second], verdict
     )
 
 

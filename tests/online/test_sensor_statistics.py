@@ -13,12 +13,12 @@ from cablesense_base.errors import CableSenseError
 from cablesense_online.commissioning.sensor_statistics import (
     SETTLING_S,
     PullVerdict,
+    at_rest_without,
     channel_statistics,
     judge_pull,
     quantisation_step_n,
     series_of,
     timing_statistics,
-    without,
 )
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow, read_pulls
 
@@ -123,7 +123,7 @@ def test_rest_is_the_usual_pose_without_a_load_once_settled():
 
 def test_a_pull_is_no_rest_nor_is_what_follows_at_once():
     found = series_of(small_recording(), NAMES)
-    rest = without(found, 1.0, 2.0)
+    rest = at_rest_without(found, [Pull("cable_1", TimeWindow(1.0, 2.0))])
     assert rest[found.time_s < 1.0].all()
     assert not rest[(found.time_s >= 1.0) & (found.time_s <= 2.0 + SETTLING_S)].any()
 
