@@ -28,10 +28,10 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
 from cablesense_gap.recordings.recording import Recording
+from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.calibration import calibrated, load_calibration
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import FrameDecoder
-from cablesense_online.can.faults import FaultLedger
 from cablesense_online.estimation import Estimation
 from cablesense_online.state import EstimatorState, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, open_arm, parse_arm

@@ -17,10 +17,9 @@ import can
 from fuzz_mutation import mutated_bytes
 from fuzz_watched import FalseAnswerError, Outcome, Run, item_random
 
-from cablesense_online.can.bus import CanInterface
+from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
-from cablesense_online.can.faults import FaultLedger
 from cablesense_online.can.slcan import frame_line, line_frame
 from cablesense_online.can.tension_reader import SCATTER_OF_READING_S, TensionReader
 

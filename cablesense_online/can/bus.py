@@ -1,23 +1,25 @@
-"""A CAN interface: how it is opened, its error state, its clock, and CANopen's node control.
+"""A CAN interface: opening, error state, clock, CANopen node control, and the count of faults.
 
 `CanInterface` opens any interface of python-can. `BusState` follows the controller's error state
 by error frames, whose classes are those of SocketCAN (`linux/can/error.h`); python-can passes
 them on in a frame's id and data. Other interfaces send error frames with codes of their own, or
-none. `BusClock` turns bus timestamps into this machine's time.
+none. `BusClock` turns bus timestamps into this machine's time. `FaultKind` is the table of faults
+between a sensor and a sample; `FaultLedger` counts them for diagnostics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite
+from threading import Lock
 from typing import Any
 
 import can
 
 from cablesense_base.errors import CableSenseError
-from cablesense_online.can.faults import FaultKind, FaultLedger
 from cablesense_online.can.slcan import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
@@ -263,3 +265,94 @@ def booted_node(frame: can.Message, nodes: Sequence[int]) -> int | None:
     node = frame.arbitration_id - HEARTBEAT_ID
     plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame)
     return node if plain and node in nodes and bytes(frame.data) == b"\x00" else None
+
+
+PLACES_KEPT = 32
+"""Places counted by name for each kind; a bus full of unknown ids must not fill the memory."""
+
+ELSEWHERE = "elsewhere"
+
+
+class FaultKind(Enum):
+    """A kind of fault; its value is its name in diagnostics.
+
+    Attributes:
+        withholds: whether it costs samples; otherwise it is reported and the samples go on.
+        of_cable: whether it concerns one cable's channel; otherwise the whole bus.
+    """
+
+    #                  in diagnostics          withholds, of_cable
+    MISSING_CHANNEL = ("missing channel", True, True)
+    LATE_CHANNEL = ("late channel", True, True)
+    COUNTER_GAP = ("counter gap", False, False)
+    WRONG_LENGTH = ("wrong length", True, True)
+    UNKNOWN_ID = ("unknown id", False, False)
+    UNREADABLE = ("unreadable frame", True, True)
+    ERROR_FRAME = ("error frame", False, False)
+    BUS_OFF = ("bus off", True, False)
+    OVER_RANGE = ("over range", True, True)
+    UNDER_RANGE = ("under range", True, True)
+    STUCK_VALUE = ("stuck value", True, True)
+    NOT_FINITE = ("not finite", True, True)
+    INVALID_STATUS = ("invalid by its status", True, True)
+    FLOODED = ("flooded bus", False, False)
+    SILENT_BUS = ("silent bus", True, False)
+    INTERFACE_LOST = ("interface lost", True, False)
+
+    withholds: bool
+    of_cable: bool
+
+    def __new__(cls, text: str, withholds: bool, of_cable: bool) -> FaultKind:
+        """A row of the table."""
+        kind = object.__new__(cls)
+        kind._value_ = text
+        kind.withholds, kind.of_cable = withholds, of_cable
+        return kind
+
+
+@dataclass(frozen=True)
+class FaultReport:
+    """Faults of a stretch of time.
+
+    Attributes:
+        recent: how many of each kind since the report before.
+        places: of these, how many at each place (a cable, an id, a message).
+        total: how many of each kind in all.
+        last: the latest detail of each kind.
+    """
+
+    recent: Mapping[FaultKind, int]
+    places: Mapping[FaultKind, Mapping[str, int]]
+    total: Mapping[FaultKind, int]
+    last: Mapping[FaultKind, str]
+
+
+class FaultLedger:
+    """Counts faults; safe to use from two threads."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._places: dict[FaultKind, Counter[str]] = {}
+        self._total: Counter[FaultKind] = Counter()
+        self._last: dict[FaultKind, str] = {}
+
+    def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
+        """Count a fault.
+
+        Args:
+            kind: what went wrong.
+            place: where: the cable, id, message or interface.
+            detail: a sentence for people; the latest of a kind is kept.
+        """
+        with self._lock:
+            places = self._places.setdefault(kind, Counter())
+            places[place if place in places or len(places) < PLACES_KEPT else ELSEWHERE] += 1
+            self._total[kind] += 1
+            self._last[kind] = detail or place
+
+    def report(self) -> FaultReport:
+        """The faults since the report before; totals go on."""
+        with self._lock:
+            places, self._places = self._places, {}
+            recent = {kind: counted.total() for kind, counted in places.items()}
+            return FaultReport(recent, places, dict(self._total), dict(self._last))

@@ -26,7 +26,7 @@ from pydantic import (
     model_validator,
 )
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base.errors import CableSenseError, some_of
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
@@ -370,7 +370,7 @@ def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
 def _message_of(database: Database, name: str, where: str) -> Message:
     names = [message.name for message in database.messages]
     if name not in names:
-        raise ChannelMapError(f"{where}: no message {name}; there are {listed(names)}")
+        raise ChannelMapError(f"{where}: no message {name}; there are {some_of(names)}")
     found = database.messages[names.index(name)]
     number = (found.frame_id, found.is_extended_frame)
     same = [
@@ -398,7 +398,7 @@ def _signal_of(database: Database, message_name: str, name: str, where: str) -> 
     if name not in signals:
         raise ChannelMapError(
             f"{where}: no signal {name} in message {message.name}; there are "
-            f"{listed(list(signals))}"
+            f"{some_of(list(signals)) or 'none'}"
         )
     signal = signals[name]
     if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
@@ -407,10 +407,3 @@ def _signal_of(database: Database, message_name: str, name: str, where: str) -> 
             f"both must be finite, at most {_LARGEST_FACTOR:g}"
         )
     return signal
-
-
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """The first names, and how many more there are."""
-    shown = ", ".join(names[:most])
-    more = len(names) - most
-    return f"{shown} and {more} more" if more > 0 else shown or "none"

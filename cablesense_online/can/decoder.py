@@ -15,8 +15,8 @@ import numpy as np
 from cantools.database.can import Database, Message
 from numpy.typing import NDArray
 
+from cablesense_online.can.bus import FaultKind, FaultLedger
 from cablesense_online.can.channel_map import ChannelMap, StatusMasks
-from cablesense_online.can.faults import FaultKind, FaultLedger
 
 CUT_SAMPLES = 8
 WIDER = 2.0

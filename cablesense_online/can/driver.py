@@ -17,12 +17,20 @@ import can
 import numpy as np
 from cantools.database.can import Database
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base.errors import CableSenseError, some_of
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.can.bus import BusCondition, CanInterface, booted_node, start_frames
-from cablesense_online.can.channel_map import ChannelMap, listed
+from cablesense_online.can.bus import (
+    BusCondition,
+    BusState,
+    CanInterface,
+    FaultKind,
+    FaultLedger,
+    FaultReport,
+    booted_node,
+    start_frames,
+)
+from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.decoder import Sample
-from cablesense_online.can.faults import FaultKind, FaultLedger, FaultReport
 from cablesense_online.can.tension_reader import TensionReader
 
 FIRST_BACK_OFF_S = 0.05
@@ -61,7 +69,6 @@ class CanDriver:
         self._ledger = FaultLedger()
         self._reader = TensionReader(channel_map, database, interface, self._ledger)
         self._loop = ReceiveLoop(interface.name, interface.open, self, self._ledger)
-        self._name = interface.name
         self._send: Callable[[can.Message], None] | None = None
         self._last_sample_s = self._report_s = monotonic()
         self._reported = SampleCounts()
@@ -111,23 +118,16 @@ class CanDriver:
         skew_s, reader.largest_skew_s = reader.largest_skew_s, 0.0
         period_s, self._report_s = max(now_s - self._report_s, 1e-9), now_s
         silence_s = now_s - self._last_sample_s
-        interface = InterfaceState(
-            self._name,
-            loop.connected,
-            loop.openings,
-            loop.last_problem,
-            reader.bus.condition,
-            reader.bus.recoveries,
-        )
         stale = silence_s > stale_after_s
         samples = sample_status(recent, counts, period_s, silence_s, stale, skew_s, faults)
-        return [interface_status(interface, recent, counts, period_s), samples], faults
+        return [interface_status(loop, reader.bus, recent, counts, period_s), samples], faults
 
 
 class ReceiveLoop:
     """A thread between `start` and `stop` that opens, reads and reopens an interface.
 
     Attributes:
+        name: of the interface.
         connected: whether the interface is open now.
         openings: how often it was opened so far.
         last_problem: why it was lost, or could not be opened, the last time.
@@ -141,7 +141,7 @@ class ReceiveLoop:
         ledger: FaultLedger,
     ) -> None:
         """`open_bus` raises when the interface cannot be opened; `name` names it in faults."""
-        self._name = name
+        self.name = name
         self._open_bus = open_bus
         self._receiver = receiver
         self._ledger = ledger
@@ -155,9 +155,7 @@ class ReceiveLoop:
     def start(self) -> None:
         """Begin to receive, in a thread of its own."""
         self._ended.clear()
-        self._thread = threading.Thread(
-            target=self._run, name=f"receive {self._name}", daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, name=f"receive {self.name}", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -203,7 +201,7 @@ class ReceiveLoop:
                 frame = bus.recv(WAKE_S)
             except (ValueError, IndexError) as error:  # slcan: a line that is no frame
                 unreadable += 1
-                self._ledger.note(FaultKind.UNREADABLE, self._name, f"{self._name}: {error}")
+                self._ledger.note(FaultKind.UNREADABLE, self.name, f"{self.name}: {error}")
                 if unreadable >= UNREADABLE_IN_A_ROW:
                     raise
                 continue
@@ -219,15 +217,15 @@ class ReceiveLoop:
             if monotonic() - last_s > REOPEN_AFTER_SILENCE_S:
                 self._ledger.note(
                     FaultKind.SILENT_BUS,
-                    self._name,
-                    f"{self._name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is opened anew",
+                    self.name,
+                    f"{self.name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is opened anew",
                 )
                 break
 
     def _lost(self, error: Exception) -> None:
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        self.last_problem = text if isinstance(error, CableSenseError) else f"{self._name}: {text}"
-        self._ledger.note(FaultKind.INTERFACE_LOST, self._name, self.last_problem)
+        self.last_problem = text if isinstance(error, CableSenseError) else f"{self.name}: {text}"
+        self._ledger.note(FaultKind.INTERFACE_LOST, self.name, self.last_problem)
 
 
 @dataclass(frozen=True)
@@ -242,41 +240,29 @@ class SampleCounts:
         return SampleCounts(*np.subtract(astuple(self), astuple(earlier)).tolist())
 
 
-@dataclass(frozen=True)
-class InterfaceState:
-    """The interface at present: whether it is open, how often it was, and the bus's condition."""
-
-    name: str
-    connected: bool
-    openings: int
-    last_problem: str
-    condition: BusCondition
-    recoveries: int
-
-
 def interface_status(
-    interface: InterfaceState, recent: SampleCounts, total: SampleCounts, period_s: float
+    loop: ReceiveLoop, bus: BusState, recent: SampleCounts, total: SampleCounts, period_s: float
 ) -> Status:
     """The status `interface`; counts of the last `period_s`, and since the node was configured."""
-    level, message = Level.OK, f"receiving on {interface.name}"
-    if not interface.connected:
-        level, message = Level.ERROR, f"{interface.name} is not open: {interface.last_problem}"
-    elif interface.condition is BusCondition.OFF:
+    level, message = Level.OK, f"receiving on {loop.name}"
+    if not loop.connected:
+        level, message = Level.ERROR, f"{loop.name} is not open: {loop.last_problem}"
+    elif bus.condition is BusCondition.OFF:
         level, message = Level.ERROR, "the controller is off the bus and waits to be restarted"
-    elif interface.condition is not BusCondition.ACTIVE:
-        level, message = Level.WARN, f"the controller is {interface.condition.value}"
+    elif bus.condition is not BusCondition.ACTIVE:
+        level, message = Level.WARN, f"the controller is {bus.condition.value}"
     elif not recent.frames:
-        level, message = Level.STALE, f"no frame on {interface.name}"
+        level, message = Level.STALE, f"no frame on {loop.name}"
     values = {
-        "interface": interface.name,
+        "interface": loop.name,
         "frames (1/s)": f"{recent.frames / period_s:.0f}",
         "frames in all": str(total.frames),
-        "bus": interface.condition.value,
-        "recoveries from bus off": str(interface.recoveries),
-        "openings": str(interface.openings),
+        "bus": bus.condition.value,
+        "recoveries from bus off": str(bus.recoveries),
+        "openings": str(loop.openings),
     }
-    if interface.last_problem:
-        values["last problem"] = interface.last_problem
+    if loop.last_problem:
+        values["last problem"] = loop.last_problem
     return Status("interface", level, message, values)
 
 
@@ -302,7 +288,7 @@ def sample_status(
     """
     level, message = Level.OK, "every sample whole"
     text = "; ".join(
-        f"{count} {kind.value} ({listed(sorted(faults.places[kind]), most=4)})"
+        f"{count} {kind.value} ({some_of(sorted(faults.places[kind]), most=4)})"
         for kind, count in faults.recent.items()
     )
     if stale:

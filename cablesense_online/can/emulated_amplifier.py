@@ -21,9 +21,9 @@ from cablesense_online.can.bus import (
     NMT_ID,
     RESTARTED_CLASS,
     START_REMOTE_NODE,
+    FaultKind,
 )
 from cablesense_online.can.channel_map import ChannelMap, ChannelMapError
-from cablesense_online.can.faults import FaultKind
 
 GAP_CYCLES = 3
 CYCLES_PER_GAP = 50

@@ -14,9 +14,9 @@ import can
 from cantools.database.can import Database
 
 from cablesense_base.arrays import Array
+from cablesense_online.can.bus import FaultKind
 from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, PlannedFrame
-from cablesense_online.can.faults import FaultKind
 from cablesense_online.can.slcan import SlcanPort
 
 COMMAND_EVERY_S = 1.0

@@ -11,10 +11,9 @@ import numpy as np
 from cantools.database.can import Database
 
 from cablesense_base.arrays import Array
-from cablesense_online.can.bus import BusClock, BusState, CanInterface
+from cablesense_online.can.bus import BusClock, BusState, CanInterface, FaultKind, FaultLedger
 from cablesense_online.can.channel_map import ChannelMap, StuckLimits
 from cablesense_online.can.decoder import FrameDecoder, Sample, SampleAssembler
-from cablesense_online.can.faults import FaultKind, FaultLedger
 
 SCATTER_OF_READING_S = 0.1
 """Skew limit where frames bear the time of reading: any pause of the process would look late. The

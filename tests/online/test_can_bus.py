@@ -14,11 +14,12 @@ from cablesense_online.can.bus import (
     BusState,
     CanInterface,
     CanInterfaceError,
+    FaultKind,
+    FaultLedger,
     booted_node,
     error_text,
     start_frames,
 )
-from cablesense_online.can.faults import FaultKind, FaultLedger
 
 
 def test_a_virtual_interface_opens_and_passes_frames():

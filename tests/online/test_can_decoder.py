@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_base.installation import config_path
+from cablesense_online.can.bus import FaultKind, FaultLedger
 from cablesense_online.can.channel_map import Channel, parse_database
 from cablesense_online.can.decoder import CUT_SAMPLES, Decoded, FrameDecoder, SampleAssembler
-from cablesense_online.can.faults import FaultKind, FaultLedger
 
 TENSIONS_N = [50.0 + number for number in range(12)]
 

@@ -2,9 +2,9 @@
 
 import itertools
 import time
-from dataclasses import replace
 from queue import Empty, Queue
 from threading import Thread
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -13,10 +13,17 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.can import driver as driver_module
-from cablesense_online.can.bus import BusCondition, CanInterface, CanInterfaceError
+from cablesense_online.can.bus import (
+    ELSEWHERE,
+    PLACES_KEPT,
+    BusCondition,
+    CanInterface,
+    CanInterfaceError,
+    FaultKind,
+    FaultLedger,
+)
 from cablesense_online.can.driver import (
     CanDriver,
-    InterfaceState,
     ReceiveLoop,
     SampleCounts,
     interface_status,
@@ -24,7 +31,6 @@ from cablesense_online.can.driver import (
 )
 from cablesense_online.can.emulated_amplifier import EmulatedAmplifier
 from cablesense_online.can.emulator import BusSink, play
-from cablesense_online.can.faults import ELSEWHERE, PLACES_KEPT, FaultKind, FaultLedger
 from cablesense_online.can.slcan import SlcanPort
 
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
@@ -170,16 +176,18 @@ def test_an_adapter_that_is_pulled_and_plugged_in_again(tmp_path):
             driver.stop()
 
 
-INTERFACE = InterfaceState("socketcan can0", True, 1, "", BusCondition.ACTIVE, 0)
+LOOP = SimpleNamespace(name="socketcan can0", connected=True, openings=1, last_problem="")
 COUNTS = SampleCounts(frames=4000, samples=1000, withheld=0)
 
 
-def statuses(interface=INTERFACE, recent=COUNTS, total=COUNTS, stale=False, faults=()):
+def statuses(recent=COUNTS, total=COUNTS, stale=False, faults=(), **change):
     ledger = FaultLedger()
     for kind, place in faults:
         ledger.note(kind, place)
     samples = sample_status(recent, total, 1.0, 0.3, stale, 3e-4, ledger.report())
-    return interface_status(interface, recent, total, 1.0), samples
+    bus = SimpleNamespace(condition=change.pop("condition", BusCondition.ACTIVE), recoveries=0)
+    loop = SimpleNamespace(**{**vars(LOOP), **change})
+    return interface_status(loop, bus, recent, total, 1.0), samples
 
 
 def test_all_is_well():
@@ -207,7 +215,7 @@ def test_totals_stand_beside_what_is_recent():
     ],
 )
 def test_an_interface_that_is_not_well_says_how(change, level, said):
-    interface, _ = statuses(interface=replace(INTERFACE, **change))
+    interface, _ = statuses(**change)
     assert interface.level is level
     assert said in interface.message
 

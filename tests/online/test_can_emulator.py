@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_base.installation import config_path
-from cablesense_online.can.bus import CanInterface, booted_node, start_frames
+from cablesense_online.can.bus import (
+    CanInterface,
+    FaultKind,
+    FaultLedger,
+    booted_node,
+    start_frames,
+)
 from cablesense_online.can.channel_map import Channel, ChannelMapError, parse_database
 from cablesense_online.can.decoder import FrameDecoder
 from cablesense_online.can.emulated_amplifier import (
@@ -22,7 +28,6 @@ from cablesense_online.can.emulated_amplifier import (
     parse_fault,
 )
 from cablesense_online.can.emulator import PAUSE_S, BusSink, Emulator, RecordingPlayer, play
-from cablesense_online.can.faults import FaultKind, FaultLedger
 from cablesense_online.can.tension_reader import TensionReader
 
 

@@ -7,9 +7,8 @@ from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_online.can.bus import BusCondition, CanInterface
+from cablesense_online.can.bus import BusCondition, CanInterface, FaultKind, FaultLedger
 from cablesense_online.can.channel_map import StuckLimits
-from cablesense_online.can.faults import FaultKind, FaultLedger
 from cablesense_online.can.tension_reader import RateLimit, StuckDetector, TensionReader
 
 NOW_S = 1.7e9
