@@ -161,14 +161,11 @@ def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
     pretension = body.pretension_n + _PRETENSION_N * rng.standard_normal(cables)
     by_rad = np.deg2rad(_HOLE_DEG) * rng.standard_normal(cables)
     zeros = arm.sensing.offset_n + _ZERO_N * rng.standard_normal(cables)
+    before, after = turned(body.before_m, by_rad), turned(body.after_m, by_rad)
     body = replace(
-        body,
-        mass_kg=masses,
-        pretension_n=pretension,
-        contact_at_m=contact,
-        before_m=turned(body.before_m, by_rad),
-        after_m=turned(body.after_m, by_rad),
-    )
+        body, mass_kg=masses, pretension_n=pretension, contact_at_m=contact,
+        before_m=before, after_m=after,
+    )  # fmt: skip
     return replace(arm, body=body, sensing=replace(arm.sensing, offset_n=zeros))
 
 
@@ -208,7 +205,7 @@ class Change:
     most: float
     apply: Apply
     where: tuple[str, ...] = ()
-    details: Mapping[str, float | str] = field(default_factory=dict)
+    details: Mapping[str, float] = field(default_factory=dict)
 
 
 def sets(part: str, **fields: Any) -> Apply:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_gap.plant.body import Body, CableContact, TipSpring
 
-_PITCH_PLANE, _YAW_PLANE = (2, 0), (0, 1)
 _LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]
 _PITCH_ORDER = np.array([0, 1, 0, 2, 1, 0])
 _YAW_ORDER = np.array([0, 0, 1, 0, 1, 2])
@@ -61,13 +60,9 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
     slope = (first * v).sum(-2) / length
     pairs = (first[_LEFT] * first[_RIGHT] + second * v).sum(-2)
     curve = (pairs - slope[_LEFT] * slope[_RIGHT]) / length
-    keep = body.passes
-    result = Spans(
-        length * keep,
-        np.moveaxis(slope * keep, 0, -2),
-        np.moveaxis(curve * keep, 0, -2),
-        _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0),
-    )
+    bends = _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0)
+    slope, curve = (np.moveaxis(values * body.passes, 0, -2) for values in (slope, curve))
+    result = Spans(length * body.passes, slope, curve, bends)
     for contact in body.cable_contacts:
         result = _pushed_aside(result, contact, angles_rad)
     return result
@@ -106,9 +101,7 @@ def points_m(placed: Frames, joint: NDArray[np.int64], at_m: Array) -> Array:
 
 def turns(body: Body, angles_rad: Array) -> Array:
     """(6, B, J, 3, 3) rotations over joints at angles (B, 2J), derivatives p, y, pp, py, yy."""
-    pitch, yaw = angles_rad[:, ::2], angles_rad[:, 1::2]
-    by_pitch = _about(pitch, *_PITCH_PLANE)
-    by_yaw = _about(yaw, *_YAW_PLANE)
+    by_pitch, by_yaw = _about(angles_rad[:, ::2], 2, 0), _about(angles_rad[:, 1::2], 0, 1)
     level = np.swapaxes(body.skew, -1, -2)
     return body.skew @ by_pitch[_PITCH_ORDER] @ by_yaw[_YAW_ORDER] @ level
 
@@ -128,26 +121,18 @@ def _about(angle: Array, first: int, second: int) -> Array:
 
 def _bends(body: Body, turning: Array, direction: Array) -> Array:
     """(B, J, 2, M) by the straight pieces inside the segments before and after each joint."""
-    back, ahead = _inside(body)
-    own = np.swapaxes(turning, -1, -2) @ direction
-    away = np.stack([direction - back, own - ahead], axis=-3)
-    chords = np.sqrt((away * away).sum(axis=-2))
-    anchored = np.zeros_like(body.passes)
-    anchored[:-1] = body.passes[1:]
-    guided = np.stack([body.passes, anchored], axis=1)
-    return 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)) * guided
-
-
-def _inside(body: Body) -> tuple[Array, Array]:
-    """Unit directions (J, 3, M) of the cables in the frames before and after each joint."""
-    ahead = np.zeros_like(body.after_m)
-    ahead[..., 0] = 1.0
-    back = ahead.copy()
     pieces = body.before_m[1:] - body.after_m[:-1]
     pieces[..., 0] += body.spacing_m[1:, None]
     pieces /= np.linalg.norm(pieces, axis=-1, keepdims=True)
-    back[1:], ahead[:-1] = pieces, pieces
-    return np.swapaxes(back, -1, -2), np.swapaxes(ahead, -1, -2)
+    outside = np.broadcast_to([1.0, 0.0, 0.0], (1, *pieces.shape[1:]))
+    back = np.swapaxes(np.concatenate([outside, pieces]), -1, -2)
+    ahead = np.swapaxes(np.concatenate([pieces, outside]), -1, -2)
+    own = np.swapaxes(turning, -1, -2) @ direction
+    away = np.stack([direction - back, own - ahead], axis=-3)
+    chords = np.sqrt((away * away).sum(axis=-2))
+    anchored = np.append(body.passes[1:], np.zeros_like(body.passes[:1]), axis=0)
+    guided = np.stack([body.passes, anchored], axis=1)
+    return 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)) * guided
 
 
 def _pushed_aside(free: Spans, contact: CableContact, angles_rad: Array) -> Spans:
@@ -185,18 +170,19 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> To
     placed = frames(body, angles_rad, turning)
     joint = np.concatenate([body.mass_joint, body.contact_joint])
     at = np.concatenate([body.mass_at_m, body.contact_at_m])
-    weight = body.mass_kg[:, None] * body.gravity_m_s2
-    force = np.concatenate(
-        [np.broadcast_to(weight, (len(angles_rad), *weight.shape)), loads_n], axis=1
-    )
+    weight = np.tile(body.mass_kg[:, None] * body.gravity_m_s2, (len(angles_rad), 1, 1))
+    force = np.concatenate([weight, loads_n], axis=1)
     torque, slope = _constant_forces(placed, joint, points_m(placed, joint, at), force)
     for spring in body.tip_springs:
         pulled = _tip_spring(body, placed, spring)
         torque, slope = torque + pulled[0], slope + pulled[1]
-    sprung = _joint_springs(body, angles_rad)
+    linear, cubic = body.spring_nm_rad.ravel(), body.hardening_nm_rad3.ravel()
+    height, per = body.cogging_nm.ravel(), body.cogging_per_turn
+    back = -(linear + cubic * angles_rad**2) * angles_rad - height * np.sin(per * angles_rad)
+    stiffness = -linear - 3.0 * cubic * angles_rad**2 - per * height * np.cos(per * angles_rad)
     diagonal = np.arange(angles_rad.shape[1])
-    slope[:, diagonal, diagonal] += sprung[1]
-    return Torques(torque + sprung[0], slope)
+    slope[:, diagonal, diagonal] += stiffness
+    return Torques(torque + back, slope)
 
 
 def _constant_forces(
@@ -212,14 +198,8 @@ def _constant_forces(
     arm = point_m[:, :, None, :] - placed.centre_m[:, None]
     pushed = force_n[:, :, None, :] * beyond[..., None]
     moment = np.swapaxes(np.moveaxis(arm, 2, 1), -1, -2) @ np.moveaxis(pushed, 2, 1)
-    turning = np.stack(
-        [
-            moment[..., 1, 2] - moment[..., 2, 1],
-            moment[..., 2, 0] - moment[..., 0, 2],
-            moment[..., 0, 1] - moment[..., 1, 0],
-        ],
-        axis=-1,
-    )
+    first, second = [1, 2, 0], [2, 0, 1]
+    turning = moment[..., first, second] - moment[..., second, first]
     axis = placed.axis
     torque = (axis * np.repeat(turning, 2, axis=1)).sum(-1)
     moments = np.repeat(moment, 2, axis=1)
@@ -244,11 +224,3 @@ def _tip_spring(body: Body, placed: Frames, spring: TipSpring) -> tuple[Array, A
     centres = np.repeat(placed.centre_m, 2, axis=1)
     lever = np.cross(placed.axis, tip - centres)
     return torque, slope - lever @ stiffness @ np.swapaxes(lever, -1, -2)
-
-
-def _joint_springs(body: Body, angles_rad: Array) -> tuple[Array, Array]:
-    linear, cubic = body.spring_nm_rad.ravel(), body.hardening_nm_rad3.ravel()
-    height, per = body.cogging_nm.ravel(), body.cogging_per_turn
-    torque = -(linear + cubic * angles_rad**2) * angles_rad - height * np.sin(per * angles_rad)
-    slope = -linear - 3.0 * cubic * angles_rad**2 - per * height * np.cos(per * angles_rad)
-    return torque, slope

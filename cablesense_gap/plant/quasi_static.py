@@ -99,6 +99,10 @@ class Balance(NamedTuple):
         return self.torque_nm - pulled[:, 0], self.torque_slope - pulled[:, 1:], answer
 
 
+_Found = tuple[Array, Array, Balance]
+"""Angles, tensions of the pieces and balance at rest."""
+
+
 class Balances:
     """Balances of one arm.
 
@@ -140,9 +144,8 @@ class Balances:
         grip = friction.coefficient * np.concatenate([pulley, bends])
         fed = self.fed_m(length, tension)
         moved_m = fed - state.fed_m
-        guide, guide_slope = friction_state(
-            friction.onset, state.guide_state, moved_m, friction.reach_m
-        )
+        onset, reach_m = friction.onset, friction.reach_m
+        guide, guide_slope = friction_state(onset, state.guide_state, moved_m, reach_m)
         taut = tension > 0.0
         gained = np.where(taut[:-1], np.expm1(grip * guide), 0.0)
         carried = tension[:-1] * (1.0 + gained)
@@ -165,38 +168,28 @@ class Balances:
 
         by_angle = np.empty((body.cable_count, pieces, len(angles)))
         by_angle[:, 0] = -stiff[:, None] * slope.T
-        by_angle[:, 1:] = -(
-            sticking.T[:, :, None] * self.distal[:, self.of_joint] * slope.T[:, None, :]
-        )
+        beyond = self.distal[:, self.of_joint]
+        by_angle[:, 1:] = -(sticking.T[:, :, None] * beyond * slope.T[:, None, :])
 
         pulling = np.maximum(tension[self.across], 0.0)
         torque, blocks = cable_torques(across.slope_m_rad, across.curve_m_rad2, pulling[None])
         outer = torques(body, angles[None], turning, loads_n[None])
         matrix = add_blocks(outer.slope_nm_rad, blocks)[0]
         joint_state, joint_nm, joint_slope = self._joints(state, angles)
-        matrix[np.arange(len(angles)), np.arange(len(angles))] -= joint_slope
+        each, own = np.arange(len(angles)), self.across[self.of_joint]
+        matrix[each, each] -= joint_slope
 
         pull = np.zeros((len(angles), body.cable_count, pieces))
-        own = self.across[self.of_joint]
-        pull[np.arange(len(angles)), :, own] = slope * taut[own]
-        return Balance(
-            (torque + outer.torque_nm)[0] - joint_nm,
-            matrix,
-            misfit,
-            by_tension,
-            by_angle,
-            pull,
-            guide,
-            fed,
-            joint_state,
-        )
+        pull[each, :, own] = slope * taut[own]
+        left = (torque + outer.torque_nm)[0] - joint_nm
+        after = guide, fed, joint_state
+        return Balance(left, matrix, misfit, by_tension, by_angle, pull, *after)
 
     def _joints(self, state: State, angles: Array) -> tuple[Array, Array, Array]:
         friction = self.friction
         speed = np.abs(state.speed_rad_s) / friction.speed_rad_s
-        level = friction.joint_nm.ravel() * (
-            1.0 + (friction.breakaway - 1.0) * np.exp(-(speed**2))
-        )
+        stribeck = 1.0 + (friction.breakaway - 1.0) * np.exp(-(speed**2))
+        level = friction.joint_nm.ravel() * stribeck
         moved = angles - state.angles_rad
         new, slope = friction_state(
             friction.joint_onset, state.joint_state, moved, friction.joint_reach_rad
@@ -219,24 +212,15 @@ class QuasiStaticPath:
         """A first row (2N,), (M,), (N, 3) before any sliding."""
         body = self.body
         angles = commanded_angles_rad(body, command_rad[None])
-        rest = find_rest(body, angles, paid_out_m[None], loads_n[None])
-        tension = np.tile(rest.tensions_n[0], (2 * body.joint_count + 2, 1))
+        angles, tensions = find_rest(body, angles, paid_out_m[None], loads_n[None])
+        tension = np.tile(tensions[0], (2 * body.joint_count + 2, 1))
         crept = self.creep.settled * self.creep.compliance_m_n * tension[0]
         self.retensioned_m = crept.sum(axis=0)
-        length = spans(body, rest.angles_rad, turns(body, rest.angles_rad)).length_m[0]
+        length = spans(body, angles, turns(body, angles)).length_m[0]
         fed = self.balances.fed_m(length, tension)
         zero = np.zeros(len(angles[0]))
-        return State(
-            rest.angles_rad[0],
-            tension,
-            np.zeros_like(fed),
-            fed,
-            zero,
-            zero,
-            crept,
-            paid_out_m,
-            loads_n,
-        )
+        guides = np.zeros_like(fed), fed
+        return State(angles[0], tension, *guides, zero, zero, crept, paid_out_m, loads_n)
 
     def advance(self, state: State, paid_out_m: Array, loads_n: Array, period_s: float) -> State:
         """The next row.
@@ -253,10 +237,17 @@ class QuasiStaticPath:
         return replace(moved, speed_rad_s=speed, crept_m=crept)
 
     def _settle(self, state: State, paid_out_m: Array, loads_n: Array, depth: int) -> State:
+        crept_m = state.crept_m.sum(axis=0) - self.retensioned_m
+        wanted_m = self.balances.straight_m + paid_out_m + crept_m
         for search in (self._newton, self._damped):
-            found = search(state, paid_out_m, loads_n)
+            found = search(state, wanted_m, loads_n)
             if found is not None:
-                return found
+                angles, tension, at = found
+                return replace(
+                    state, angles_rad=angles, tension_n=tension, guide_state=at.guide_state,
+                    fed_m=at.fed_m, joint_state=at.joint_state, paid_out_m=paid_out_m,
+                    loads_n=loads_n,
+                )  # fmt: skip
         if depth >= _DEEPEST:
             raise PlantError(
                 "an arm with friction found no rest; smaller loads or angles leave it stable"
@@ -265,34 +256,29 @@ class QuasiStaticPath:
         between = self._settle(state, *halfway, depth + 1)
         return self._settle(between, paid_out_m, loads_n, depth + 1)
 
-    def _wanted_m(self, state: State, paid_out_m: Array) -> Array:
-        crept = state.crept_m.sum(axis=0) - self.retensioned_m
-        return self.balances.straight_m + paid_out_m + crept
-
-    def _newton(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
+    def _newton(self, state: State, wanted_m: Array, loads_n: Array) -> _Found | None:
         angles, tension = state.angles_rad, state.tension_n
-        wanted_m = self._wanted_m(state, paid_out_m)
         for _ in range(_NEWTON_STEPS):
             at = self.balances.at(state, angles, tension, wanted_m, loads_n)
             if at.settled:
-                return _moved(state, angles, tension, at, paid_out_m, loads_n)
-            turn, pull = _joint_step(at)
-            angles, tension = angles + turn, tension + pull
+                return angles, tension, at
+            torque, slope, answer = at.condensed()
+            turn = _limited_step(torque, slope, 0.0)
+            angles = angles + turn
+            tension = tension + (answer[..., 0] + answer[..., 1:] @ turn).T
             if not np.isfinite(tension).all():
                 return None
         return None
 
-    def _damped(self, state: State, paid_out_m: Array, loads_n: Array) -> State | None:
+    def _damped(self, state: State, wanted_m: Array, loads_n: Array) -> _Found | None:
         """As `_newton`, with the cables at rest at every guess: slower, and hardly ever fails."""
         angles, damping = state.angles_rad, 0.0
-        wanted_m = self._wanted_m(state, paid_out_m)
         at, tension = self._cables_at_rest(state, angles, state.tension_n, wanted_m, loads_n)
         for _ in range(_DAMPED_STEPS):
             if at.settled:
-                return _moved(state, angles, tension, at, paid_out_m, loads_n)
+                return angles, tension, at
             torque, slope, _ = at.condensed()
-            move = newton_step_rad(torque[None], slope[None], np.array([damping]))[0]
-            move *= min(1.0, _LONGEST_RAD / max(np.abs(move).max(), 1e-300))
+            move = _limited_step(torque, slope, damping)
             found = self._cables_at_rest(state, angles + move, tension, wanted_m, loads_n)
             if found[0].torque_nm @ move >= -0.5 * (torque @ move):
                 angles = angles + move
@@ -315,27 +301,10 @@ class QuasiStaticPath:
         return at, tension
 
 
-def _joint_step(at: Balance) -> tuple[Array, Array]:
-    """Change of the angles (2J,) and of the pieces' tensions (2J + 2, M)."""
-    torque, slope, answer = at.condensed()
-    turn = newton_step_rad(torque[None], slope[None], np.zeros(1))[0]
-    turn *= min(1.0, _LONGEST_RAD / max(np.abs(turn).max(), 1e-300))
-    return turn, (answer[..., 0] + answer[..., 1:] @ turn).T
-
-
-def _moved(
-    state: State, angles: Array, tension: Array, at: Balance, paid_out_m: Array, loads_n: Array
-) -> State:
-    return replace(
-        state,
-        angles_rad=angles,
-        tension_n=tension,
-        guide_state=at.guide_state,
-        fed_m=at.fed_m,
-        joint_state=at.joint_state,
-        paid_out_m=paid_out_m,
-        loads_n=loads_n,
-    )
+def _limited_step(torque_nm: Array, slope_nm_rad: Array, damping: float) -> Array:
+    """Newton's step (2J,), none of its angles over `_LONGEST_RAD`."""
+    step = newton_step_rad(torque_nm[None], slope_nm_rad[None], np.array([damping]))[0]
+    return np.asarray(step * min(1.0, _LONGEST_RAD / max(np.abs(step).max(), 1e-300)))
 
 
 def friction_state(onset: Onset, state: Array, moved: Array, reach: float) -> tuple[Array, Array]:

@@ -17,11 +17,9 @@ from cablesense_gap.plant.body import Body, PlantError
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
 
 _ENOUGH_NM = 1e-9
-_MOST_STEPS = 150
+_MOST_STEPS, _LOAD_STEPS = 150, 13
 _LEAST_DAMPING = 0.02
-_SOFTEST_NM_RAD = 10.0
-_LEAST_NM_RAD = 1e-3
-_LOAD_STEPS = 13
+_SOFTEST_NM_RAD, _LEAST_NM_RAD = 10.0, 1e-3
 
 
 class Rest(NamedTuple):
@@ -134,9 +132,8 @@ def tension_law(body: Body, stretch_m: Array) -> tuple[Array, Array]:
     base = 1.0 + body.stiffness_n_m * stretch_m / (n * body.pretension_n)
     taut = base > 0.0
     base = np.where(taut, base, 1.0)
-    tension = body.pretension_n * base**n
     slope = body.stiffness_n_m * base ** (n - 1.0)
-    return tension * taut, slope * taut
+    return body.pretension_n * base**n * taut, slope * taut
 
 
 def cable_torques(
@@ -184,18 +181,16 @@ def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Arra
     angles = commanded_angles_rad(body, command_rad)
     tensions = np.empty_like(paid_out_m)
     free = np.flatnonzero(~loaded)
-    rest = find_rest(body, angles[free], paid_out_m[free], loads_n[free])
-    angles[free], tensions[free] = rest.angles_rad, rest.tensions_n
-    first = np.flatnonzero(loaded & ~np.roll(loaded, 1))
+    angles[free], tensions[free] = find_rest(body, angles[free], paid_out_m[free], loads_n[free])
     changed = (np.diff(loads_n, axis=0) != 0.0).any(axis=(1, 2))
-    changed = np.concatenate([[True], changed | (np.diff(paid_out_m, axis=0) != 0.0).any(axis=1)])
-    rows = first
+    changed = np.append(True, changed | (np.diff(paid_out_m, axis=0) != 0.0).any(axis=1))
+    rows = np.flatnonzero(loaded & ~np.roll(loaded, 1))
     while len(rows):
         new, same = rows[changed[rows]], rows[~changed[rows]]
         angles[same], tensions[same] = angles[same - 1], tensions[same - 1]
         if len(new):
-            rest = find_rest(body, angles[new - 1], paid_out_m[new], loads_n[new])
-            angles[new], tensions[new] = rest.angles_rad, rest.tensions_n
+            found = find_rest(body, angles[new - 1], paid_out_m[new], loads_n[new])
+            angles[new], tensions[new] = found
         rows = rows + 1
         rows = rows[rows < len(loaded)]
         rows = rows[loaded[rows]]

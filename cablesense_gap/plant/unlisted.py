@@ -180,12 +180,9 @@ def cogging(rng: Rng, nominal: Nominal) -> Change:
 def tether(rng: Rng, nominal: Nominal) -> Change:
     """A hose or a band from the arm's end to somewhere beside it."""
     angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.4)
-    x, y, z = (
-        float(_reach_m(nominal) + rng.uniform(-0.2, 0.1)),
-        float(away_m * np.sin(angle)),
-        float(away_m * np.cos(angle)),
-    )
-    spring = (sized, TipSpring((x, y, z), 1.0), "stiffness_n_m")
+    x = float(_reach_m(nominal) + rng.uniform(-0.2, 0.1))
+    anchor = (x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle)))
+    spring = (sized, TipSpring(anchor, 1.0), "stiffness_n_m")
     return Change(UNKNOWN, "tether", "N/m", 0.3, 300.0, sets("body", tip_springs=spring))
 
 

@@ -11,8 +11,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_base.files import written_whole
@@ -66,7 +68,10 @@ def withhold(
             answers.append(recorded.answer)
             yield recorded.answer
     names = [field.name for field in fields(Answer)]
-    rows = ([_text(value) for value in astuple(answer)] for answer in answers)
+    rows = (
+        [f"{value:.4f}" if isinstance(value, float) else str(value) for value in astuple(answer)]
+        for answer in answers
+    )
     _write_table(answers_file, names, rows)
 
 
@@ -115,23 +120,26 @@ def _pair(names: Iterator[str]) -> str:
 
 def _write_recording(path: Path, recorded: CaseRecording) -> None:
     """One row a sample, columns named with their units."""
-    schedule = recorded.schedule
-    angles, cables = schedule.command_rad.shape[1], recorded.tensions_n.shape[1]
-    header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
-    header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
+    done, tensions_n = recorded.schedule, recorded.tensions_n
+    angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
+    parts: tuple[tuple[list[str], NDArray[Any], int], ...] = (
+        (["time_s"], done.time_s[:, None], 2),
+        (["trial"], done.trial[:, None], 0),
+        ([f"q{i + 1}_cmd_rad" for i in range(angles)], done.command_rad, 6),
+        (["load_segment"], done.load_segment[:, None], 0),
+        (["load_x_n", "load_y_n", "load_z_n"], done.load_n, 3),
+        ([f"tension_{i + 1}_n" for i in range(cables)], tensions_n, 4),
+    )
+    header = [name for names, _, _ in parts for name in names]
     columns = [
-        _texts(schedule.time_s[:, None], 2),
-        [[str(trial)] for trial in schedule.trial],
-        _texts(schedule.command_rad, 6),
-        [[str(segment)] for segment in schedule.load_segment],
-        _texts(schedule.load_n, 3),
-        _texts(recorded.tensions_n, 4),
+        [f"{value:.{decimals}f}" for value in column]
+        for _, values, decimals in parts
+        for column in (np.round(values, decimals) + 0.0).T.tolist()  # no -0.00
     ]
-    rows = ([text for part in parts for text in part] for parts in zip(*columns, strict=True))
-    _write_table(path, header, rows)
+    _write_table(path, header, zip(*columns, strict=True))
 
 
-def _write_table(path: Path, header: list[str], rows: Iterable[list[str]]) -> None:
+def _write_table(path: Path, header: list[str], rows: Iterable[Sequence[str]]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -145,23 +153,12 @@ def _write_table(path: Path, header: list[str], rows: Iterable[list[str]]) -> No
         writer.writerows(rows)
 
 
-def _texts(values: Array, decimals: int) -> list[list[str]]:
-    rounded = np.round(values, decimals) + 0.0  # no -0.00
-    return [[f"{value:.{decimals}f}" for value in row] for row in rounded.tolist()]
-
-
-def _text(value: object) -> str:
-    return f"{value:.4f}" if isinstance(value, float) else str(value)
-
-
 @dataclass(frozen=True)
 class Case:
     """All of a recording but its noise.
 
     Attributes:
         name: of the recording.
-        schedule: what is done.
-        history: what was done before.
         plain_arm: the arm with manufacturing tolerances alone.
         changes: what is hidden, and of which size.
         noise_seed: of the sensors' noise.
@@ -173,14 +170,6 @@ class Case:
     plain_arm: RealArm
     changes: tuple[tuple[Change, float], ...]
     noise_seed: int
-
-    @property
-    def arm(self) -> RealArm:
-        """The arm with what is hidden."""
-        arm = self.plain_arm
-        for change, size in self.changes:
-            arm = change.apply(arm, size)
-        return arm
 
 
 @dataclass(frozen=True)
@@ -257,14 +246,8 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
             if not plain or _alone_n(change, size, plain_arm, schedule, history) >= visible_n:
                 break
         changes.append((change, size))
-    return Case(
-        name=f"case_{index:03d}",
-        schedule=schedule,
-        history=history,
-        plain_arm=plain_arm,
-        changes=tuple(changes),
-        noise_seed=int(rng.integers(2**63)),
-    )
+    seed = int(rng.integers(2**63))
+    return Case(f"case_{index:03d}", schedule, history, plain_arm, tuple(changes), seed)
 
 
 def size_for(
@@ -313,8 +296,10 @@ def record_case(case: Case) -> CaseRecording:
         PlantError: its arm finds no rest in some row.
     """
     nominal, did = case.plain_arm.nominal, (case.schedule, case.history)
-    signals = case.arm.signals_n(*did)
-    plain = case.plain_arm.signals_n(*did)
+    arm = case.plain_arm
+    for change, size in case.changes:
+        arm = change.apply(arm, size)
+    signals, plain = arm.signals_n(*did), case.plain_arm.signals_n(*did)
     gap = gap_n(signals, plain)
     each = [gap]
     if len(case.changes) > 1:
@@ -322,10 +307,7 @@ def record_case(case: Case) -> CaseRecording:
     changes = [change for change, _ in case.changes]
     sizes = [
         {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
-        | {
-            key: value if isinstance(value, str) else float(f"{value:.6g}")
-            for key, value in change.details.items()
-        }
+        | {key: float(f"{value:.6g}") for key, value in change.details.items()}
         for change, size in case.changes
     ]
     answer = Answer(
@@ -361,6 +343,6 @@ def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
 def _places(changes: list[Change]) -> str:
     """Every place once, cables before joints before segments, each by number."""
     found = {place for change in changes for place in change.where}
-    return " ".join(
-        sorted(found, key=lambda place: (place.split("_")[0], int(place.split("_")[1])))
-    )
+    kind_and_number = (place.split("_") for place in found)
+    ordered = sorted((kind, int(number)) for kind, number in kind_and_number)
+    return " ".join(f"{kind}_{number}" for kind, number in ordered)

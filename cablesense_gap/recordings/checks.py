@@ -174,14 +174,10 @@ def _worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if len(recording) == 0:
         yield _refuse("rows", "has no rows; it must have one per sample")
-    read, command, each = (
-        recording.tensions_n,
-        recording.command_rad,
-        "pitch and yaw of each joint",
-    )
+    read, command = recording.tensions_n, recording.command_rad
     for kind, values, columns, wanted, of_what in (
         ("cables", read, "tensions", arm.cable_count, " cables"),
-        ("joints", command, "commanded angles", arm.joint_count, f", {each}"),
+        ("joints", command, "commanded angles", arm.joint_count, ", pitch and yaw of each joint"),
     ):
         if values.shape[1:] != (wanted,):
             has = f"has {values.shape[-1]} {columns} a row"

@@ -51,16 +51,6 @@ class BagRows:
         self._trial: int | None = None
         self._rows: list[tuple[Any, ...]] = []
 
-    @property
-    def has_commands(self) -> bool:
-        """Whether any command came."""
-        return self._command is not None
-
-    @property
-    def count(self) -> int:
-        """Rows so far."""
-        return len(self._rows)
-
     def taken(self, topic: str) -> int:
         """How many messages of a topic have come, the last one included."""
         return self._taken[topic]
@@ -82,8 +72,22 @@ class BagRows:
         elif self._command is not None:
             self._take_tensions(log_ns, message, self._command)
 
-    def recording(self, name: str) -> Recording:
-        """All rows, of which there must be one; time from the first."""
+    def recording(self, path: Path) -> Recording:
+        """All rows, time from the first; `path` they came from.
+
+        Raises:
+            RecordingError: there are none.
+        """
+        if self._command is None:
+            raise RecordingError(
+                f"{path}: no message on {topics.JOINT_COMMANDS}; publish the command once more "
+                "after the recorder has started, also for a straight arm"
+            )
+        if not self._rows:
+            raise RecordingError(
+                f"{path}: no message on {topics.CABLE_TENSIONS} after the first on "
+                f"{topics.JOINT_COMMANDS}; record on after the command"
+            )
         logs, stamps, trials, commands, segments, forces, tensions = zip(*self._rows, strict=True)
         # a clock that stamps only some messages is none
         clock_ns = np.array(stamps if all(stamps) else logs, dtype=np.int64)
@@ -95,7 +99,7 @@ class BagRows:
             trial = derive_trials(time_s, command, segment, load_n)
         else:
             trial = np.array([first if n is None else n for n in trials], dtype=np.int64)
-        return Recording(name, time_s, trial, command, segment, load_n, np.array(tensions))
+        return Recording(path.stem, time_s, trial, command, segment, load_n, np.array(tensions))
 
     def _take_load(self, message: Any) -> None:
         prefix = message.header.frame_id.rpartition("segment_")[0]
@@ -142,17 +146,7 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
             raise RecordingError(
                 f"{path}: {topic}, message {rows.taken(topic)}: {error}"
             ) from error
-    if not rows.has_commands:
-        raise RecordingError(
-            f"{path}: no message on {topics.JOINT_COMMANDS}; publish the command once more after "
-            "the recorder has started, also for a straight arm"
-        )
-    if not rows.count:
-        raise RecordingError(
-            f"{path}: no message on {topics.CABLE_TENSIONS} after the first on "
-            f"{topics.JOINT_COMMANDS}; record on after the command"
-        )
-    return rows.recording(path.stem)
+    return rows.recording(path)
 
 
 def write_mcap(path: str | Path, recording: Recording, arm: Arm) -> None:
