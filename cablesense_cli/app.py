@@ -13,12 +13,11 @@ import typer
 
 from cablesense_base.errors import CableSenseError
 from cablesense_cli.dataset import dataset
-from cablesense_cli.demo import demo
 from cablesense_cli.evaluate import evaluate
 from cablesense_cli.gap import gap
 from cablesense_cli.info import info
 from cablesense_cli.paper import paper
-from cablesense_cli.recordings import record, replay
+from cablesense_cli.runs import demo, record, replay
 from cablesense_cli.sensors import sensors
 from cablesense_cli.train import train
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablesense_cli.options import print_json, titled_table
+from cablesense_cli.options import (
+    ArmOption,
+    DurationOption,
+    JsonOption,
+    RecordingFile,
+    print_json,
+    task_bars,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,7 +55,6 @@ def diagnose(
     Example: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold]
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
@@ -59,8 +68,7 @@ def diagnose(
     nominal = open_arm(arm)
     recorded = read_recording(recording, nominal)
     console = Console()
-    columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    with task_bars(console) as progress:
         task = progress.add_task("reading", total=1.0)
 
         def show(doing: str, done: float) -> None:
@@ -109,7 +117,7 @@ def predict(
 
 
 def protocol(
-    arm: Annotated[str, typer.Option(help="A bundled arm's name, or an arm file.")] = "cdsm",
+    arm: ArmOption = "cdsm",
     out: Annotated[
         Path | None,
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
@@ -130,7 +138,7 @@ def protocol(
     description = open_arm(arm)
     blocks = standard_protocol(description)
     console = Console()
-    console.print(_table(blocks, f"Protocol for arm {description.name}"))
+    console.print(_protocol_table(blocks, f"Protocol for arm {description.name}"))
     console.print(
         "Sides as seen along the arm from its base. Record with: cablesense gap record "
         "--out recording.mcap",
@@ -147,25 +155,20 @@ def protocol(
         console.print(f"{out}: {len(rows.time_s):,} rows, {rows.time_s[-1]:.0f} s")
 
 
-def _table(blocks: tuple[Block, ...], title: str) -> Table:
-    numbers = "trial", "at, s", "takes, s"
-    table = titled_table(title, *numbers, right=numbers)
-    table.add_column("what", no_wrap=True)
-    table.add_column("what to do")
-    at_s = 0.0
-    for number, block in enumerate(blocks):
-        times = f"{at_s:.0f}", f"{block.duration_s:.0f}"
+def _protocol_table(blocks: Sequence[Block], title: str) -> Table:
+    headings = ("trial", "at, s", "takes, s", "what", "what to do")
+    table = titled_table(title, *headings, right=headings[:3])
+    table.columns[3].no_wrap = True
+    starts_s = accumulate((block.duration_s for block in blocks), initial=0.0)
+    for number, (at_s, block) in enumerate(zip(starts_s, blocks, strict=False)):
+        times = (f"{at_s:.0f}", f"{block.duration_s:.0f}")
         table.add_row(str(number), *times, str(block.kind), block.does)
-        at_s += block.duration_s
     return table
 
 
 def record(
-    out: Annotated[Path, typer.Option(help="The .mcap file to write.")],
-    duration: Annotated[
-        float | None,
-        typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C"),
-    ] = None,
+    out: RecordingFile,
+    duration: DurationOption = None,
     arm: Annotated[
         str | None,
         typer.Option(
@@ -213,10 +216,9 @@ def score(
         ),
     ],
     answers: Annotated[
-        Path,
-        typer.Option(help="CSV with recording, effects joined by +, and where."),
+        Path, typer.Option(help="CSV with recording, effects joined by +, and where.")
     ],
-    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Score verdicts against answers: what was named right, how sure, how calibrated.
 
@@ -238,9 +240,8 @@ def score(
 
 
 def _statistics(found: Score) -> Table:
-    from rich.table import Table
-
-    table = Table("statistic", "value", "95 % interval", "cases", title=f"{found.cases} verdicts")
+    headings = ("statistic", "value", "95 % interval", "cases")
+    table = titled_table(f"{found.cases} verdicts", *headings)
     for name, share in (
         ("exact", found.exact),
         ("truth among the two most probable", found.top2),
@@ -258,8 +259,8 @@ def _statistics(found: Score) -> Table:
             table.add_row(name, "–", "", "0")
             continue
         low, high = share.ci95
-        cells = f"{share.value:.1%}", f"{low:.0%} to {high:.0%}", f"{share.hits} of {share.count}"
-        table.add_row(name, *cells)
+        interval, cases = f"{low:.0%} to {high:.0%}", f"{share.hits} of {share.count}"
+        table.add_row(name, f"{share.value:.1%}", interval, cases)
     for name, value in (
         ("removable gap removed, median of correct verdicts", found.median_removed_fraction),
         ("mean probability on the truth", found.mean_probability_on_truth),
@@ -271,9 +272,7 @@ def _statistics(found: Score) -> Table:
 
 
 def _confusion(found: Score) -> Table:
-    from rich.table import Table
-
-    table = Table("truth", "verdicts", title="confusion")
+    table = titled_table("confusion", "truth", "verdicts")
     for truth, named in found.confusion.items():
         counts = sorted(named.items(), key=lambda pair: (pair[0] != truth, -pair[1], pair[0]))
         table.add_row(truth, ", ".join(f"{count} × {name}" for name, count in counts))

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from cablesense_cli.options import print_json, refuse_given, titled_table
+from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
 from cablesense_sim.arm import find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
@@ -30,7 +30,7 @@ def info(
             "--effects", help="Show the catalogue of effects that an arm file can list instead."
         ),
     ] = False,
-    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
 
@@ -44,10 +44,11 @@ def info(
     if effects:
         refuse_given(context, ["file"], "with --effects, which are the same for every arm")
         description = describe_effects()
-        tables = effect_tables(description)
+        tables = [_effect_table(effect) for effect in description["effects"]]
     else:
         description = describe_model(file) if file.endswith(".onnx") else describe_arm(file)
-        tables = description_tables(description)
+        is_arm = description["kind"] == "arm"
+        tables = _arm_tables(description) if is_arm else _model_tables(description)
     if json_output:
         print_json(description)
         return
@@ -70,7 +71,6 @@ def describe_arm(name: str) -> Description:
     path = find_arm(name)
     arm = load_arm(path)
     mechanism = mechanism_of(arm)
-    sensors = arm.sensors
     angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
     return {
         "kind": "arm",
@@ -97,10 +97,8 @@ def describe_arm(name: str) -> Description:
             for i, cable_name in enumerate(arm.cable_names)
         ],
         "sensors": {
-            "rate_hz": sensors.rate_hz,
-            "noise_std_n": sensors.noise_std_n,
-            "step_n": sensors.step_n,
-            "range_n": sensors.range_n,
+            key: getattr(arm.sensors, key)
+            for key in ("rate_hz", "noise_std_n", "step_n", "range_n")
         },
         "joints": list(arm.joint_names),
         "effects": [
@@ -148,63 +146,46 @@ def _port(port: Any, units: dict[str, str]) -> dict[str, Any]:
     return {"name": port.name, "unit": units.get(port.name, "1"), "shape": shape}
 
 
-def description_tables(description: Description) -> list[Table]:
-    """The description of an arm or a model as tables for a terminal."""
-    return _arm_tables(description) if description["kind"] == "arm" else _model_tables(description)
-
-
 def _arm_tables(arm: Description) -> list[Table]:
     segments, sensors = arm["segments"], arm["sensors"]
-    facts = _facts(f"Arm {arm['identity']}")
-    facts.add_row("file", arm["file"])
-    facts.add_row("segments", f"{segments['count']}, of {_listed(segments['length_m'])} m")
-    facts.add_row("mass", f"{_listed(segments['mass_kg'])} kg each")
-    facts.add_row("guide plates", f"{segments['plate_offset_m']:g} m before and after each joint")
-    facts.add_row("loads act", f"{_listed(segments['contact_m'])} m from each segment's joint")
-    facts.add_row(
-        "sensors",
-        f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
-        f"step {sensors['step_n']:g} N",
+    facts = _facts(
+        f"Arm {arm['identity']}",
+        ("file", arm["file"]),
+        ("segments", f"{segments['count']}, of {_listed(segments['length_m'])} m"),
+        ("mass", f"{_listed(segments['mass_kg'])} kg each"),
+        ("guide plates", f"{segments['plate_offset_m']:g} m before and after each joint"),
+        ("loads act", f"{_listed(segments['contact_m'])} m from each segment's joint"),
+        (
+            "sensors",
+            f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
+            f"step {sensors['step_n']:g} N",
+        ),
     )
-    numbers = (
-        "ends on segment",
-        "angle, °",
-        "radius, m",
-        "length, m",
-        "stiffness, N/m",
-        "pretension, N",
-    )
-    cables = titled_table("Cables", "name", *numbers, right=numbers)
+    columns = {
+        "ends on segment": "{ends_on_segment}",
+        "angle, °": "{angle_deg:.0f}",
+        "radius, m": "{radius_m:.3f}",
+        "length, m": "{length_m:.3f}",
+        "stiffness, N/m": "{stiffness_n_m:.3g}",
+        "pretension, N": "{pretension_n:g}",
+    }
+    cables = titled_table("Cables", "name", *columns, right=columns)
     for cable in arm["cables"]:
-        cables.add_row(
-            cable["name"],
-            str(cable["ends_on_segment"]),
-            f"{cable['angle_deg']:.0f}",
-            f"{cable['radius_m']:.3f}",
-            f"{cable['length_m']:.3f}",
-            f"{cable['stiffness_n_m']:.3g}",
-            f"{cable['pretension_n']:g}",
-        )
-    return [facts, cables, *_effect_tables(arm["effects"])]
-
-
-def _effect_tables(effects: list[Description]) -> list[Table]:
-    """What the arm does beyond the ideal; no table where that is nothing."""
-    if not effects:
-        return []
+        cables.add_row(cable["name"], *(form.format(**cable) for form in columns.values()))
+    if not arm["effects"]:
+        return [facts, cables]
     table = titled_table("Effects", "effect", "at", "parameters")
-    for effect in effects:
+    for effect in arm["effects"]:
         numbers = (
             f"{name} = {given['value']:g} {'' if given['unit'] == '1' else given['unit']}".strip()
             for name, given in effect["parameters"].items()
         )
         table.add_row(effect["effect"], effect["at"], "\n".join(numbers))
-    return [table]
+    return [facts, cables, table]
 
 
 def _model_tables(model: Description) -> list[Table]:
-    facts = _facts(f"Model {model['file']}")
-    facts.add_row("size", f"{model['size_bytes'] / 1000:.0f} kB")
+    facts = _facts(f"Model {model['file']}", ("size", f"{model['size_bytes'] / 1000:.0f} kB"))
     for way in ("inputs", "outputs"):
         for port in model[way]:
             shape = ", ".join(map(str, port["shape"]))
@@ -216,10 +197,12 @@ def _model_tables(model: Description) -> list[Table]:
     return [facts]
 
 
-def _facts(title: str) -> Table:
+def _facts(title: str, *rows: tuple[str, str]) -> Table:
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column("what", style="bold")
     table.add_column("value", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -241,12 +224,8 @@ def describe_effects() -> Description:
 
 
 def _effect(effect: Effect) -> Description:
-    return {
-        "name": effect.name,
-        "acts_on": effect.acts_on,
-        "about": effect.about,
-        "tolerance": effect.tolerance,
-        "source": effect.source,
+    keys = ("name", "acts_on", "about", "tolerance", "source")
+    return {key: getattr(effect, key) for key in keys} | {
         "places_of_four_segments_and_twelve_cables": list(
             effect.places(_FOUR_SEGMENTS, _TWELVE_CABLES)
         ),
@@ -262,12 +241,7 @@ def _plain(parameter: Parameter) -> Description:
     return {key: getattr(parameter, key) for key in keys}
 
 
-def effect_tables(catalogue: Description) -> list[Table]:
-    """One table an effect: what it is, and its parameters."""
-    return [_table(effect) for effect in catalogue["effects"]]
-
-
-def _table(effect: Description) -> Table:
+def _effect_table(effect: Description) -> Table:
     places = effect["places_of_four_segments_and_twelve_cables"]
     shown = places if len(places) <= _SHOWN_PLACES + 1 else [*places[:_SHOWN_PLACES], "…"]
     kind = ", a tolerance and no finding" if effect["tolerance"] else ""

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from cablesense_base.errors import CableSenseError
+
+ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+DurationOption = Annotated[
+    float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
+]
+RecordingFile = Annotated[Path, typer.Option(help="The .mcap file to write.")]
 
 
 class OptionError(CableSenseError):
@@ -40,6 +50,12 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
 def print_json(content: Any) -> None:
     """Print a result for machines."""
     print(json.dumps(content, indent=2))
+
+
+def task_bars(console: Console) -> Progress:
+    """Bars of tasks with their descriptions and the time that they have taken."""
+    columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console)
 
 
 def titled_table(title: str, *headings: str, right: Iterable[str] = ()) -> Table:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.progress import TaskID
 
+from cablesense_cli.options import task_bars
 from cablesense_paper.study import study_names
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from cablesense_paper.study import Outcome, Study
 
 
 def paper(
@@ -47,19 +44,25 @@ def paper(
     [bold]cablesense paper --out friction --only friction[/bold]
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cablesense_paper.report import claim_folder, write_report
-    from cablesense_paper.study import FailedStudyError, chosen_studies, require_drawing
+    from cablesense_paper.study import FailedStudyError, chosen_studies, require_drawing, run_study
 
     require_drawing()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
     studies = chosen_studies(only or ())
     claim_folder(out)
     console = Console()
-    columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        outcomes = [_followed(study, quick, progress) for study in studies]
+    outcomes = []
+    with task_bars(console) as progress:
+        for study in studies:
+            task = progress.add_task(study.title, total=1.0)
+
+            def show(done: float, task: TaskID = task) -> None:
+                progress.update(task, completed=done)
+
+            outcomes.append(run_study(study, quick, show))
+            show(1.0)
     write_report(out, outcomes, quick)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
     failed = [outcome.study.name for outcome in outcomes if outcome.failure]
@@ -68,17 +71,3 @@ def paper(
             f"{len(failed)} of {len(studies)} studies failed: {', '.join(failed)}; "
             f"{out / 'report.html'} says why"
         )
-
-
-def _followed(study: Study, quick: bool, progress: Progress) -> Outcome:
-    """Run a study under a bar with its title."""
-    from cablesense_paper.study import run_study
-
-    task = progress.add_task(study.title, total=1.0)
-
-    def tell(done: float) -> None:
-        progress.update(task, completed=done)
-
-    outcome = run_study(study, quick, tell)
-    tell(1.0)
-    return outcome

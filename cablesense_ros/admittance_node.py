@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -18,15 +18,11 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import (
-    Level,
-    NamedOrder,
-    Status,
-    joint_command_rad,
-    put_joint_angles,
-)
+from cablesense_msgs_py.diagnostics import Level, Status
+from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad, put_joint_angles
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import (
@@ -43,30 +39,32 @@ from cablesense_online.admittance.estimate_watch import (
 )
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_ros.node_process import (
+    ARM,
+    AUTOSTART,
+    FRAME_PREFIX,
+    JOINT_SPEED,
     WARN_EVERY_S,
     ConfiguredNode,
     DiagnosticsPublisher,
     NodeParameter,
+    RefusalLog,
     declare_parameters,
     of_node,
     overridable,
     parameter_values,
     run_configured_node,
 )
-from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import checked_command
 from cablesense_sim.mechanism import Mechanism
 
 ADMITTANCE_PARAMETERS: Final = (
-    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
-    NodeParameter(
-        "autostart", True, "Configure and activate at start, without a lifecycle manager."
-    ),
-    NodeParameter(
-        "estimator", "estimator", "Name of the estimator node whose estimates are used."
-    ),
-    NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
+    ARM,
+    AUTOSTART,
+    FRAME_PREFIX,
+    JOINT_SPEED,
+    NodeParameter("estimator", "estimator", "Name of the estimator node that is used."),
     NodeParameter(
         "worst_stiffness_n_m",
         20_000.0,
@@ -93,15 +91,9 @@ ADMITTANCE_PARAMETERS: Final = (
         0.1,
         1e3,
     ),
+    NodeParameter("step_limit_deg", 1.0, "No joint turns farther in a step, deg.", 0.01, 10.0),
     NodeParameter(
-        "step_limit_deg", 1.0, "No joint turns farther in one step, degrees.", 0.01, 10.0
-    ),
-    NodeParameter(
-        "speed_limit_deg_s",
-        5.0,
-        "Nor, on the average from one step to the next, faster, degrees per second.",
-        0.01,
-        90.0,
+        "speed_limit_deg_s", 5.0, "Nor, from one step to the next, faster, deg/s.", 0.01, 90.0
     ),
     NodeParameter(
         "joint_limit_deg",
@@ -122,23 +114,12 @@ ADMITTANCE_PARAMETERS: Final = (
         60.0,
     ),
     NodeParameter(
-        "yield_s",
-        2.0,
-        "After a command of another node none is sent for this long, s.",
-        0.0,
-        3600.0,
+        "yield_s", 2.0, "After another node's command none is sent for this long, s.", 0.0, 3600.0
     ),
     NodeParameter(
         "await_command",
         False,
         "Send nothing before a command was received; else the arm is assumed to be straight.",
-    ),
-    NodeParameter(
-        "joint_speed_deg_s",
-        20.0,
-        "Peak speed at which joints approach a command, deg/s; as the estimator's.",
-        0.1,
-        360.0,
     ),
     NodeParameter(
         "settle_s",
@@ -150,7 +131,7 @@ ADMITTANCE_PARAMETERS: Final = (
 )
 
 
-def controller_settings(values: Mapping[str, Any]) -> ControllerSettings:
+def _controller_settings(values: Mapping[str, Any]) -> ControllerSettings:
     """The settings of the parameters' values."""
     law = AdmittanceSettings(
         damping_n_m_s_rad=values["damping_n_m_s_rad"],
@@ -177,31 +158,26 @@ def controller_settings(values: Mapping[str, Any]) -> ControllerSettings:
     )
 
 
-CHECK_S = 0.02
-"""How often silence of the estimator is looked for."""
-
-Array = np.ndarray
+SILENCE_CHECK_S = 0.02
+"""How often silence of the estimator is checked for."""
 
 
 class AdmittanceNode(ConfiguredNode):
-    """Configured: listens and knows what can be known. Active: sends joint commands as well."""
+    """Configured: receives and knows what can be known. Active: sends joint commands as well."""
 
     def __init__(self) -> None:
         super().__init__("admittance")
         declare_parameters(self, ADMITTANCE_PARAMETERS, read_only=False)
-        self._arm: Arm | None = None
-        self._mechanism: Mechanism | None = None
+        self._identity = ""
         self._controller: AdmittanceController | None = None
-        self._frames = Frames(1)
-        self._joint_order = NamedOrder((), "joints")
-        self._estimator = ""
         self._command = JointState()
         self._commands_out: Publisher | None = None
         self._inputs: list[Subscription] = []
         self._timer: Timer | None = None
         self._active = False
         self._logged_state = ContactState.STOPPED
-        DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity if self._arm else "")
+        self._refuse = RefusalLog(self)
+        DiagnosticsPublisher(self, self._statuses, lambda: self._identity)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Commands may be sent."""
@@ -216,31 +192,52 @@ class AdmittanceNode(ConfiguredNode):
     def _configure(self) -> None:
         given = parameter_values(self, ADMITTANCE_PARAMETERS)
         arm = open_arm(given["arm"])
-        self._arm, self._mechanism = arm, mechanism_of(arm)
-        self._frames = Frames(arm.segment_count, given["frame_prefix"])
-        self._joint_order = NamedOrder(arm.joint_names, "joints")
-        self._estimator = given["estimator"]
-        self._controller = AdmittanceController(
-            self._mechanism, controller_settings(given), time.monotonic()
-        )
+        mechanism = mechanism_of(arm)
+        settings = _controller_settings(given)
+        controller = AdmittanceController(mechanism, settings, time.monotonic())
+        frames = Frames(arm.segment_count, given["frame_prefix"])
+        joints = NamedOrder(arm.joint_names, "joints")
+        self._identity, self._controller = arm.identity, controller
         self._command = JointState(name=list(arm.joint_names))
         self._commands_out = self.create_publisher(
             JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
         )
-        self._inputs = [
-            self.create_subscription(kind, topic, handle, **overridable(COMMAND))
-            for kind, topic, handle in (
-                (WrenchStamped, of_node(self._estimator, topics.WRENCH), self._on_wrench),
-                (
-                    Float64MultiArray,
-                    of_node(self._estimator, topics.CONTACT_PROBABILITIES),
-                    self._on_probabilities,
-                ),
-                (JointState, topics.JOINT_COMMANDS, self._on_command),
-                (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics),
-            )
-        ]
-        self._timer = self.create_timer(CHECK_S, self._check)
+
+        def on_probabilities(message: Float64MultiArray) -> None:
+            check_probabilities(message, arm.segment_count)
+            controller.watch.received_probabilities(time.monotonic())
+
+        def on_diagnostics(message: DiagnosticArray) -> None:
+            stale = input_is_stale(message, given["estimator"])
+            if stale is not None:
+                controller.watch.received_input_state(stale, time.monotonic())
+
+        inputs: tuple[tuple[type, str, Callable[[Any], None], str], ...] = (
+            (
+                WrenchStamped,
+                topics.WRENCH,
+                partial(self._on_wrench, controller, frames),
+                "a wrench was refused",
+            ),
+            (
+                Float64MultiArray,
+                topics.CONTACT_PROBABILITIES,
+                on_probabilities,
+                "probabilities were refused",
+            ),
+            (
+                JointState,
+                topics.JOINT_COMMANDS,
+                partial(self._on_command, controller, mechanism, joints),
+                "",  # arm and estimator refuse it as well
+            ),
+            (DiagnosticArray, topics.DIAGNOSTICS, on_diagnostics, ""),
+        )
+        for kind, topic, handle, stops in inputs:
+            name = of_node(given["estimator"], topic)
+            take = partial(self._take, controller, name, handle, stops)
+            self._inputs.append(self.create_subscription(kind, name, take, **overridable(COMMAND)))
+        self._timer = self.create_timer(SILENCE_CHECK_S, partial(self._check_silence, controller))
         self._logged_state = ContactState.STOPPED
         self.get_logger().info(f"arm {arm.identity}: configured")
 
@@ -253,90 +250,65 @@ class AdmittanceNode(ConfiguredNode):
         if self._commands_out is not None:
             self.destroy_publisher(self._commands_out)
         self._inputs, self._timer, self._commands_out = [], None, None
-        self._controller, self._arm, self._mechanism = None, None, None
+        self._controller, self._identity = None, ""
 
-    def _on_wrench(self, message: WrenchStamped) -> None:
-        if self._controller is None:
-            return
+    def _take(
+        self,
+        controller: AdmittanceController,
+        topic: str,
+        handle: Callable[[Any], None],
+        stops: str,
+        message: Any,
+    ) -> None:
+        """Handle a message; one that breaks the contract is logged, and with `stops` stops."""
         try:
-            wrench = read_wrench(message, self._frames)
+            handle(message)
         except CableSenseError as error:
-            self._controller.watch.refused(f"a wrench was refused: {error}")
-            self.get_logger().warning(
-                f"{self._estimator}/wrench: message refused: {error}",
-                throttle_duration_sec=WARN_EVERY_S,
-            )
-            return
-        if not self._active:
-            return
-        command = self._controller.received_wrench(
-            wrench.segment,
-            wrench.force_n,
-            wrench.stamp_ns,
-            self.get_clock().now().nanoseconds,
-            time.monotonic(),
-        )
-        if command is not None:
-            self._send(command)
+            if stops:
+                controller.watch.refused(f"{stops}: {error}")
+            self._refuse(topic, error)
 
-    def _on_probabilities(self, message: Float64MultiArray) -> None:
-        if self._controller is None or self._arm is None:
-            return
-        try:
-            check_probabilities(message, self._arm.segment_count)
-        except CableSenseError as error:
-            self._controller.watch.refused(f"probabilities were refused: {error}")
-            self.get_logger().warning(
-                f"message refused: {error}", throttle_duration_sec=WARN_EVERY_S
+    def _on_wrench(
+        self, controller: AdmittanceController, frames: Frames, message: WrenchStamped
+    ) -> None:
+        wrench = read_wrench(message, frames)
+        if self._active:
+            now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
+            self._send(
+                controller.received_wrench(
+                    wrench.segment, wrench.force_n, wrench.stamp_ns, now_ns, now_s
+                )
             )
-            return
-        self._controller.watch.received_probabilities(time.monotonic())
 
-    def _on_command(self, message: JointState) -> None:
-        if self._controller is None or self._mechanism is None:
-            return
-        try:
-            command = checked_command(
-                self._mechanism, joint_command_rad(message, self._joint_order)
-            )
-        except CableSenseError as error:  # arm and estimator refuse it as well
-            self.get_logger().warning(
-                f"{topics.JOINT_COMMANDS}: message refused: {error}",
-                throttle_duration_sec=WARN_EVERY_S,
-            )
-            return
-        if self._controller.received_command(command, time.monotonic()):
+    def _on_command(
+        self,
+        controller: AdmittanceController,
+        mechanism: Mechanism,
+        joints: NamedOrder,
+        message: JointState,
+    ) -> None:
+        command = checked_command(mechanism, joint_command_rad(message, joints))
+        if controller.received_command(command, time.monotonic()):
             self.get_logger().warning(
                 "another node commands: that pose is home from now on",
                 throttle_duration_sec=WARN_EVERY_S,
             )
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        if self._controller is None:
-            return
-        stale = input_is_stale(message, self._estimator)
-        if stale is not None:
-            self._controller.watch.received_input_state(stale, time.monotonic())
-
-    def _check(self) -> None:
-        if self._controller is None:
-            return
+    def _check_silence(self, controller: AdmittanceController) -> None:
         now_s = time.monotonic()
-        state = self._controller.watch.update(now_s)
-        if state is ContactState.STOPPED and self._logged_state is not ContactState.STOPPED:
+        state, before = controller.watch.update(now_s), self._logged_state
+        if state is ContactState.STOPPED and before is not ContactState.STOPPED:
             self.get_logger().warning(
-                f"stopped: {self._controller.watch.reason}; the arm holds its last command"
+                f"stopped: {controller.watch.reason}; the arm holds its last command"
             )
-        elif state is not ContactState.STOPPED and self._logged_state is ContactState.STOPPED:
+        elif state is not ContactState.STOPPED and before is ContactState.STOPPED:
             self.get_logger().info("estimates are trusted: contacts are yielded to")
         self._logged_state = state
         if self._active:
-            command = self._controller.repeated(now_s)
-            if command is not None:
-                self._send(command)
+            self._send(controller.repeated(now_s))
 
-    def _send(self, command_rad: Array) -> None:
-        if self._commands_out is not None:
+    def _send(self, command_rad: Array | None) -> None:
+        if self._commands_out is not None and command_rad is not None:
             self._command.header.stamp = self.get_clock().now().to_msg()
             put_joint_angles(self._command, command_rad)
             self._commands_out.publish(self._command)

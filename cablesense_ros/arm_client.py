@@ -1,25 +1,34 @@
-"""A client of a running arm: subscriptions to arm and estimator, commands and loads."""
+"""Clients of a running arm: messages, commands and loads; a node beside other work."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
+from typing import Any, Self, TypeVar
 
+import numpy as np
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_ros.node_process import WARN_EVERY_S, of_node, overridable
+from cablesense_ros.discovery import prefer_quick_discovery
+from cablesense_ros.node_process import RefusalLog, of_node, overridable
 from cablesense_sim.arm import Arm
 
+Moment = TypeVar("Moment")
+
+RECORD_EVERY_S = 0.04
 LISTENERS = 3
 """Readers of a command once all are up: the arm, the estimator and the client itself."""
 
@@ -47,10 +56,11 @@ class ArmClient:
                 lambda m: live.on_diagnostics(m, now()),
             ),
         )
+        refuse = RefusalLog(node)
         for kind, topic, quality, handle in inputs:
             name = of_node(estimator, topic)
             node.create_subscription(
-                kind, name, self._guarded(name, handle), **overridable(quality)
+                kind, name, refuse.guarded(name, handle), **overridable(quality)
             )
         self._loads = node.create_publisher(
             WrenchStamped, topics.APPLIED_WRENCH, **overridable(qos.COMMAND)
@@ -85,13 +95,52 @@ class ArmClient:
             force.x, force.y, force.z = (float(component) for component in load.force_base_n)
             self._loads.publish(message)
 
-    def _guarded(self, topic: str, handle: Callable[[Any], None]) -> Callable[[Any], None]:
-        def take(message: Any) -> None:
-            try:
-                handle(message)
-            except CableSenseError as error:
-                self._node.get_logger().warning(
-                    f"{topic}: {error}", throttle_duration_sec=WARN_EVERY_S
-                )
 
-        return take
+class Observer:
+    """A node `demo` in this process; its callbacks run in a thread of their own inside `with`."""
+
+    def __init__(self) -> None:
+        prefer_quick_discovery()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node("demo")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.lock = threading.Lock()
+        self._thread = threading.Thread(target=self._spin, name="demo observer", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+
+def record(
+    moment: Callable[[float], Moment], duration_s: float, check: Callable[[], object]
+) -> tuple[Array, list[Moment]]:
+    """Act and observe every `RECORD_EVERY_S`.
+
+    Args:
+        moment: takes the time since the start, s; does what is due and gives what is seen.
+        duration_s: of the whole.
+        check: called at every step; raises to end it.
+
+    Returns:
+        Times (K,) since the start, s, and the K moments.
+    """
+    start_s = time.monotonic()
+    times, moments = [], []
+    while (now_s := time.monotonic() - start_s) < duration_s:
+        check()
+        moments.append(moment(now_s))
+        times.append(now_s)
+        time.sleep(RECORD_EVERY_S)
+    return np.array(times), moments

@@ -25,6 +25,11 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
 from cablesense_ros.node_process import (
+    ARM,
+    AUTOSTART,
+    BITRATE,
+    CHANNEL_MAP,
+    FRAME_PREFIX,
     ConfiguredNode,
     DiagnosticsPublisher,
     NodeParameter,
@@ -36,12 +41,11 @@ from cablesense_ros.node_process import (
 from cablesense_sim.arm import open_arm
 
 CAN_DRIVER_PARAMETERS: Final = (
-    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
-    NodeParameter(
-        "map",
-        "twelve_channel_amplifier",
-        "Channel map: the name of a bundled one, or the path of a .yaml file.",
-    ),
+    ARM,
+    AUTOSTART,
+    FRAME_PREFIX,
+    CHANNEL_MAP,
+    BITRATE,
     NodeParameter(
         "calibration",
         "",
@@ -58,20 +62,9 @@ CAN_DRIVER_PARAMETERS: Final = (
         "channel", "can0", "What that kind calls its channels: can0, /dev/ttyACM0, PCAN_USBBUS1."
     ),
     NodeParameter(
-        "bitrate_bit_s",
-        0,
-        "Bit rate of the bus, bit/s; 0 where the system sets it (socketcan) or there is none.",
-        0,
-        1_000_000,
-    ),
-    NodeParameter(
-        "autostart", True, "Configure and activate at start, without a lifecycle manager."
-    ),
-    NodeParameter("frame_prefix", "", "Goes before every frame name."),
-    NodeParameter(
         "stale_after_s",
         0.2,
-        "Without a sample for this long diagnostics say stale, s.",
+        "Without a sample this long diagnostics are stale, s.",
         0.001,
         60.0,
     ),

@@ -22,28 +22,28 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.node_process import (
-    WARN_EVERY_S,
+    ARM,
+    BITRATE,
+    CHANNEL_MAP,
     DiagnosticsPublisher,
     NodeParameter,
     ParameterError,
+    RefusalLog,
     declare_parameters,
     overridable,
     parameter_values,
     qos_profile,
     run_node,
 )
-from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.arm import open_arm
 
 SLCAN_PORT: Final = "slcan_port"
 """The interface that is none of python-can's: a pseudo-terminal that poses as an adapter."""
 
 CAN_EMULATOR_PARAMETERS: Final = (
-    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
-    NodeParameter(
-        "map",
-        "twelve_channel_amplifier",
-        "Channel map: the name of a bundled one, or the path of a .yaml file.",
-    ),
+    ARM,
+    CHANNEL_MAP,
+    BITRATE,
     NodeParameter(
         "interface",
         SLCAN_PORT,
@@ -55,13 +55,6 @@ CAN_EMULATOR_PARAMETERS: Final = (
         "/tmp/cablesense_can",
         "With slcan_port, the path of a link to the terminal; else the interface's channel, such "
         "as vcan0.",
-    ),
-    NodeParameter(
-        "bitrate_bit_s",
-        0,
-        "Bit rate of the bus, bit/s; 0 where the system sets it or there is none.",
-        0,
-        1_000_000,
     ),
     NodeParameter(
         "recording",
@@ -92,17 +85,29 @@ class CanEmulatorNode(Node):
         super().__init__("can_emulator")
         declare_parameters(self, CAN_EMULATOR_PARAMETERS, read_only=False)
         given = parameter_values(self, CAN_EMULATOR_PARAMETERS)
-        _refuse_ignored(given)
+        if given["loop"] and not given["recording"]:
+            raise ParameterError("parameter loop has no effect without recording; leave it false")
+        if given["bitrate_bit_s"] and given["interface"] == SLCAN_PORT:
+            raise ParameterError(
+                "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets "
+                "it; leave it 0"
+            )
         self._arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(self._arm.cable_names)
         self._order = NamedOrder(self._arm.cable_names, "cables")
-        self._refused = 0
+        self._refuse = RefusalLog(self, "sample refused, no frames are sent for it")
         self._reported_cycles = 0
         self._player: RecordingPlayer | None = None
         self._commands_out: Publisher | None = None
         if given["recording"]:
-            self._player = _player(given["recording"], self._arm, given["loop"])
+            # imported only here, as a robot may lack what it needs
+            from cablesense_gap.recordings.checks import read_recording
+
+            rows = read_recording(given["recording"], self._arm)
+            self._player = RecordingPlayer(
+                rows.time_s, rows.tensions_n, rows.command_rad, given["loop"]
+            )
             self._commands_out = self.create_publisher(
                 JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
             )
@@ -113,8 +118,12 @@ class CanEmulatorNode(Node):
             self._emulator.close()
             raise
         if self._player is None:
+            take = self._refuse.guarded(
+                topics.SIMULATED_TENSIONS,
+                lambda m: self._emulator.cycle(self._order.pick(m.name, m.effort, "effort")),
+            )
             self.create_subscription(
-                JointState, topics.SIMULATED_TENSIONS, self._on_tensions, **overridable(SENSOR)
+                JointState, topics.SIMULATED_TENSIONS, take, **overridable(SENSOR)
             )
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -141,36 +150,15 @@ class CanEmulatorNode(Node):
                 message.header.stamp = self.get_clock().now().to_msg()
                 put_joint_angles(message, command_rad)
                 self._commands_out.publish(message)
-            self._play(tensions_n.tolist())
-
-    def _on_tensions(self, message: JointState) -> None:
-        try:
-            tensions_n = self._order.pick(message.name, message.effort, "effort")
-        except CableSenseError as error:
-            self._refuse(error)
-            return
-        self._play(tensions_n)
-
-    def _play(self, tensions_n: Sequence[float]) -> None:
-        try:
-            self._emulator.cycle(tensions_n)
-        except CableSenseError as error:
-            self._refuse(error)
-
-    def _refuse(self, error: CableSenseError) -> None:
-        self._refused += 1
-        self.get_logger().warning(
-            f"sample refused, no frames are sent for it: {error}",
-            throttle_duration_sec=WARN_EVERY_S,
-        )
+            self._refuse.guarded("recording", self._emulator.cycle)(tensions_n.tolist())
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == "fault":
-                try:
+        try:
+            for parameter in parameters:
+                if parameter.name == "fault":
                     self._emulator.check(parameter.value)
-                except CableSenseError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+        except CableSenseError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
@@ -197,40 +185,17 @@ class CanEmulatorNode(Node):
         values = {
             "cycles": str(cycles),
             "frames dropped": str(self._emulator.dropped),
-            "samples refused": str(self._refused),
+            "samples refused": str(self._refuse.count),
             "fault": self._emulator.fault or "none",
         }
         return [Status("frames", level, message, values)]
-
-
-def _refuse_ignored(given: dict[str, Any]) -> None:
-    """Parameters that the others leave without effect are refused."""
-    if given["loop"] and not given["recording"]:
-        raise ParameterError("parameter loop has no effect without recording; leave it false")
-    if given["bitrate_bit_s"] and given["interface"] == SLCAN_PORT:
-        raise ParameterError(
-            "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets it; "
-            "leave it 0"
-        )
 
 
 def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:
     if given["interface"] == SLCAN_PORT:
         return lambda: SlcanPort(given["channel"])
     interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
-
-    def open_sink() -> FrameSink:
-        return BusSink(interface.open())
-
-    return open_sink
-
-
-def _player(path: str, arm: Arm, loop: bool) -> RecordingPlayer:
-    """Read a recording; what that needs is imported only here, as a robot may lack it."""
-    from cablesense_gap.recordings.checks import read_recording
-
-    recorded = read_recording(path, arm)
-    return RecordingPlayer(recorded.time_s, recorded.tensions_n, recorded.command_rad, loop)
+    return lambda: BusSink(interface.open())
 
 
 def main(args: Sequence[str] | None = None) -> int:

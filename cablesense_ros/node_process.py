@@ -212,13 +212,26 @@ class RefusalLog:
         self._node = node
         self._what = what
         self._logged_s: dict[tuple[str, type], float] = {}
+        self.count = 0
 
     def __call__(self, topic: str, error: CableSenseError) -> None:
-        """Warn that a message on `topic` was refused for `error`."""
+        """Count and warn that a message on `topic` was refused for `error`."""
+        self.count += 1
         kind, now_s = (topic, type(error)), time.monotonic()
         if now_s - self._logged_s.get(kind, -math.inf) >= WARN_EVERY_S:
             self._logged_s[kind] = now_s
             self._node.get_logger().warning(f"{topic}: {self._what}: {error}")
+
+    def guarded(self, topic: str, handle: Callable[[Any], object]) -> Callable[[Any], None]:
+        """A callback that refuses what `handle` raises a `CableSenseError` for."""
+
+        def take(message: Any) -> None:
+            try:
+                handle(message)
+            except CableSenseError as error:
+                self(topic, error)
+
+        return take
 
 
 _WAKE_S = 0.2

@@ -13,7 +13,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, NamedOrder, Status
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
@@ -26,10 +25,12 @@ from cablesense_online.admittance.wall import (
     wall_beside,
 )
 from cablesense_ros.node_process import (
-    WARN_EVERY_S,
+    ARM,
+    FRAME_PREFIX,
     DiagnosticsPublisher,
     NodeParameter,
     ParameterError,
+    RefusalLog,
     declare_parameters,
     overridable,
     parameter_values,
@@ -39,14 +40,13 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 
 OBSTACLE_PARAMETERS: Final = (
-    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
-    NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
+    ARM,
+    FRAME_PREFIX,
     NodeParameter("segment", 3, "The segment that the wall presses on.", 1, 1000),
     NodeParameter(
         "angle_deg",
         90.0,
-        "Direction of the push, normal to the segment as the wall first sees it, degrees from "
-        "the segment's +z towards its +y.",
+        "Direction of the push, normal to the segment at first, degrees from its +z to its +y.",
         -360.0,
         360.0,
     ),
@@ -56,8 +56,7 @@ OBSTACLE_PARAMETERS: Final = (
     NodeParameter(
         "depth_m",
         0.003,
-        "Where the wall stops, m beyond the contact point as it first saw it; negative is off "
-        "the arm.",
+        "Where the wall stops, m beyond the first contact point; negative is off the arm.",
         -1.0,
         0.2,
     ),
@@ -68,9 +67,7 @@ OBSTACLE_PARAMETERS: Final = (
 )
 
 LIVE_PARAMETERS: Final = ("depth_m", "speed_m_s")
-
-
-LONGEST_LOOK_S = 0.1
+LONGEST_PAUSE_S = 0.1
 """A pause longer than this between two `joint_states` does not move the wall on."""
 
 
@@ -94,13 +91,12 @@ class ObstacleNode(Node):
         self._joint_order = NamedOrder(arm.joint_names, "joints")
         self._pressing: WallPressing | None = None
         self._approach = Approach(-self._given["clearance_m"], self._given["speed_m_s"])
-        self._since_s = self._look_s = time.monotonic()
+        self._since_s = self._latest_s = time.monotonic()
         self._loads_out = self.create_publisher(
             WrenchStamped, topics.APPLIED_WRENCH, **overridable(PUBLISHER)
         )
-        self.create_subscription(
-            JointState, topics.JOINT_STATES, self._on_joint_states, **overridable(COMMAND)
-        )
+        take = RefusalLog(self).guarded(topics.JOINT_STATES, self._on_joint_states)
+        self.create_subscription(JointState, topics.JOINT_STATES, take, **overridable(COMMAND))
         self.add_post_set_parameters_callback(self._on_parameters)
         DiagnosticsPublisher(self, self._statuses, lambda: arm.identity)
         self.get_logger().info(
@@ -115,19 +111,12 @@ class ObstacleNode(Node):
 
     def _on_joint_states(self, message: JointState) -> None:
         now_s = time.monotonic()
-        elapsed_s, self._look_s = min(now_s - self._look_s, LONGEST_LOOK_S), now_s
-        try:
-            angles = self._joint_order.arrange(message.name, message.position, "position")
-            if self._pressing is None:
-                self._pressing = self._wall_at(angles)
-                self._since_s = now_s
-            point = contact_point_m(self._mechanism, angles, self._segment)
-        except CableSenseError as error:
-            self.get_logger().warning(
-                f"{topics.JOINT_STATES}: message refused: {error}",
-                throttle_duration_sec=WARN_EVERY_S,
-            )
-            return
+        elapsed_s, self._latest_s = min(now_s - self._latest_s, LONGEST_PAUSE_S), now_s
+        angles = self._joint_order.arrange(message.name, message.position, "position")
+        if self._pressing is None:
+            self._pressing = self._wall_at(angles)
+            self._since_s = now_s
+        point = contact_point_m(self._mechanism, angles, self._segment)
         advance_m = self._approach.advance_m
         if now_s - self._since_s >= self._given["delay_s"]:
             advance_m = self._approach.towards(self._given["depth_m"], elapsed_s)

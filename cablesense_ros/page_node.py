@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +18,9 @@ from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions, Push
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.node_process import (
+    ARM,
+    FRAME_PREFIX,
+    JOINT_SPEED,
     NodeParameter,
     declare_parameters,
     of_node,
@@ -26,26 +30,20 @@ from cablesense_ros.node_process import (
 from cablesense_sim.arm import open_arm
 
 PAGE_PARAMETERS: Final = (
-    NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path."),
+    ARM,
+    FRAME_PREFIX,
+    JOINT_SPEED,
     NodeParameter(
         "host", "127.0.0.1", "Address to serve on; 0.0.0.0 lets other machines see and push."
     ),
     NodeParameter("port", 8080, "Port to serve on; when busy, the next free one.", 1, 65535),
     NodeParameter("rate_hz", 25.0, "How often the scene is drawn, Hz.", 1.0, 60.0),
     NodeParameter("estimator", "estimator", "Name of the estimator node to show."),
-    NodeParameter("frame_prefix", "", "Goes before every frame name, as in the other nodes."),
     NodeParameter("controls", True, "Whether a person may push, move and tare from the page."),
     NodeParameter(
         "home_at_start",
         False,
-        "Command the straight pose as soon as arm and estimator listen, so that they agree on it.",
-    ),
-    NodeParameter(
-        "joint_speed_deg_s",
-        20.0,
-        "Peak speed at which joints approach a command, degrees per second; as in the sim node.",
-        0.1,
-        360.0,
+        "Command the straight pose once arm and estimator receive, so that they agree on it.",
     ),
 )
 
@@ -113,10 +111,10 @@ class PageNode(Node):
             self._page.notify("Tared" if answer.success else "Not tared", answer.message)
 
 
-def main(args: list[str] | None = None) -> None:
-    """Runs the node until it is told to end."""
-    sys.exit(run_node(PageNode, args))
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the process's exit code."""
+    return run_node(PageNode, args)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

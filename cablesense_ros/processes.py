@@ -17,7 +17,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 from cablesense_base.errors import CableSenseError
@@ -45,16 +44,10 @@ def node_command(
 ) -> list[str]:
     """The command line that runs `cablesense_ros.<name>_node` in this Python.
 
-    Args:
-        name: of the node.
-        parameters: numbers, truth values or texts; anything else as its text.
-        remaps: other names of topics.
-        namespace: of the node.
+    Parameters that are no numbers, truth values or texts are given as their text.
     """
     command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
-    for topic, other in ({"__ns": namespace} if namespace else {}).items() | (
-        remaps or {}
-    ).items():
+    for topic, other in (({"__ns": namespace} if namespace else {}) | dict(remaps or {})).items():
         command += ["-r", f"{topic}:={other}"]
     for key, value in (parameters or {}).items():
         command += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False, default=str)}"]
@@ -67,16 +60,10 @@ def wait_until(
     otherwise: str,
     check: Callable[[], object] = lambda: None,
 ) -> Found:
-    """The first true thing that `found` gives.
-
-    Args:
-        found: asked again and again.
-        within_s: how long.
-        otherwise: the error's text.
-        check: called before each time; may raise.
+    """The first true value of `found`, called again and again, `check` before each time.
 
     Raises:
-        ProcessError: nothing was found in time.
+        ProcessError: nothing was found in time; with the text `otherwise`.
     """
     deadline_s = time.monotonic() + within_s
     while True:
@@ -141,11 +128,7 @@ class Process:
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
-        """Make sure that it runs.
-
-        Raises:
-            ProcessError: it has ended; names it, its exit code and the end of its log.
-        """
+        """Raise a `ProcessError` with its exit code and the end of its log where it has ended."""
         code = self.child.poll()
         if code is None:
             return
@@ -156,8 +139,7 @@ class Process:
 
     def line(self, start: str) -> str | None:
         """The first line of the log that begins with `start`; none so far."""
-        lines = self.log.splitlines()
-        return next((line for line in lines if line.startswith(start)), None)
+        return next((line for line in self.log.splitlines() if line.startswith(start)), None)
 
     def wait(self, within_s: float = GRACE_S) -> int:
         """Its exit code, once it has ended by itself.
@@ -170,7 +152,7 @@ class Process:
         return code
 
     def signal(self, number: int) -> None:
-        """Send a signal to it and to what it has started itself."""
+        """Send a signal to it and to its own children."""
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, number)
 
@@ -199,12 +181,7 @@ class Process:
     def __enter__(self) -> Process:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 
@@ -237,12 +214,7 @@ class Processes:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end()
 
     def __getitem__(self, name: str) -> Process:
@@ -252,11 +224,7 @@ class Processes:
         return iter(self._children.values())
 
     def check(self) -> None:
-        """Make sure that all children run.
-
-        Raises:
-            ProcessError: one has ended.
-        """
+        """Raise a `ProcessError` where a child has ended."""
         for child in self:
             child.check()
 
@@ -282,11 +250,7 @@ class Processes:
         return wait_until(found, within_s, text, self.check)
 
     def run_until_one_ends(self) -> None:
-        """Wait until a child ends.
-
-        Raises:
-            ProcessError: always, as soon as one has.
-        """
+        """Wait until a child ends, and raise that as a `ProcessError`."""
         while True:
             self.check()
             time.sleep(_POLL_S)

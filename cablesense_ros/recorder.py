@@ -6,17 +6,12 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
-import rclpy.utilities
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rich.console import Console
 
@@ -26,8 +21,7 @@ from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.node_process import WARN_EVERY_S, message_class, overridable
+from cablesense_ros.node_process import RefusalLog, message_class, overridable, spun_node
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0
@@ -42,7 +36,12 @@ _HINTS = {
 }
 
 
-_SHOWN = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS, topics.APPLIED_WRENCH, topics.WRENCH)
+_STATUS_TOPICS = (
+    topics.CABLE_TENSIONS,
+    topics.JOINT_COMMANDS,
+    topics.APPLIED_WRENCH,
+    topics.WRENCH,
+)
 
 
 class Recorder:
@@ -85,19 +84,26 @@ class Recorder:
         self._failure: RecordingError | None = None
         self._hinted: set[str] = set()
         self.counts: Counter[str] = Counter()
-        self.refused: Counter[str] = Counter()
-        for topic in wanted:
-            self._listen(topic)
+        self._left_out: Counter[str] = Counter()
+        self._log = RefusalLog(node, "left out")
+        for topic, of in wanted.items():
+            if kind := message_class(of.kind):
+                node.create_subscription(
+                    kind,
+                    resolved(topic, node.get_namespace()),
+                    partial(self._take, topic, kind),
+                    **overridable(of.heard),
+                    raw=True,
+                )
 
     @property
     def status(self) -> str:
         """One line: how long, and how much of what."""
         elapsed_s = time.monotonic() - self._started_s
         parts = [f"{elapsed_s:.0f} s"]
-        for topic in filter(self._wanted.__contains__, _SHOWN):
-            count, refused = self.counts[topic], self.refused[topic]
-            left_out = f" ({refused} left out)" if refused else ""
-            parts.append(f"{topic} {count or 'nothing yet'}{left_out}")
+        for topic in filter(self._wanted.__contains__, _STATUS_TOPICS):
+            left_out = f" ({n} left out)" if (n := self._left_out[topic]) else ""
+            parts.append(f"{topic} {self.counts[topic] or 'nothing yet'}{left_out}")
         return " · ".join(parts)
 
     def hint_at_silence(self) -> None:
@@ -105,9 +111,8 @@ class Recorder:
         if time.monotonic() - self._started_s < SILENT_AFTER_S:
             return
         for topic, hint in _HINTS.items():
-            if topic not in self._wanted:
-                continue
-            if not self.counts[topic] and topic not in self._hinted:
+            silent = topic in self._wanted and not self.counts[topic]
+            if silent and topic not in self._hinted:
                 self._hinted.add(topic)
                 self._say(f"nothing on {topic} so far: {hint}")
 
@@ -139,18 +144,6 @@ class Recorder:
             f"{_HINTS[topics.CABLE_TENSIONS]}"
         )
 
-    def _listen(self, topic: str) -> None:
-        kind = message_class(self._wanted[topic].kind)
-        if kind is None:
-            return
-        self._node.create_subscription(
-            kind,
-            resolved(topic, self._node.get_namespace()),
-            partial(self._take, topic, kind),
-            **overridable(self._wanted[topic].heard),
-            raw=True,
-        )
-
     def _take(self, topic: str, kind: type, raw: bytes) -> None:
         if self._failure is not None:
             return
@@ -159,23 +152,17 @@ class Recorder:
             if self._contract is not None and topic in INPUTS:
                 self._contract.take(topic, now_ns, deserialize_message(raw, kind))
         except CableSenseError as error:
-            self.refused[topic] += 1
-            self._node.get_logger().warning(
-                f"{topic}: left out: {error}", throttle_duration_sec=WARN_EVERY_S
-            )
+            self._left_out[topic] += 1
+            self._log(topic, error)
             return
         try:
-            self._file.write(self._channel(topic), now_ns, raw)
+            if topic not in self._channels:
+                of, name = self._wanted[topic], resolved(topic, self._node.get_namespace())
+                self._channels[topic] = self._file.add(name, of.kind, of.offered)
+            self._file.write(self._channels[topic], now_ns, raw)
         except RecordingError as error:  # an executor would print where it comes from
             self._failure = error
         self.counts[topic] += 1
-
-    def _channel(self, topic: str) -> Any:
-        if topic not in self._channels:
-            wanted = self._wanted[topic]
-            name = resolved(topic, self._node.get_namespace())
-            self._channels[topic] = self._file.add(name, wanted.kind, wanted.offered)
-        return self._channels[topic]
 
 
 _WAKE_S = 0.25
@@ -194,10 +181,10 @@ def record_topics(
     Args:
         path: of the file.
         wanted: topics of the contract.
-        duration_s: how long, or until a signal.
+        duration_s: none until a signal.
         arm: whose contract is checked, if any.
         console: for people.
-        namespace: of the nodes to listen to.
+        namespace: of the recorded nodes.
 
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
@@ -208,38 +195,21 @@ def record_topics(
         number: signal.signal(number, lambda *_: wanted_end.set_result(None))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
-    prefer_quick_discovery()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("recorder", namespace=namespace or None)
-    executor = EventsExecutor()
-    executor.add_node(node)
     try:
-        recorder = Recorder(node, path, wanted, arm, say)
-        try:
-            _spin(executor, recorder, wanted_end, duration_s, console)
-        finally:
-            recorder.close()
-        say(f"{path}: {recorder.status}")
+        with spun_node("recorder", namespace) as (node, executor):
+            recorder = Recorder(node, path, wanted, arm, say)
+            end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+            try:
+                with console.status("waiting for the arm") as line:
+                    while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
+                        wake_s = min(_WAKE_S, left_s)
+                        executor.spin_until_future_complete(wanted_end, timeout_sec=wake_s)
+                        recorder.flush()
+                        recorder.hint_at_silence()
+                        line.update(f"recording, Ctrl-C ends it: {recorder.status}")
+            finally:
+                recorder.close()
+            say(f"{path}: {recorder.status}")
     finally:
-        executor.shutdown()
-        node.destroy_node()
-        with suppress(RuntimeError):
-            rclpy.utilities.try_shutdown()
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _spin(
-    executor: EventsExecutor,
-    recorder: Recorder,
-    wanted_end: Future,
-    duration_s: float | None,
-    console: Console,
-) -> None:
-    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
-    with console.status("waiting for the arm") as line:
-        while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
-            executor.spin_until_future_complete(wanted_end, timeout_sec=min(_WAKE_S, left_s))
-            recorder.flush()
-            recorder.hint_at_silence()
-            line.update(f"recording, Ctrl-C ends it: {recorder.status}")

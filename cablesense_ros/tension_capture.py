@@ -6,11 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import rclpy
-import rclpy.utilities
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
@@ -19,14 +14,7 @@ from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.sensor_statistics import TensionSeries
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.node_process import qos_profile
-
-
-def of_node(node_name: str, topic: str) -> str:
-    """A private topic (`~/…`) of a node, as another node names it."""
-    return topic.replace("~", node_name, 1)
-
+from cablesense_ros.node_process import qos_profile, spun_node
 
 _FIRST_SAMPLE_S = 5.0
 _JOINING_S = 0.5
@@ -51,28 +39,22 @@ def capture_tensions(
         CommissioningError: nothing comes.
         ContractError: messages break the contract.
     """
-    prefer_quick_discovery()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("sensor_check")
-    executor = EventsExecutor()
-    executor.add_node(node)
-    samples = _Samples(cable_names)
-    never = Future()
+    samples, never = _Samples(cable_names), Future()
+    with spun_node("sensor_check") as (node, executor):
 
-    def wait(seconds: float) -> None:
-        end_s = time.monotonic() + seconds
-        while (left_s := end_s - time.monotonic()) > 0.0:
-            executor.spin_until_future_complete(never, timeout_sec=min(left_s, _WAKE_S))
-            if samples.error is not None:
-                raise samples.error
+        def wait(seconds: float) -> None:
+            end_s = time.monotonic() + seconds
+            while (left_s := end_s - time.monotonic()) > 0.0:
+                executor.spin_until_future_complete(never, timeout_sec=min(left_s, _WAKE_S))
+                if samples.error is not None:
+                    raise samples.error
 
-    try:
         node.create_subscription(
             JointState, topics.CABLE_TENSIONS, samples.take, qos_profile(qos.SENSOR), raw=True
         )
         end_s = time.monotonic() + _FIRST_SAMPLE_S
         while not samples.times_s and time.monotonic() < end_s:
-            wait(0.1)
+            wait(_WAKE_S)
         if not samples.times_s:
             raise CommissioningError(
                 f"nothing on {topics.CABLE_TENSIONS} in {_FIRST_SAMPLE_S:g} s: is the driver "
@@ -91,10 +73,6 @@ def capture_tensions(
             say("let go")
             wait(_RELEASED_S)
         return samples.series(), pulls
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.utilities.try_shutdown()
 
 
 class _Samples:

@@ -15,8 +15,7 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot, angle_error_deg
-from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.demo.observer import Observer, record
+from cablesense_ros.arm_client import ArmClient, Observer, record
 from cablesense_sim.arm import Arm
 
 PUSH_S = 3.0

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +28,7 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.wall import Approach, compliance_m_n
-from cablesense_ros.demo.observer import Observer, record
+from cablesense_ros.arm_client import Observer, record
 from cablesense_ros.node_process import of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -101,16 +101,6 @@ class Moment(NamedTuple):
     estimated_n: float
     command_rad: Array
     sight: ContactState
-
-
-class MovableWall(Protocol):
-    """Moves the wall and sees what comes of it."""
-
-    def move_wall(self, depth_m: float) -> None:
-        """Set where the wall stops."""
-
-    def moment(self) -> Moment:
-        """What is seen now."""
 
 
 class WallObserver(Observer):
@@ -189,7 +179,7 @@ def unyielding_stiffness_n_m(arm: Arm) -> float:
 
 
 def play_wall(
-    wall: MovableWall, stiffness_n_m: float, duration_s: float, check: Callable[[], object]
+    wall: WallObserver, stiffness_n_m: float, duration_s: float, check: Callable[[], object]
 ) -> WallRecord:
     """Press for half of the time, then leave; the record in real time.
 

@@ -1,4 +1,4 @@
-"""`cablesense record` and `cablesense replay`: a run of the nodes in a file, and once more."""
+"""Verbs that run nodes: `cablesense demo`, and `record` and `replay` of a run in a file."""
 
 from __future__ import annotations
 
@@ -7,14 +7,80 @@ from typing import Annotated
 
 import typer
 
-from cablesense_cli.options import refuse_given
+from cablesense_cli.options import (
+    ArmOption,
+    DurationOption,
+    JsonOption,
+    RecordingFile,
+    refuse_given,
+)
+from cablesense_ros.demo.run import Controller, DemoOptions, Source, run_headless, run_live
+
+
+def demo(
+    context: typer.Context,
+    arm: ArmOption = "cdsm",
+    model: Annotated[
+        str, typer.Option(help="Model file: a bundled name, or a path. Default: the arm's own.")
+    ] = "",
+    host: Annotated[
+        str, typer.Option(help="Address of the page. 0.0.0.0 opens it to your network.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port of the page; when busy, the next free one.")
+    ] = 8080,
+    headless: Annotated[
+        bool,
+        typer.Option(
+            "--headless", help="No page: play a script, print a report, write a picture."
+        ),
+    ] = False,
+    duration: Annotated[
+        float,
+        typer.Option(min=4.0, max=3600.0, help="With --headless: length of the script, seconds."),
+    ] = 60.0,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the headless picture and for the nodes' logs.")
+    ] = Path("out/demo"),
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the pushes and of the sensor noise.")
+    ] = 0,
+    source: Annotated[
+        Source,
+        typer.Option(
+            help="Where tensions come from: the simulation at once, or through CAN frames, an "
+            "emulated adapter and the driver."
+        ),
+    ] = Source.SIM,
+    controller: Annotated[
+        Controller,
+        typer.Option(
+            help="What moves the arm: nothing but you, or an admittance controller that yields to "
+            "an elastic wall."
+        ),
+    ] = Controller.NONE,
+    json_output: Annotated[
+        bool, typer.Option("--json", help="With --headless: print the report as JSON.")
+    ] = False,
+) -> None:
+    """Watch an arm being pushed, and the force estimated from its cables beside the true one.
+
+    Starts the simulated arm, the estimator and a page in the browser where you can push the arm
+    and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
+    pushes, or of the wall, runs for a minute.
+    """
+    options = DemoOptions(arm, model, host, port, out, seed, source, controller)
+    if headless:
+        refuse_given(context, ("host", "port"), "with --headless, which serves no page")
+        run_headless(options, duration_s=duration, as_json=json_output)
+    else:
+        refuse_given(context, ("duration", "json_output"), "without --headless")
+        run_live(options)
 
 
 def record(
-    out: Annotated[Path, typer.Option(help="The .mcap file to write.")],
-    duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
-    ] = None,
+    out: RecordingFile,
+    duration: DurationOption = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the nodes.")] = "",
 ) -> None:
     """Record all topics of the contract from running nodes, as rosbag2 MCAP.
@@ -57,7 +123,7 @@ def replay(
         float, typer.Option(min=0.01, max=100.0, help="With --publish: how many times as fast.")
     ] = 1.0,
     namespace: Annotated[str, typer.Option(help="With --publish: of the estimator.")] = "",
-    json: Annotated[bool, typer.Option("--json", help="Print the counts as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
 
@@ -85,8 +151,7 @@ def replay(
     if publish:
         from cablesense_ros.replay_through_node import replay_through_node
 
-        say = partial(typer.echo, err=True)
-        comparison = replay_through_node(run, rate, namespace, say)
+        comparison = replay_through_node(run, rate, namespace, partial(typer.echo, err=True))
     else:
         with nullcontext() if estimates is None else estimate_table(estimates) as table:
             comparison = replay_in_process(run, arm, model, table)
