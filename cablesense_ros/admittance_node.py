@@ -21,8 +21,13 @@ from std_msgs.msg import Float64MultiArray
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.diagnostics import Level, Status
-from cablesense_msgs_py.joint_states import NamedOrder, joint_command_rad, put_joint_angles
+from cablesense_msgs_py.messages import (
+    Level,
+    NamedOrder,
+    Status,
+    joint_command_rad,
+    put_joint_angles,
+)
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import (
@@ -274,11 +279,8 @@ class AdmittanceNode(ConfiguredNode):
         wrench = read_wrench(message, frames)
         if self._active:
             now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
-            self._send(
-                controller.received_wrench(
-                    wrench.segment, wrench.force_n, wrench.stamp_ns, now_ns, now_s
-                )
-            )
+            segment, force_n, stamp_ns = wrench
+            self._send(controller.received_wrench(segment, force_n, stamp_ns, now_ns, now_s))
 
     def _on_command(
         self,
