@@ -17,9 +17,7 @@ from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_c
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.models import (
     ContactModel,
-    HistoryDependentEstimator,
     HistoryDependentModel,
-    MemorylessEstimator,
     decide,
 )
 from cablesense_online.motion_gate import MotionGate
@@ -39,6 +37,8 @@ from cablesense_online.state import (
 )
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
@@ -85,7 +85,7 @@ class Estimation:
     def __init__(
         self,
         arm: Arm,
-        estimator: MemorylessEstimator | HistoryDependentEstimator,
+        estimator: Estimator | TemporalEstimator,
         settings: EstimationSettings,
         now_s: float,
         origin: Mapping[str, str] | None = None,
@@ -109,7 +109,7 @@ class Estimation:
         )
         self._model: ContactModel = (
             HistoryDependentModel(estimator, self.tares, unloaded.predict_n, straight, speed_rad_s)
-            if isinstance(estimator, HistoryDependentEstimator)
+            if isinstance(estimator, TemporalEstimator)
             else ContactModel(estimator, self.tares, self.gate)
         )
         self.reproducible = not self._model.in_motion

@@ -12,18 +12,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level, Status
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.estimator import Estimate, Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
 
@@ -59,6 +58,23 @@ class LoadedModel:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         return {"model": self.model, "model SHA-256": digest}
 
+    def status(self, largest_force_n: float, active: bool) -> Status:
+        """Which model and arm, and whether the latest forces were within its training."""
+        metadata = self.estimator.metadata
+        values = {
+            "model": self.model,
+            "network": metadata.network,
+            "arm": self.arm.identity,
+            "trained up to (N)": f"{metadata.force_range_n:g}",
+            "largest force (N)": f"{largest_force_n:.1f}",
+        }
+        level, message = Level.OK, "active"
+        if not active:
+            level, message = Level.WARN, "configured, not active"
+        elif largest_force_n > metadata.force_range_n:
+            level, message = Level.WARN, "forces beyond those it was trained on"
+        return Status("model", level, message, values)
+
 
 def load_model(arm: str, model: str) -> LoadedModel:
     """Load by name or path; an empty `model` takes the bundled one of the arm's name.
@@ -70,54 +86,6 @@ def load_model(arm: str, model: str) -> LoadedModel:
     return LoadedModel.open(find_model(model or description.name), description)
 
 
-class Estimate(Protocol):
-    """What is read of `cablesense_training.inference.estimator.Estimate`."""
-
-    @property
-    def probabilities(self) -> Array:
-        """(N+1,) of no contact, segment 1, …."""
-
-    @property
-    def angle_deg(self) -> float:
-        """Contact angle."""
-
-    @property
-    def magnitude_n(self) -> float:
-        """Of the force."""
-
-
-class MemorylessEstimator(Protocol):
-    """What is used of `cablesense_training.inference.estimator.Estimator`."""
-
-    @property
-    def pose_aware(self) -> bool:
-        """Whether `estimate` takes the joint command."""
-
-    def estimate(self, tension_difference_n: Array, joint_command_rad: Array | None) -> Estimate:
-        """The contact that explains a tension difference (M,)."""
-
-
-@runtime_checkable
-class HistoryDependentEstimator(Protocol):
-    """What is used of `cablesense_training.inference.temporal_estimator.TemporalEstimator`."""
-
-    def estimate(
-        self,
-        tension_difference_n: Array,
-        joint_command_rad: Array,
-        joint_speed_rad_s: Array,
-        joint_acceleration_rad_s2: Array,
-        time_s: float,
-    ) -> Estimate:
-        """The contact that explains a tension difference (M,) at a set-point, and the past."""
-
-    def forget(self) -> None:
-        """Begin without a past."""
-
-    def tare(self) -> None:
-        """Tension differences count from now on."""
-
-
 class ContactModel:
     """A memoryless estimator, asked at the command in force; the caller sees to it that it rests.
 
@@ -127,7 +95,7 @@ class ContactModel:
 
     in_motion = False
 
-    def __init__(self, estimator: MemorylessEstimator, tares: Tares, gate: MotionGate) -> None:
+    def __init__(self, estimator: Estimator, tares: Tares, gate: MotionGate) -> None:
         self._estimator, self._tares, self._gate = estimator, tares, gate
         self._pose_aware = estimator.pose_aware
 
@@ -164,7 +132,7 @@ class HistoryDependentModel(ContactModel):
 
     def __init__(
         self,
-        estimator: HistoryDependentEstimator,
+        estimator: TemporalEstimator,
         tares: Tares,
         predict_n: Callable[[Array], Array],
         command_rad: Array,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base.arrays import Array
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_sim.joint_motion import move_duration_s
 
 _LONG_AGO_NS = -(2**62)
@@ -76,3 +77,33 @@ class MotionGate:
         self.lowest_rad, self.highest_rad = lowest_rad, highest_rad
         self.rest_from_ns, self._last_ns = rest_from_ns, _LONG_AGO_NS
         self._starting = False
+
+    def status(
+        self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
+    ) -> Status:
+        """What is known of the arm's pose.
+
+        Args:
+            pose_range_deg: the model was trained within ± this.
+            refused: commands that were refused since the last report.
+            received: whether any command has come.
+            in_motion: whether the model estimates while the arm moves.
+        """
+        command_deg = np.rad2deg(self.command_rad).tolist()
+        values = {
+            "commands refused": str(refused),
+            "command (deg)": ", ".join(f"{angle:.2f}" for angle in command_deg),
+        }
+        level, message = Level.OK, "at rest"
+        if refused:
+            level, message = Level.ERROR, "a command was refused; see the log"
+        elif self.shut:
+            message = "moving" if in_motion else "moving: no estimate until the arm rests"
+        elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
+            level, message = (
+                Level.WARN,
+                f"beyond the poses that the model was trained on (±{pose_range_deg:g} degrees)",
+            )
+        elif not received:
+            level, message = Level.WARN, "none received: arm taken to be straight"
+        return Status("joint_commands", level, message, values)

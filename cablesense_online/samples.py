@@ -74,6 +74,15 @@ class SampleCheck:
             numbered = enumerate(tensions_n, start=1)
             self.slack = tuple(number for number, t in numbered if t < self.slack_below_n)
 
+    def status(self) -> Status:
+        """Which cables are slack. The estimate goes on: statics holds with slack cables too."""
+        names = ", ".join(f"cable_{number}" for number in self.slack) or "none"
+        level, message = (
+            (Level.WARN, f"slack: {names}") if self.slack else (Level.OK, "all cables taut")
+        )
+        values = {"slack": names, "slack below (N)": f"{self.slack_below_n:g}"}
+        return Status("cables", level, message, values)
+
     def _problem(self, tensions_n: Sequence[float]) -> SampleError:
         low, high = self._range_n or PLAUSIBLE_N
         cable, tension = next(

@@ -18,8 +18,8 @@ from cablesense_sim.replay import read_tensions_n
 class RealTimePacer:
     """How many time steps are due; never more than `longest_lag_s` of them at once.
 
-    What lies further behind is skipped and counted: catching up on it would make the simulation
-    fall behind further. Times are of one monotonic clock, s.
+    What lies further behind is skipped and counted in `skipped_s`: catching up on it would make
+    the simulation fall behind further. Times are of one monotonic clock, s.
     """
 
     def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:
@@ -59,6 +59,7 @@ class SimulatedArm:
     """One arm in real time; times are of one monotonic clock, s.
 
     Attributes:
+        pacer: real time factor and skipped time.
         resets: how often the dynamics were started afresh because they diverged.
     """
 
@@ -83,7 +84,7 @@ class SimulatedArm:
         self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
         self._load_timeout_s = load_timeout_s
         self._loads: dict[int, tuple[Array, float]] = {}
-        self._pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
+        self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
         self._sensings = sensings
         self._began_s = self._now_s = now_s
         self.resets = 0
@@ -107,7 +108,7 @@ class SimulatedArm:
         """Advance the simulation to `now_s`."""
         self._now_s = now_s
         self._drop_old_loads(now_s)
-        due = self._pacer.steps_due(now_s)
+        due = self.pacer.steps_due(now_s)
         while due > 0 and self._motion.moving:
             self._dynamics.command(self._motion.advance(self._timestep_s))
             self._dynamics.advance(self._timestep_s)
@@ -136,15 +137,6 @@ class SimulatedArm:
             segment: float(np.linalg.norm(force))
             for segment, (force, _) in sorted(self._loads.items())
         }
-
-    @property
-    def skipped_s(self) -> float:
-        """Time skipped because the process was held up, s."""
-        return self._pacer.skipped_s
-
-    def real_time_factor(self, now_s: float) -> float:
-        """Simulated over real time since the last call; 1 when it keeps pace."""
-        return self._pacer.real_time_factor(now_s)
 
     def _drop_old_loads(self, now_s: float) -> None:
         if self._load_timeout_s <= 0.0:

@@ -19,6 +19,7 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
@@ -98,12 +99,9 @@ class Tares:
     ) -> None:
         """Without a tare, at `command_rad` (2N,).
 
-        Args:
-            predict_n: unloaded tensions (M,) of the arm's model at a command (2N,).
-            command_rad: the present command.
-            sample_count: readings that a tare averages.
-            steady_n: largest standard deviation of a cable's readings, N, that still counts as
-                holding still.
+        `predict_n` gives the unloaded tensions (M,) of the arm's model at a command (2N,). A tare
+        averages `sample_count` readings, with a standard deviation of each cable's, N, of
+        `steady_n` at most.
 
         Raises:
             CableSenseError: the model has no unloaded state at this command.
@@ -148,9 +146,7 @@ class Tares:
     def take(self, command_rad: Array, now_ns: int) -> Tare:
         """Take the average of the last readings as the unloaded state.
 
-        Args:
-            command_rad: (2N,) the present command.
-            now_ns: the present time, ns since the epoch.
+        At the present command (2N,), `now_ns` since the epoch.
 
         Raises:
             TareError: too few readings yet, or they do not hold still.
@@ -204,6 +200,23 @@ class Tares:
             if unloaded_n is not None:
                 self.unloaded_n = unloaded_n
 
+    def status(self) -> Status:
+        """Whether there is a tare, since when, and how far it lies from the arm's model."""
+        tare = self.present
+        if tare is None:
+            return Status(
+                "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
+            )
+        since = _time_text(tare.taken_ns)
+        values = {
+            "tared since": since,
+            "readings averaged": str(tare.sample_count),
+            "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
+            "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
+            "tares that can be undone": str(self.undoable),
+        }
+        return Status("tare", Level.OK, f"tared since {since}", values)
+
     def _use(self, tare: Tare | None) -> None:
         self.present = tare
         self.unloaded_n = None if tare is None else tare.unloaded_n(self._predicted_n)
@@ -228,7 +241,7 @@ def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
     """Log line of an undo: which tare is gone, which is in force; `undoable` are left."""
-    line = f"tare of {time_text(undone.taken_ns)} undone; "
+    line = f"tare of {_time_text(undone.taken_ns)} undone; "
     if earlier is None:
         return line + "there is none now, so no estimate"
     return (
@@ -237,8 +250,7 @@ def tare_undone_line(
     )
 
 
-def time_text(time_ns: int) -> str:
-    """A time in ns since the epoch, to the second, in UTC; 0 is one that was not kept."""
+def _time_text(time_ns: int) -> str:
     if not time_ns:
         return "before the estimator's start"
     return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -246,14 +258,10 @@ def time_text(time_ns: int) -> str:
 
 def _described(tare: Tare, cable_names: Sequence[str]) -> str:
     deviations_n = tare.measured_n - tare.predicted_n
-    cables = ", ".join(
-        f"{name} {measured:.2f} ({deviation:+.2f})"
-        for name, measured, deviation in zip(
-            cable_names, tare.measured_n, deviations_n, strict=True
-        )
-    )
+    rows = zip(cable_names, tare.measured_n, deviations_n, strict=True)
+    cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
     return (
-        f"at {time_text(tare.taken_ns)}: average of {tare.sample_count} readings, at most "
+        f"at {_time_text(tare.taken_ns)}: average of {tare.sample_count} readings, at most "
         f"{tare.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the deviation: "
         f"{cables}"
     )

@@ -23,7 +23,6 @@ from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation
-from cablesense_online.health import cable_status, model_status, pose_status, tare_status
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
@@ -344,7 +343,7 @@ class EstimatorNode(ConfiguredNode):
         if self._estimation is None or self._loaded is None:
             return [Status("model", Level.WARN, "not configured: no model loaded")]
         estimation, active = self._estimation, bool(self._inputs)
-        model = model_status(self._loaded, estimation.largest_force_n, active)
+        model = self._loaded.status(estimation.largest_force_n, active)
         estimation.largest_force_n = 0.0
         if not active:
             return [model]
@@ -352,15 +351,14 @@ class EstimatorNode(ConfiguredNode):
         statuses = [
             model,
             estimation.health.status(time.monotonic(), self._lost, publishers),
-            cable_status(estimation.check),
-            pose_status(
-                estimation.gate,
+            estimation.check.status(),
+            estimation.gate.status(
                 self._loaded.estimator.metadata.pose_range_deg,
                 self._refused_commands,
                 received=estimation.command_received,
                 in_motion=estimation.answers_in_motion,
             ),
-            tare_status(estimation.tares),
+            estimation.tares.status(),
         ]
         self._lost = self._refused_commands = 0
         return statuses

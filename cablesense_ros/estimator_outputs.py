@@ -35,6 +35,7 @@ class EstimatorOutputs:
     def __init__(self, node: LifecycleNode, frames: Frames, markers: bool) -> None:
         self._node = node
         self._frames = frames
+        self._publishers: list[LifecyclePublisher] = []
         self._next_display_s = float("-inf")
         self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
         self._wrench_in = wrench_writers(frames)
@@ -64,19 +65,13 @@ class EstimatorOutputs:
 
     def destroy(self) -> None:
         """Take the topics away."""
-        for publisher in (
-            self._wrench_out,
-            self._point_out,
-            self._direction_out,
-            self._probabilities_out,
-            self._journal_out,
-            self._markers_out,
-        ):
-            if publisher is not None:
-                self._node.destroy_lifecycle_publisher(publisher)
+        for publisher in self._publishers:
+            self._node.destroy_lifecycle_publisher(publisher)
 
     def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> LifecyclePublisher:
-        return self._node.create_lifecycle_publisher(kind, topic, **overridable(qos))
+        publisher = self._node.create_lifecycle_publisher(kind, topic, **overridable(qos))
+        self._publishers.append(publisher)
+        return publisher
 
     def _publish_state(self, state: EstimatorState) -> None:
         message = DiagnosticArray()

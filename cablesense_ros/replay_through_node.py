@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rclpy
 import rclpy.utilities
@@ -34,7 +34,7 @@ from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.node_process import message_class, qos_profile
 
 PATIENCE_S = 10.0
-_LOOK_S = 0.0005
+_POLL_S = 0.0005
 
 
 class LiveEstimator:
@@ -111,15 +111,11 @@ class LiveEstimator:
         Raises:
             RecordingError: the estimator refuses, or does not answer.
         """
-        future = self._clients[service].call_async(Trigger.Request())
-        if not self._until(future.done, PATIENCE_S):
-            raise RecordingError(f"{self._name(service)} does not answer")
-        response = future.result()
-        if response is None or not response.success:
-            why = "" if response is None else response.message
+        response = self._answer(self._clients[service], Trigger.Request(), service)
+        if not response.success:
             raise RecordingError(
-                f"{self._name(service)} refuses what it took when recorded: {why}; was the "
-                "estimator started afresh?"
+                f"{self._name(service)} refuses what it took when recorded: {response.message}; "
+                "was the estimator started afresh?"
             )
 
     def adjust(self, settings: EstimationSettings) -> None:
@@ -128,23 +124,22 @@ class LiveEstimator:
         Raises:
             RecordingError: the estimator refuses one, or does not answer.
         """
-        future = self._set_parameters.call_async(
-            SetParameters.Request(
-                parameters=[
-                    Parameter(name, value=getattr(settings, name)).to_parameter_msg()
-                    for name in LIVE_SETTINGS
-                ]
-            )
-        )
-        if not self._until(future.done, PATIENCE_S):
-            raise RecordingError(f"{self._name('~/set_parameters')} does not answer")
-        refused = [result.reason for result in future.result().results if not result.successful]
+        wanted = [Parameter(name, value=getattr(settings, name)) for name in LIVE_SETTINGS]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in wanted])
+        response = self._answer(self._set_parameters, request, "~/set_parameters")
+        refused = [result.reason for result in response.results if not result.successful]
         if refused:
             raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
 
     def wait_for(self, stamp: int, patience_s: float = 1.0) -> bool:
         """Until the answer with a stamp is here; whether it is."""
         return self._until(lambda: stamp in self.answers, patience_s)
+
+    def _answer(self, client: Client, request: Any, service: str) -> Any:
+        future = client.call_async(request)
+        if not self._until(future.done, PATIENCE_S) or future.result() is None:
+            raise RecordingError(f"{self._name(service)} does not answer")
+        return future.result()
 
     def _on_answer(self, raw: bytes) -> None:
         self.answers[stamp_ns(raw)] = raw
@@ -158,7 +153,7 @@ class LiveEstimator:
         while not condition():
             if time.monotonic() > end_s:
                 return False
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         return True
 
 
@@ -178,7 +173,7 @@ _REPEATED = {EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
 
 
 def replay_through_node(
-    run: RecordedRun, rate: float, namespace: str, say: Callable[[str], object]
+    run: RecordedRun, rate: float, namespace: str, report: Callable[[str], object]
 ) -> Comparison:
     """Publish what the recorded estimator took, at the recorded pace, and compare the answers.
 
@@ -191,7 +186,7 @@ def replay_through_node(
         run: the recording.
         rate: how many times as fast as recorded.
         namespace: of the estimator.
-        say: takes a line of text for the user.
+        report: takes a line of text for the user.
 
     Raises:
         RecordingError: no estimator listens, or it refuses a tare that is in the recording.
@@ -199,8 +194,8 @@ def replay_through_node(
     with _spinning_node() as node:
         live = LiveEstimator(node, namespace)
         live.wait_until_there()
-        time.sleep(_SETTLE_S)  # that the estimator knows of this node as well
-        return _Player(run, rate, live, say).play()
+        time.sleep(_SETTLE_S)  # until the estimator has discovered this node as well
+        return _Player(run, rate, live, report).play()
 
 
 @contextmanager
@@ -241,9 +236,9 @@ class _Player:
     """Walks through the recording once."""
 
     def __init__(
-        self, run: RecordedRun, rate: float, live: LiveEstimator, say: Callable[[str], object]
+        self, run: RecordedRun, rate: float, live: LiveEstimator, report: Callable[[str], object]
     ) -> None:
-        self._run, self._rate, self._live, self._say = run, rate, live, say
+        self._run, self._rate, self._live, self._report = run, rate, live, report
         self._comparison = Comparison()
         self._others = deque(run.other_inputs)
         self._open: deque[_Open] = deque()
@@ -282,13 +277,15 @@ class _Player:
         if states:
             self._adjust(states[0])
             if not any(event.kind is EventKind.START for event in states[0].events):
-                self._say(
+                self._report(
                     "the recording begins after its estimator, so the tare before is not in it; "
                     "the estimator that runs takes its own"
                 )
                 self._live.command(self._run.joint_names, states[0].command_rad)
         else:
-            self._say("no ~/journal in the recording: commands go as they came, tares not at all")
+            self._report(
+                "no ~/journal in the recording: commands go as they came, tares not at all"
+            )
         self._first_log_ns, self._first_stamp_ns = step.pair.log_ns, step.pair.stamp_ns
         age_ns = min(max(step.pair.log_ns - step.pair.stamp_ns, 0), LONGEST_AGE_NS)
         self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
@@ -327,7 +324,9 @@ class _Player:
             elif event.kind is EventKind.SETTINGS:
                 self._adjust(state)
             elif event.kind is EventKind.START and self._sent:
-                self._say("the recorded estimator was started anew here; the one that runs is not")
+                self._report(
+                    "the recorded estimator was started anew here; the one that runs is not"
+                )
 
     def _await_answers(self) -> None:
         if self._open:

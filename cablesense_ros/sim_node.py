@@ -148,7 +148,7 @@ class SimNode(Node):
         self._tick_count += 1
 
     def _statuses(self) -> list[Status]:
-        factor = self._simulated.real_time_factor(time.monotonic())
+        factor = self._simulated.pacer.real_time_factor(time.monotonic())
         level, message = Level.OK, "at real time"
         if factor < _SLOWEST_FACTOR:
             level, message = Level.WARN, f"at {factor:.2f} of real time: the machine is too busy"
@@ -159,7 +159,7 @@ class SimNode(Node):
         )
         values = {
             "real time factor": f"{factor:.3f}",
-            "time let go (s)": f"{self._simulated.skipped_s:.3f}",
+            "time let go (s)": f"{self._simulated.pacer.skipped_s:.3f}",
             "rate (Hz)": f"{self._rate_hz:g}",
             "loads (N)": loads or "none",
             "messages refused": str(self._refuse.count),

@@ -195,8 +195,8 @@ def test_a_slow_sensor_does_not_slow_time() -> None:
     )
     for row in range(1, 11):
         simulated.advance_to(0.2 * row)
-    assert simulated.real_time_factor(2.0) == pytest.approx(1.0)
-    assert simulated.skipped_s == 0.0
+    assert simulated.pacer.real_time_factor(2.0) == pytest.approx(1.0)
+    assert simulated.pacer.skipped_s == 0.0
 
 
 def test_an_arm_with_a_memory_that_finds_no_rest_starts_afresh() -> None:

@@ -6,7 +6,6 @@ from arm_variants import variant
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import Level
-from cablesense_online.health import tare_status
 from cablesense_online.tare import (
     TareError,
     Tares,
@@ -127,17 +126,17 @@ def test_the_log_of_an_undo_has_the_tare_in_force(tares):
 
 
 def test_diagnostics_have_the_time_of_the_tare(tares):
-    assert tare_status(tares).level is Level.WARN
+    assert tares.status().level is Level.WARN
     tares.take(ZERO, EARLY_NS)
     tares.add((70.0, 80.0))
     tares.take(ZERO, LATE_NS)
-    status = tare_status(tares)
+    status = tares.status()
     assert status.level is Level.OK
     assert status.message == "tared since 2023-11-14 23:13:20 UTC"
     assert status.values["tares that can be undone"] == "2"
     assert status.values["unloaded tensions (N)"] == "70.00, 80.00"
     tares.undo()
-    assert "22:13:20" in tare_status(tares).message
+    assert "22:13:20" in tares.status().message
 
 
 ARM = open_arm("cdsm")
