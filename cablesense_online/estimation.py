@@ -121,10 +121,7 @@ class Estimation:
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Answer:
         """The answer to one serialized `JointState` of tensions.
 
-        Args:
-            raw: as it came.
-            now_ns: present time of the clock that sets the stamps.
-            now_s: monotonic time.
+        `now_ns` is of the clock that sets the stamps, `now_s` monotonic.
         """
         self.health.arrived(now_s)
         stamp_ns, state, stage = 0, None, ProblemKind.MALFORMED

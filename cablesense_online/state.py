@@ -189,14 +189,7 @@ def put_state(
     make_status: Callable[..., Any],
     make_value: Callable[..., Any],
 ) -> None:
-    """Put a state into a `DiagnosticArray`.
-
-    Args:
-        message: to fill.
-        state: to put.
-        make_status: the class `diagnostic_msgs.msg.DiagnosticStatus`.
-        make_value: the class `diagnostic_msgs.msg.KeyValue`.
-    """
+    """Put a state into a `DiagnosticArray`, made of its `DiagnosticStatus` and `KeyValue`."""
     parts = [
         (_EVENT + event.kind.value, {_COMMAND: _text(event.command_rad)}) for event in state.events
     ]
@@ -262,7 +255,7 @@ def _text(value: int | tuple[float, ...]) -> str:
 FORMAT: Final = "cablesense estimator state 1"
 MAX_BYTES: Final = 200_000
 ALIVE_PERIOD_S: Final = 1.0
-"""So often the file's time is renewed: it tells when its estimator was last alive."""
+"""So often the file's time is renewed: it shows when its estimator was last alive."""
 
 
 class StateFileError(CableSenseError):

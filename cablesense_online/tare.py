@@ -51,7 +51,7 @@ class UnloadedTensions:
 
 
 class TareError(CableSenseError):
-    """No tare can be taken or undone now; the message tells why, and what to do."""
+    """No tare can be taken or undone now; the message states why, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -180,13 +180,10 @@ class Tares:
     def restore(
         self, command_rad: Array, unloaded_n: Array | None, tared_n: Array, tare_command_rad: Array
     ) -> None:
-        """Be at a command (2N,) with a tare from elsewhere; readings begin anew.
+        """Be at a command (2N,) with the tare `tared_n` (M,) of another; readings begin anew.
 
-        Args:
-            command_rad: the present command (2N,).
-            unloaded_n: (M,) at this command; none where this arm's model is to predict it.
-            tared_n: (M,) measured at the tare; empty without a tare.
-            tare_command_rad: (2N,) the command then.
+        `unloaded_n` (M,) at this command is none where this arm's model is to predict it;
+        `tared_n` is empty without a tare.
 
         Raises:
             CableSenseError: the model has no unloaded state at one of the commands.

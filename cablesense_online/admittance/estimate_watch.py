@@ -1,7 +1,7 @@
 """The contact state as far as the estimator can be trusted: stopped, unknown, free or contact.
 
 A wrench of zero stands for three things: nothing touches, no estimate while the arm moves, and no
-usable samples. What tells them apart:
+usable samples. They differ:
 
 - a wrench in a segment's frame is an estimate of a contact;
 - probabilities come with estimates only, so that a zero wrench beside them is an estimate that

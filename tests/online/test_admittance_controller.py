@@ -21,7 +21,7 @@ NONE = np.zeros(3)
 
 
 class Played:
-    """Estimates at 100 Hz; every command is heard back, as on a topic, and moves the clock on."""
+    """Estimates at 100 Hz; every command comes back, as on a topic, and moves time on."""
 
     def __init__(self, mute_s=0.6, **settings):
         watch = WatchSettings(resume_after_s=0.3)
@@ -110,7 +110,7 @@ def test_another_nodes_command_becomes_home_and_silences_it():
     assert np.array_equal(played.controller.home_rad, elsewhere)
 
 
-def test_its_own_commands_are_no_other_nodes_even_when_heard_late():
+def test_its_own_commands_are_no_other_nodes_even_when_received_late():
     played = Played()
     played.run(0.5)
     played.run(2.0, 3, PUSH)
@@ -127,7 +127,7 @@ def test_it_takes_no_step_from_beyond_its_reach():
     assert "beyond joint_limit_deg" in played.message().message
 
 
-def test_it_waits_for_a_first_command_when_told_to():
+def test_it_waits_for_a_first_command_when_asked_to():
     played = Played(await_command=True)
     assert not played.run(2.0, 3, PUSH)
     assert "first command" in played.message().message
@@ -145,14 +145,14 @@ def test_it_never_leaves_its_reach_however_long_it_is_pushed():
     assert "joint_limit_deg" in played.message().message
 
 
-def test_the_command_in_force_is_told_again_to_an_estimator_that_came_back():
+def test_the_command_in_force_is_repeated_for_an_estimator_that_came_back():
     played = Played()
     assert played.controller.repeated(played.now_s) is None
     played.run(0.5)
     played.run(1.0, 3, PUSH)
     held = played.sent[-1][1]
     played.now_s += 1.0
-    assert played.controller.repeated(played.now_s) is None  # nobody speaks
+    assert played.controller.repeated(played.now_s) is None  # nothing is published
     played.run(0.05)
     assert np.array_equal(played.controller.repeated(played.now_s), held)
     assert played.controller.repeated(played.now_s) is None  # not at once again

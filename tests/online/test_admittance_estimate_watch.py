@@ -1,4 +1,4 @@
-"""Blind, free, stale and contact are told apart, though the wrench is zero in three of them.
+"""Unknown, free, stale and contact are distinguished, though the wrench is zero in three of them.
 
 Messages of the estimator that break the contract are refused by name.
 """
@@ -32,88 +32,88 @@ class Estimator:
         self.now_s = 100.0
         self.watch = EstimateWatch(REST, SETTINGS, self.now_s)
 
-    def says(self, seconds, contact=False, estimates=True, age_s=0.001):
-        seen = []
+    def publishes(self, seconds, contact=False, estimates=True, age_s=0.001):
+        states = []
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
             self.watch.received_wrench(contact, age_s, self.now_s)
             if estimates:
                 self.watch.received_probabilities(self.now_s)
-            seen.append(self.watch.update(self.now_s))
-        return seen
+            states.append(self.watch.update(self.now_s))
+        return states
 
     def silence(self, seconds):
-        seen = []
+        states = []
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            seen.append(self.watch.update(self.now_s))
-        return seen
+            states.append(self.watch.update(self.now_s))
+        return states
 
 
 @pytest.fixture
 def estimator():
     playing = Estimator()
-    playing.says(1.5)
+    playing.publishes(1.5)
     return playing
 
 
 def test_estimates_must_come_for_a_while_before_they_are_trusted():
-    seen = Estimator().says(1.5)
-    assert seen[80] is ContactState.STOPPED
-    assert seen[-1] is ContactState.FREE
+    states = Estimator().publishes(1.5)
+    assert states[80] is ContactState.STOPPED
+    assert states[-1] is ContactState.FREE
 
 
 def test_a_contact_is_seen_at_once(estimator):
-    assert estimator.says(0.02, contact=True)[-1] is ContactState.CONTACT
-    assert estimator.says(0.5)[-1] is ContactState.FREE
+    assert estimator.publishes(0.02, contact=True)[-1] is ContactState.CONTACT
+    assert estimator.publishes(0.5)[-1] is ContactState.FREE
 
 
 def test_zeros_after_a_command_are_no_estimate_that_the_arm_is_free(estimator):
     estimator.watch.commanded(MOVED, estimator.now_s)
-    seen = estimator.says(0.58, estimates=False)
-    assert set(seen) == {ContactState.UNKNOWN}
-    assert estimator.says(0.1)[-1] is ContactState.FREE
+    states = estimator.publishes(0.58, estimates=False)
+    assert set(states) == {ContactState.UNKNOWN}
+    assert estimator.publishes(0.1)[-1] is ContactState.FREE
 
 
-def test_an_estimator_that_answers_while_the_arm_moves_is_believed(estimator):
+def test_an_estimator_that_answers_while_the_arm_moves_is_trusted(estimator):
     estimator.watch.commanded(MOVED, estimator.now_s)
-    assert set(estimator.says(0.5, contact=True)) == {ContactState.CONTACT}
+    assert set(estimator.publishes(0.5, contact=True)) == {ContactState.CONTACT}
 
 
 def test_zeros_for_longer_than_a_move_takes_are_a_fault(estimator):
     estimator.watch.commanded(MOVED, estimator.now_s)
-    seen = estimator.says(0.6 + 0.2 + 0.1, estimates=False)
-    assert seen[-1] is ContactState.STOPPED
+    states = estimator.publishes(0.6 + 0.2 + 0.1, estimates=False)
+    assert states[-1] is ContactState.STOPPED
     assert "no estimate" in estimator.watch.reason
 
 
 def test_silence_stops_within_the_limit_and_estimates_resume(estimator):
-    seen = estimator.silence(0.3)
-    assert seen[18] is not ContactState.STOPPED
-    assert seen[21] is ContactState.STOPPED
+    states = estimator.silence(0.3)
+    assert states[18] is not ContactState.STOPPED
+    assert states[21] is ContactState.STOPPED
     assert "no wrench" in estimator.watch.reason
     assert not estimator.watch.publishing(estimator.now_s)
-    assert estimator.says(0.9)[-1] is ContactState.STOPPED
-    assert estimator.says(0.2)[-1] is ContactState.FREE
+    assert estimator.publishes(0.9)[-1] is ContactState.STOPPED
+    assert estimator.publishes(0.2)[-1] is ContactState.FREE
 
 
 def test_old_stamps_are_silence(estimator):
-    assert estimator.says(0.3, age_s=0.25)[-1] is ContactState.STOPPED
+    assert estimator.publishes(0.3, age_s=0.25)[-1] is ContactState.STOPPED
 
 
-def test_the_estimators_own_word_of_stale_samples_stops_until_estimates_come(estimator):
+def test_the_estimators_report_of_stale_samples_stops_until_estimates_come(estimator):
     estimator.silence(0.05)
     estimator.watch.received_input_state(True, estimator.now_s)
     assert estimator.watch.update(estimator.now_s) is ContactState.STOPPED
     assert "stale" in estimator.watch.reason
-    assert estimator.says(1.2)[-1] is ContactState.FREE
+    assert estimator.publishes(1.2)[-1] is ContactState.FREE
 
 
 def test_a_refused_message_stops(estimator):
     estimator.watch.refused("a wrench was refused: nan")
-    assert estimator.says(0.01)[-1] is ContactState.STOPPED
+    assert estimator.publishes(0.01)[-1] is ContactState.STOPPED
     assert "nan" in estimator.watch.reason
-    assert estimator.says(1.2)[-1] is ContactState.FREE
+    assert estimator.publishes(1.2)[-1] is ContactState.FREE
 
 
 rclpy = pytest.importorskip("rclpy")
@@ -132,10 +132,10 @@ def wrench(frame, y=0.0, z=0.0):
 
 
 def test_a_contact_and_no_contact_are_read():
-    felt = read_wrench(wrench("left/segment_3", 3.0, -4.0), FRAMES)
-    assert felt.segment == 3
-    assert felt.stamp_ns == 7_000_000_005
-    assert np.array_equal(felt.force_n, [0.0, 3.0, -4.0])
+    received = read_wrench(wrench("left/segment_3", 3.0, -4.0), FRAMES)
+    assert received.segment == 3
+    assert received.stamp_ns == 7_000_000_005
+    assert np.array_equal(received.force_n, [0.0, 3.0, -4.0])
     assert read_wrench(wrench("left/base_link"), FRAMES).segment == 0
 
 
@@ -163,11 +163,11 @@ def test_probabilities_that_are_none_are_refused(data):
     check_probabilities(Float64MultiArray(data=[0.2] * 5), 4)
 
 
-def test_only_the_estimators_own_word_on_its_samples_counts():
-    def said(name, level):
+def test_only_the_estimators_report_on_its_samples_counts():
+    def report(name, level):
         return DiagnosticArray(status=[DiagnosticStatus(name=name, level=bytes([level]))])
 
-    assert input_is_stale(said("estimator: cable_tensions", 3), "estimator") is True
-    assert input_is_stale(said("estimator: cable_tensions", 2), "estimator") is False
-    assert input_is_stale(said("estimator: model", 3), "estimator") is None
-    assert input_is_stale(said("other: cable_tensions", 3), "estimator") is None
+    assert input_is_stale(report("estimator: cable_tensions", 3), "estimator") is True
+    assert input_is_stale(report("estimator: cable_tensions", 2), "estimator") is False
+    assert input_is_stale(report("estimator: model", 3), "estimator") is None
+    assert input_is_stale(report("other: cable_tensions", 3), "estimator") is None

@@ -35,7 +35,7 @@ segments = st.integers(1, 4)
 angles = st.floats(0.0, 360.0)
 
 
-def felt_force(command, segment, angle_deg, magnitude_n):
+def contact_force(command, segment, angle_deg, magnitude_n):
     force = normal_force_n(ARM, command, segment, angle_deg, magnitude_n)[segment - 1]
     return ContactForce(segment, force)
 
@@ -46,16 +46,16 @@ def contact_jacobian(command, segment):
 
 @given(poses, segments, angles, st.floats(2.5, 500.0), st.floats(0.05, 5.0))
 def test_the_contact_point_moves_with_the_force(command, segment, angle, magnitude, elapsed):
-    felt = felt_force(command, segment, angle, magnitude)
-    step = LAW.step(command, command, felt, elapsed) - command
-    assert felt.force_base_n @ contact_jacobian(command, segment) @ step >= 0.0
+    contact = contact_force(command, segment, angle, magnitude)
+    step = LAW.step(command, command, contact, elapsed) - command
+    assert contact.force_base_n @ contact_jacobian(command, segment) @ step >= 0.0
     assert np.all(step[2 * segment :] == 0.0)  # joints beyond the contact cannot help
 
 
 @given(poses, poses, segments, angles, st.floats(0.0, 500.0), st.floats(0.05, 5.0))
 def test_limits_hold_whatever_is_felt(command, home, segment, angle, magnitude, elapsed):
-    for felt in (None, felt_force(command, segment, angle, magnitude)):
-        target = LAW.step(command, home, felt, elapsed)
+    for contact in (None, contact_force(command, segment, angle, magnitude)):
+        target = LAW.step(command, home, contact, elapsed)
         limit = min(DEFAULT.step_limit_rad, DEFAULT.speed_limit_rad_s * elapsed)
         assert np.abs(target - command).max() <= limit + 1e-12
         assert REACH.holds(target)
@@ -67,12 +67,12 @@ def test_it_takes_no_more_energy_from_the_contact_than_it_stores(
 ):
     """Passivity: work of the contact on the arm is at least what the return spring gains."""
     law = AdmittanceLaw(ARM, REACH, UNLIMITED)
-    felt = felt_force(command, segment, angle, magnitude)
+    contact = contact_force(command, segment, angle, magnitude)
     stiffness = UNLIMITED.return_stiffness_n_m_rad
-    step = law.step(command, home, felt, elapsed) - command
+    step = law.step(command, home, contact, elapsed) - command
     if not REACH.holds(command + 1.001 * step):
-        return  # the edge of the reach holds against the spring, which the next test looks at
-    work = felt.force_base_n @ contact_jacobian(command, segment) @ step
+        return  # the edge of the reach holds against the spring, which is the next test
+    work = contact.force_base_n @ contact_jacobian(command, segment) @ step
     away = command - home
     gained = 0.5 * stiffness * ((away + step) @ (away + step) - away @ away)
     assert work >= gained - 1e-9
@@ -81,28 +81,28 @@ def test_it_takes_no_more_energy_from_the_contact_than_it_stores(
 @given(poses, segments, angles, st.floats(3.0, 500.0))
 def test_the_edge_of_the_reach_never_turns_a_step_round(command, segment, angle, magnitude):
     command = REACH.nearest(4.0 * command)
-    felt = felt_force(command, segment, angle, magnitude)
-    step = LAW.step(command, command, felt, 1.0) - command
-    assert felt.force_base_n @ contact_jacobian(command, segment) @ step >= -1e-12
+    contact = contact_force(command, segment, angle, magnitude)
+    step = LAW.step(command, command, contact, 1.0) - command
+    assert contact.force_base_n @ contact_jacobian(command, segment) @ step >= -1e-12
 
 
 @pytest.mark.parametrize("magnitude", [0.0, 1.0, 1.999])
 def test_a_force_within_the_deadband_moves_nothing_at_home(magnitude):
     home = np.full(8, 0.02)
-    assert LAW.step(home, home, felt_force(home, 3, 40.0, magnitude), 1.0) is home
+    assert LAW.step(home, home, contact_force(home, 3, 40.0, magnitude), 1.0) is home
 
 
 def test_a_step_solves_the_law_with_the_worst_contact_taken_off():
     """The linear system of the module's docstring, solved by a library."""
     command, home, elapsed = np.deg2rad(np.linspace(-3, 4, 8)), np.full(8, 0.01), 0.7
-    felt = felt_force(command, 3, 77.0, 30.0)
+    contact = contact_force(command, 3, 77.0, 30.0)
     law = AdmittanceLaw(ARM, REACH, UNLIMITED)
-    j = contact_jacobian(command, 3).T @ (felt.force_base_n / 30.0)
+    j = contact_jacobian(command, 3).T @ (contact.force_base_n / 30.0)
     tau = 30.0 * j - (command - home)
     tau *= 1.0 - 2.0 * np.linalg.norm(j) / np.linalg.norm(tau)
     matrix = (5.0 / elapsed + 1.0) * np.eye(8) + 20_000.0 * np.outer(j, j)
     expected = command + np.linalg.solve(matrix, tau)
-    assert np.allclose(law.step(command, home, felt, elapsed), expected, atol=1e-12)
+    assert np.allclose(law.step(command, home, contact, elapsed), expected, atol=1e-12)
 
 
 @given(poses, segments, angles, st.floats(100.0, 60_000.0))
@@ -110,9 +110,9 @@ def test_the_loop_gain_is_the_share_of_the_force_that_a_step_takes_away(
     command, segment, angle, stiffness
 ):
     law = AdmittanceLaw(ARM, REACH, UNLIMITED)
-    felt = felt_force(command, segment, angle, 2.01)
-    step = law.step(command, command, felt, 0.7) - command
-    direction = felt.force_base_n / 2.01
+    contact = contact_force(command, segment, angle, 2.01)
+    step = law.step(command, command, contact, 0.7) - command
+    direction = contact.force_base_n / 2.01
     lost = stiffness * direction @ contact_jacobian(command, segment) @ step
     gain = law.loop_gain(command, segment, direction, stiffness, 0.7)
     assert lost == pytest.approx(gain * 0.01, rel=1e-6)

@@ -194,7 +194,9 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
     name = "/managed/estimator"
     process = NodeProcess(ESTIMATOR, namespace="/managed", autostart=False)
     wrenches = []
-    heard = graph.node.create_subscription(WrenchStamped, f"{name}/wrench", wrenches.append, 10)
+    wrench_in = graph.node.create_subscription(
+        WrenchStamped, f"{name}/wrench", wrenches.append, 10
+    )
     for _ in range(2):
         assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
         assert not graph.call(f"{name}/tare").success
@@ -203,7 +205,7 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
         graph.until(lambda: wrenches, "zero wrenches without a source")
         assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
         assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
-    graph.node.destroy_subscription(heard)
+    graph.node.destroy_subscription(wrench_in)
     assert process.stop() == 0, process.log
     assert "Traceback" not in process.log
 
