@@ -72,7 +72,7 @@ class TaredLoads:
     """B loaded rows of a recording that have a tare.
 
     Attributes:
-        row: (B,) their numbers in the recording.
+        row: (B,) numbers in the recording.
         tension_difference_n: (B, M) reading less tare.
         command_rad: (B, 2N) commanded joint angles.
         segment: (B,) 1 to N that the load acts on.

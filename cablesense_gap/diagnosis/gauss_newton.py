@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -83,13 +82,6 @@ def _linear_about(problem: Problem, hypothesis: Hypothesis) -> Problem:
     return replace(problem, tolerance_columns=columns) if np.isfinite(columns).all() else problem
 
 
-class _Linear(NamedTuple):
-    """The prediction (R, C) at one point, with its derivatives (K, R, C)."""
-
-    prediction: Array
-    columns: Array
-
-
 class _Fit:
     def __init__(self, problem: Problem, parameters: Mapping[Term, Parameter]) -> None:
         self._problem = problem
@@ -106,28 +98,28 @@ class _Fit:
             return None
         shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         self._expected = np.where(shape, point, 0.0)
-        linear = self._linear(point)
-        if not np.isfinite(linear.prediction).all():
+        predicted, columns = self._linear(point)
+        if not np.isfinite(predicted).all():
             return None
-        damping, mean_square = 1e-3, self._cost(point, linear.prediction, None)[1]
+        damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
         for _ in range(most_steps):
-            step = self._step(point, linear, mean_square, damping)
+            step = self._step(point, predicted, columns, mean_square, damping)
             tried = np.clip(point + step, self._low, self._high)
             if np.abs(tried - point).max(initial=0.0) < _CLOSE:
                 break
             ahead = self._linear(tried)
-            before = self._cost(point, linear.prediction, mean_square)
-            after = self._cost(tried, ahead.prediction, mean_square)
+            before = self._cost(point, predicted, mean_square)
+            after = self._cost(tried, ahead[0], mean_square)
             if not after[0] < before[0]:
                 if damping > _MOST_DAMPING:
                     break
                 damping *= 30.0
                 continue
-            point, linear, mean_square = tried, ahead, after[1]
+            point, (predicted, columns), mean_square = tried, ahead, after[1]
             damping = max(damping / 10.0, 1e-6)
             if (before[0] - after[0]) / before[0] < _WORTH:
                 break
-        return self._hypothesis(point, linear, mean_square)
+        return self._hypothesis(point, predicted, columns, mean_square)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
         """The start that leaves least, with the tolerances at their best, and that mean square."""
@@ -139,13 +131,14 @@ class _Fit:
         best = int(np.argmin(left))
         return starts[best], left[best]
 
-    def _linear(self, point: Array) -> _Linear:
+    def _linear(self, point: Array) -> tuple[Array, Array]:
+        """The prediction (R, C) at one point, with its derivatives (K, R, C)."""
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
         variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)))]
         predicted = self._problem.simulator.predict(variants)
         columns = (predicted[1:] - predicted[0]) / steps.reshape(-1, 1, 1)
         columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
-        return _Linear(predicted[0], columns)
+        return predicted[0], columns
 
     def _assignment(self, point: Array) -> dict[Term, float]:
         numbers = zip(self._terms, self._parameters, point, strict=True)
@@ -154,8 +147,11 @@ class _Fit:
     def _offset(self, point: Array) -> Array:
         return np.concatenate([np.zeros(self._tolerances), point - self._expected])
 
-    def _step(self, point: Array, linear: _Linear, mean_square: float, damping: float) -> Array:
-        data, none = self._products(linear), self._tolerances
+    def _step(
+        self, point: Array, predicted: Array, columns: Array, mean_square: float, damping: float
+    ) -> Array:
+        every = np.concatenate([self._problem.tolerance_columns, columns])
+        data, none = self._products(predicted, every), self._tolerances
         weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
         gram, moment = data.gram.sum(0), data.moment.sum(0)
         own = np.where(np.arange(len(gram)) < none, 0.0, gram.diagonal())
@@ -174,10 +170,10 @@ class _Fit:
             free[none:] &= ~stuck
         return step[none:]
 
-    def _products(self, linear: _Linear) -> Products:
+    def _products(self, predicted: Array, columns: Array) -> Products:
+        """Of columns (K, R, C) with what a prediction leaves."""
         problem = self._problem
-        columns = np.concatenate([problem.tolerance_columns, linear.columns])
-        return products(columns, problem.readings - linear.prediction, problem.trial, problem.used)
+        return products(columns, problem.readings - predicted, problem.trial, problem.used)
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
@@ -186,9 +182,7 @@ class _Fit:
         problem = self._problem
         if not np.isfinite(prediction).all():
             return np.inf, np.inf
-        data = products(
-            problem.tolerance_columns, problem.readings - prediction, problem.trial, problem.used
-        )
+        data = self._products(prediction, problem.tolerance_columns)
         gram, moment = data.gram.sum(0), data.moment.sum(0)
         none = np.zeros(len(moment))
         used = data.mean_square if mean_square is None else mean_square
@@ -201,21 +195,22 @@ class _Fit:
         prior = found @ found + self._prior @ (point - self._expected) ** 2
         return float(weight_ * left + prior), float(left / data.count.sum())
 
-    def _hypothesis(self, point: Array, linear: _Linear, mean_square: float) -> Hypothesis:
+    def _hypothesis(
+        self, point: Array, predicted: Array, columns: Array, mean_square: float
+    ) -> Hypothesis:
         problem, none = self._problem, self._tolerances
-        data, weight_ = self._products(linear), weight(mean_square, problem.floor)
+        every = np.concatenate([problem.tolerance_columns, columns])
+        data, weight_ = self._products(predicted, every), weight(mean_square, problem.floor)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
         at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
         part, precision, offset = data.columns(at), self._precision[at], self._offset(point)[at]
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
-        columns = np.concatenate([problem.tolerance_columns, linear.columns])[at]
-        held_out = linear.prediction.copy()
-        for k, without in enumerate(
-            fold_solutions(part, precision, offset, weight_, problem.fold)
-        ):
+        every, held_out = every[at], predicted.copy()
+        without = fold_solutions(part, precision, offset, weight_, problem.fold)
+        for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
-            held_out[rows] += np.tensordot(without, columns[:, rows], axes=1)
+            held_out[rows] += np.tensordot(coefficients, every[:, rows], axes=1)
         of_row = ((problem.readings - held_out) ** 2).sum(-1) * problem.used
         spread = np.zeros(len(self._precision))
         spread[at] = _spread(part, found, precision, weight_)
@@ -231,10 +226,9 @@ class _Fit:
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
             tolerances=dict(zip(problem.tolerance_terms, tolerances, strict=True)),
-            prediction=linear.prediction
-            + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
-            without_tolerances=linear.prediction,
-            columns=linear.columns,
+            prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
+            without_tolerances=predicted,
+            columns=columns,
             held_out=held_out,
             squares=np.bincount(problem.trial, of_row, minlength=len(problem.fold)).astype(float),
             count=data.count,
