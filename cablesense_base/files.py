@@ -17,13 +17,8 @@ def read_bounded_bytes(
 ) -> bytes:
     """The content of a regular file.
 
-    It is the opened file that is looked at, so that none can be put in its place between.
-
-    Args:
-        path: of the file.
-        max_bytes: a larger one is refused unread.
-        what: the file should be, for errors ("an arm file").
-        refusal: the error to raise.
+    It is the opened file that is looked at, so that none can be put in its place between. One
+    larger than `max_bytes` is refused unread; errors call it `what` ("an arm file").
 
     Raises:
         CableSenseError: of the class `refusal`: missing, no file, or too large.
@@ -69,11 +64,7 @@ def read_bounded_text(
 def written_whole(path: str | Path, refusal: type[CableSenseError]) -> Iterator[Path]:
     """A new file beside `path` that takes its name when the block ends well, and else vanishes.
 
-    Errors of the block pass through, except an `OSError`.
-
-    Args:
-        path: of the file; one that is there already is replaced.
-        refusal: the error to raise.
+    Errors of the block pass through, except an `OSError`; a file that is there is replaced.
 
     Raises:
         CableSenseError: of the class `refusal`: the file cannot be written.

@@ -22,11 +22,7 @@ _SHARE = Path("share", "cablesense_ros", "config")
 def config_path(name: str) -> Path:
     """The file or folder `name` of `config/`, for example ``config_path("arms/cdsm.yaml")``.
 
-    Args:
-        name: path relative to `config/`, with forward slashes.
-
-    Returns:
-        The absolute path of a file or folder that exists.
+    `name` is relative to `config/`, with forward slashes; the path is absolute and exists.
 
     Raises:
         CableSenseError: `name` leads out of `config/`, or no installation has it; the message

@@ -28,13 +28,7 @@ _SHOWN_CHARACTERS = 60
 def parse_plain_mapping(
     text: str, source: str, keys: str, refusal: type[CableSenseError]
 ) -> dict[str, Any]:
-    """The mapping that YAML text holds.
-
-    Args:
-        text: of the file.
-        source: its name, for errors.
-        keys: those that belong in it, for errors.
-        refusal: the error to raise.
+    """The mapping that YAML text holds; errors name its `source` and the `keys` of such a mapping.
 
     Raises:
         CableSenseError: of the class `refusal`: not such YAML, or no mapping.
@@ -157,13 +151,10 @@ def _message(key: str, problem: Any, root: type[BaseModel]) -> str:
     if kind == "missing" and isinstance(location[-1], int):
         return "is missing: the list is too short"
     if kind == "missing":
-        keys = _keys_of(root, location[:-1])
-        return f"is missing; keys here: {', '.join(keys)}"
+        return f"is missing; keys here: {', '.join(_keys_of(root, location[:-1]))}"
     if kind == "value_error":
         return str(problem["ctx"]["error"])
-    value = _shorten.repr(
-        problem["input"]
-    )  # short, also for a text or a nest of lists without end
+    value = _shorten.repr(problem["input"])  # a text or a nest of lists may have no end
     if kind == "model_type":
         return f"= {value}: must be a mapping with the keys {', '.join(_keys_of(root, location))}"
     if kind in _MESSAGES:

@@ -28,12 +28,9 @@ class WorkerPool:
     def __init__(
         self, workers: int, *shared: Any, refusal: type[CableSenseError] = CableSenseError
     ) -> None:
-        """Give the pool its size; the processes start on entering it.
+        """Give the pool its size; `shared` are the first arguments of every call.
 
-        Args:
-            workers: number of processes.
-            shared: the first arguments of every call.
-            refusal: the error to raise.
+        The processes start on entering it.
         """
         self._workers, self._common, self._refusal = workers, shared, refusal
         self._pool: ProcessPoolExecutor | None = None
@@ -61,10 +58,7 @@ class WorkerPool:
     ) -> Iterator[Result]:
         """Results of ``function(*shared, *task)`` for the tasks that ``zip(*values)`` gives.
 
-        Args:
-            function: of a module, so that it can be sent to a worker.
-            values: one iterable for each argument that the tasks differ in.
-            most_pending: tasks that may be under way or done and not yet taken; all if None.
+        `most_pending` tasks may be under way or done and not yet taken; all if None.
 
         Raises:
             CableSenseError: of the class `refusal`: a worker process was lost. Errors of the

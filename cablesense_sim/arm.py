@@ -2,9 +2,7 @@
 
 Everything else (the MuJoCo model, the equilibrium, the URDF, the estimator) is made from it.
 Bounds on the numbers are those of any plausible cable-driven arm; their purpose is to catch a
-wrong unit, not to judge a design.
-
-The arm files that come with CableSense, found by name; any other arm is found by its path.
+wrong unit, not to judge a design. A bundled arm is found by its name, any other by its path.
 """
 
 from __future__ import annotations
@@ -61,6 +59,7 @@ Count = Annotated[int, BeforeValidator(_not_a_boolean)]
 Length = Annotated[Number, Field(gt=0.0, le=5.0)]
 Radius = Annotated[Number, Field(ge=0.001, le=1.0)]
 Mass = Annotated[Number, Field(ge=0.0, le=200.0)]
+Gravity = Annotated[Number, Field(ge=-30.0, le=30.0)]
 PerSegmentLength = Length | Annotated[list[Length], Field(min_length=1)]
 PerSegmentRadius = Radius | Annotated[list[Radius], Field(min_length=1)]
 PerSegmentMass = Mass | Annotated[list[Mass], Field(min_length=1)]
@@ -152,11 +151,7 @@ class Arm(_Part):
     """A cable-driven serial arm, as its file describes it: SI units, or degrees in `_deg`."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
-    gravity_m_s2: tuple[
-        Annotated[Number, Field(ge=-30.0, le=30.0)],
-        Annotated[Number, Field(ge=-30.0, le=30.0)],
-        Annotated[Number, Field(ge=-30.0, le=30.0)],
-    ]
+    gravity_m_s2: tuple[Gravity, Gravity, Gravity]
     segments: Segments
     cables: Cables
     actuators: Actuators
@@ -176,15 +171,15 @@ class Arm(_Part):
                 raise ValueError(
                     f"{key} lists {len(value)} values; give one number or {count} (segments.count)"
                 )
-        for n in range(count):
-            length = per_segment(self.segments.length_m, count)[n]
+        lengths = per_segment(self.segments.length_m, count)
+        contacts = per_segment(self.segments.contact_m, count)
+        for n, (length, contact) in enumerate(zip(lengths, contacts, strict=True)):
             if length <= 2.0 * self.segments.plate_offset_m:
                 raise ValueError(
                     f"segments.plate_offset_m = {self.segments.plate_offset_m} leaves no room "
                     f"between the guide plates of segment {n + 1}; it must be below half of "
                     f"length_m = {length}"
                 )
-            contact = per_segment(self.segments.contact_m, count)[n]
             if contact > length:
                 raise ValueError(
                     f"segments.contact_m = {contact} lies beyond the end of segment {n + 1}; "
@@ -203,14 +198,9 @@ class Arm(_Part):
 
     def _check_effects(self) -> None:
         for listed in self.effects:
+            sizes = self.segment_count, self.cable_count
             try:
-                checked_entry(
-                    listed.effect,
-                    listed.at,
-                    listed.parameters,
-                    self.segments.count,
-                    self.segments.count * self.cables.per_segment,
-                )
+                checked_entry(listed.effect, listed.at, listed.parameters, *sizes)
             except CableSenseError as error:
                 raise ValueError(f"effects: {error}") from error
 

@@ -33,6 +33,12 @@ class Spans(NamedTuple):
     by_pitch_yaw: Any
     by_yaw_yaw: Any
 
+    @property
+    def second_derivatives(self) -> tuple[tuple[int, int, Any], ...]:
+        """Each with its row and column (0 pitch, 1 yaw) among the angles of the span's joint."""
+        pitch, mixed, yaw = self.by_pitch_pitch, self.by_pitch_yaw, self.by_yaw_yaw
+        return (0, 0, pitch), (0, 1, mixed), (1, 0, mixed), (1, 1, yaw)
+
 
 class Chain(NamedTuple):
     """The chain's pose in the base frame.

@@ -81,17 +81,16 @@ class QuasiStaticArm:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
         rest_m = self._straight_m + held_m
+        forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         if self._angles_rad is None:
             for transmission in self._transmissions:
                 transmission.hold(rest_m)
-            self._begin(time_s, held_m, forces_n)
+            self._begin(time_s, held_m, forces)
         for transmission in self._transmissions:
             longer = transmission.lengthening_m(time_s)
             if longer is not None:
                 rest_m = rest_m + longer
-        arms = kinematics.load_arms(
-            self._mechanism, np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
-        )
+        arms = kinematics.load_arms(self._mechanism, forces)
         for transmission in self._transmissions:
             transmission.hold(rest_m)
         pose = self._next(rest_m, arms)
@@ -168,8 +167,7 @@ class QuasiStaticArm:
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
         """The state begins where an arm without history-dependent effects would rest."""
-        forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
-        self._angles_rad, tensions = self._without_past(held_m, forces)
+        self._angles_rad, tensions = self._without_past(held_m, forces_n)
         span = kinematics.spans(self._mechanism, self._angles_rad)
         bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
         rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
@@ -182,14 +180,10 @@ class QuasiStaticArm:
         if all(mechanism is self._each[0] for mechanism in self._each):
             rest = solve_equilibrium(self._each[0], straight, forces_n, held_m=held_m)
             return rest.joint_angles_rad, rest.tensions_n
-        rests = [
-            solve_equilibrium(mechanism, straight[p], forces_n[p], held_m=held_m[p])
-            for p, mechanism in enumerate(self._each)
-        ]
-        return (
-            np.stack([rest.joint_angles_rad for rest in rests]),
-            np.stack([rest.tensions_n for rest in rests]),
-        )
+        cases = zip(self._each, straight, forces_n, held_m, strict=True)
+        rests = [solve_equilibrium(m, q, force, held_m=held) for m, q, force, held in cases]
+        angles, tensions = zip(*((r.joint_angles_rad, r.tensions_n) for r in rests), strict=True)
+        return np.stack(angles), np.stack(tensions)
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
@@ -282,12 +276,7 @@ class QuasiStaticArm:
             for column, right in enumerate((span.by_pitch, span.by_yaw)):
                 block = (left[..., :, None] * by_span * right[..., None, :]).sum(-3)
                 slope[..., row::2, column::2] = block
-        for row, column, second in (
-            (0, 0, span.by_pitch_pitch),
-            (0, 1, span.by_pitch_yaw),
-            (1, 0, span.by_pitch_yaw),
-            (1, 1, span.by_yaw_yaw),
-        ):
+        for row, column, second in span.second_derivatives:
             slope[..., 2 * joints + row, 2 * joints + column] += (along * second).sum(-2)
         return slope
 

@@ -22,7 +22,6 @@ from cablesense_sim.effects.registry import (
     transmissions,
 )
 from cablesense_sim.equilibrium import (
-    Equilibrium,
     EquilibriumError,
     held_lengths_m,
     solve_equilibrium,
@@ -66,18 +65,16 @@ class Replay:
         held = self._actuated_m(variants)
         if transmissions(variants):
             arm = QuasiStaticArm(mechanisms, variants)
-            tensions = np.stack(
-                [
-                    arm.step(time, held[:, row], self.forces_n[row])
-                    for row, time in enumerate(self.time_s)
-                ],
-                axis=1,
-            )
+            rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
+            tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
         else:
             tensions = np.stack(
                 [self._at_rest_n(m, held[p], unborne_n) for p, m in enumerate(mechanisms)]
             )
-        return self._sensed_n(variants, tensions)
+        for sensing in sensings(variants):
+            read = [sensing.step(time, tensions[:, row]) for row, time in enumerate(self.time_s)]
+            tensions = np.stack(read, axis=1)
+        return tensions
 
     def _actuated_m(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
         held = np.repeat(self._held_m[None], len(variants), axis=0)
@@ -92,15 +89,16 @@ class Replay:
         if not np.array_equal(held_m, held_m[first][same]):
             first = same = np.arange(len(held_m))
         start = self.command_rad[first] if self._start_rad is None else self._start_rad[first]
-        cases = (self.command_rad[first], self.forces_n[first], held_m[first], start)
+        command, forces, held = self.command_rad[first], self.forces_n[first], held_m[first]
         borne = np.ones(len(first), dtype=bool)
         try:
-            rest = _rest(mechanism, *cases)
+            rest = solve_equilibrium(mechanism, command, forces, held_m=held, start_rad=start)
         except EquilibriumError as error:
             if unborne_n is None or not error.failed.size:
                 raise
             borne[error.failed] = False
-            rest = _rest(mechanism, *(case[borne] for case in cases))
+            command, forces, held, start = (a[borne] for a in (command, forces, held, start))
+            rest = solve_equilibrium(mechanism, command, forces, held_m=held, start_rad=start)
         tensions = np.empty((len(first), mechanism.cable_count))
         tensions[borne] = rest.tensions_n
         if unborne_n is not None:
@@ -108,19 +106,6 @@ class Replay:
         elif self._start_rad is None:
             self._start_rad = rest.joint_angles_rad[same]
         return np.asarray(tensions[same])
-
-    def _sensed_n(self, variants: Sequence[Sequence[EffectEntry]], tensions: Array) -> Array:
-        readings = tensions
-        for sensing in sensings(variants):
-            read = [sensing.step(t, readings[:, row]) for row, t in enumerate(self.time_s)]
-            readings = np.stack(read, axis=1)
-        return readings
-
-
-def _rest(
-    mechanism: Mechanism, command: Array, forces: Array, held_m: Array, start: Array
-) -> Equilibrium:
-    return solve_equilibrium(mechanism, command, forces, held_m=held_m, start_rad=start)
 
 
 def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> Array:

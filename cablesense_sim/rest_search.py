@@ -131,13 +131,8 @@ def hessian_n_m(
     jacobian = kinematics.interleave(span)
     taut = mechanism.stiffness_n_m * (tension > 0.0)
     hessian = np.swapaxes(jacobian, -1, -2) @ (taut[..., None] * jacobian)
-    for row, column, second in (
-        (0, 0, span.by_pitch_pitch),
-        (0, 1, span.by_pitch_yaw),
-        (1, 0, span.by_pitch_yaw),
-        (1, 1, span.by_yaw_yaw),
-    ):
-        joints = np.arange(mechanism.segment_count)
+    joints = np.arange(mechanism.segment_count)
+    for row, column, second in span.second_derivatives:
         block = (tension[..., None, :] @ second)[..., 0, :]
         if row == column:
             block = block + mechanism.joint_stiffness_n_m_rad

@@ -12,92 +12,55 @@ import numpy as np
 
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.mechanism import Mechanism
 
-JOINT_LIMIT_EFFORT_N_M = 1000.0
-JOINT_LIMIT_VELOCITY_RAD_S = 3.0
+_PLATE_THICKNESS_M = 0.003
 
 
 def urdf_xml(arm: Arm) -> str:
     """The URDF text of an arm."""
     mechanism = mechanism_of(arm)
     radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
-    robot = ElementTree.Element("robot", name=arm.name)
-    _add_disc(ElementTree.SubElement(robot, "link", name="base_link"), 0.0, radius)
-    parent, position = "base_link", mechanism.plate_offset_m
+    parent, position, offset = "base_link", mechanism.plate_offset_m, mechanism.plate_offset_m
+    parts = [f'<link name="base_link">{_disc(0.0, radius)}</link>']
     for n in range(arm.segment_count):
         middle, child = f"segment_{n + 1}_pitched", f"segment_{n + 1}"
         limit = float(mechanism.bend_limit_rad[n])
-        _add_massless(robot, middle)
-        _add_joint(robot, f"joint_{n + 1}_pitch", parent, middle, position, "0 1 0", limit)
-        _add_segment(robot, mechanism, n, radius)
-        _add_joint(robot, f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit)
-        parent, position = child, float(mechanism.segment_length_m[n])
+        length, mass = float(mechanism.segment_length_m[n]), float(mechanism.mass_kg[n])
+        centre = float(mechanism.centre_of_mass_m[n])
+        across = mass * (3.0 * radius**2 + length**2) / 12.0
+        inertial = _inertial(mass, centre, 0.5 * mass * radius**2, across)
+        plates = [offset, length - offset] if n + 1 < arm.segment_count else [offset]
+        parts += [
+            f'<link name="{middle}">{_inertial(1e-6, 0.0, 1e-9, 1e-9)}</link>',
+            _joint(f"joint_{n + 1}_pitch", parent, middle, position, "0 1 0", limit),
+            f'<link name="{child}">{inertial}{_cylinder(0.5 * length, length, 0.12 * length)}',
+            *(_disc(x, radius) for x in plates),
+            "</link>",
+            _joint(f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit),
+        ]
+        parent, position = child, length
+    robot = ElementTree.fromstring(f'<robot name="{arm.name}">{"".join(parts)}</robot>')
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True)
 
 
-def _add_joint(
-    robot: ElementTree.Element,
-    name: str,
-    parent: str,
-    child: str,
-    x_m: float,
-    axis: str,
-    limit: float,
-) -> None:
-    joint = ElementTree.SubElement(robot, "joint", name=name, type="revolute")
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
-    ElementTree.SubElement(joint, "origin", xyz=f"{x_m:.6g} 0 0", rpy="0 0 0")
-    ElementTree.SubElement(joint, "axis", xyz=axis)
-    ElementTree.SubElement(
-        joint,
-        "limit",
-        lower=f"{-limit:.6g}",
-        upper=f"{limit:.6g}",
-        effort=f"{JOINT_LIMIT_EFFORT_N_M:g}",
-        velocity=f"{JOINT_LIMIT_VELOCITY_RAD_S:g}",
-    )
+def _joint(name: str, parent: str, child: str, x_m: float, axis: str, limit_rad: float) -> str:
+    return f"""<joint name="{name}" type="revolute">
+        <parent link="{parent}"/><child link="{child}"/><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/>
+        <axis xyz="{axis}"/><limit lower="{-limit_rad:.6g}" upper="{limit_rad:.6g}" effort="1000" velocity="3"/>
+        </joint>"""
 
 
-def _add_massless(robot: ElementTree.Element, name: str) -> None:
-    _add_inertia(ElementTree.SubElement(robot, "link", name=name), 1e-6, 0.0, (1e-9, 1e-9))
+def _inertial(mass_kg: float, x_m: float, along: float, across: float) -> str:
+    return f"""<inertial><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/><mass value="{mass_kg:.6g}"/>
+        <inertia ixx="{along:.6g}" iyy="{across:.6g}" izz="{across:.6g}" ixy="0" ixz="0" iyz="0"/>
+        </inertial>"""
 
 
-def _add_segment(
-    robot: ElementTree.Element, mechanism: Mechanism, n: int, radius_m: float
-) -> None:
-    link = ElementTree.SubElement(robot, "link", name=f"segment_{n + 1}")
-    length, mass = float(mechanism.segment_length_m[n]), float(mechanism.mass_kg[n])
-    inertia = (0.5 * mass * radius_m**2, mass * (3.0 * radius_m**2 + length**2) / 12.0)
-    _add_inertia(link, mass, float(mechanism.centre_of_mass_m[n]), inertia)
-    _add_cylinder(link, 0.5 * length, length, 0.12 * length)
-    _add_disc(link, mechanism.plate_offset_m, radius_m)
-    if n + 1 < mechanism.segment_count:
-        _add_disc(link, length - mechanism.plate_offset_m, radius_m)
+def _disc(x_m: float, radius_m: float) -> str:
+    return _cylinder(x_m, _PLATE_THICKNESS_M, 1.08 * radius_m)
 
 
-def _add_inertia(
-    link: ElementTree.Element, mass_kg: float, x_m: float, inertia: tuple[float, float]
-) -> None:
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=f"{x_m:.6g} 0 0", rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=f"{mass_kg:.6g}")
-    along, across = (f"{value:.6g}" for value in inertia)
-    ElementTree.SubElement(
-        inertial, "inertia", ixx=along, iyy=across, izz=across, ixy="0", ixz="0", iyz="0"
-    )
-
-
-def _add_disc(link: ElementTree.Element, x_m: float, radius_m: float) -> None:
-    _add_cylinder(link, x_m, 0.003, 1.08 * radius_m)
-
-
-def _add_cylinder(link: ElementTree.Element, x_m: float, length_m: float, radius_m: float) -> None:
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=f"{x_m:.6g} 0 0", rpy=f"0 {np.pi / 2:.9g} 0")
-    geometry = ElementTree.SubElement(visual, "geometry")
-    ElementTree.SubElement(
-        geometry, "cylinder", length=f"{length_m:.6g}", radius=f"{radius_m:.6g}"
-    )
+def _cylinder(x_m: float, length_m: float, radius_m: float) -> str:
+    return f"""<visual><origin xyz="{x_m:.6g} 0 0" rpy="0 {np.pi / 2:.9g} 0"/><geometry>
+        <cylinder length="{length_m:.6g}" radius="{radius_m:.6g}"/></geometry></visual>"""
