@@ -47,7 +47,8 @@ def urdf_xml(arm: Arm) -> str:
 def _joint(name: str, parent: str, child: str, x_m: float, axis: str, limit_rad: float) -> str:
     return f"""<joint name="{name}" type="revolute">
         <parent link="{parent}"/><child link="{child}"/><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/>
-        <axis xyz="{axis}"/><limit lower="{-limit_rad:.6g}" upper="{limit_rad:.6g}" effort="1000" velocity="3"/>
+        <axis xyz="{axis}"/>
+        <limit lower="{-limit_rad:.6g}" upper="{limit_rad:.6g}" effort="1000" velocity="3"/>
         </joint>"""
 
 
