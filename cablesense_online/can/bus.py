@@ -226,12 +226,7 @@ class BusClock:
         self._last_now_s = 0.0
 
     def time_s(self, stamp_s: float, now_s: float) -> float:
-        """The frame's time, s since the epoch.
-
-        Args:
-            stamp_s: as the bus interface gives it.
-            now_s: of its arrival, by this machine's clock, s since the epoch.
-        """
+        """The frame's time of its bus stamp and its arrival `now_s`, s since the epoch."""
         if not isfinite(stamp_s) or stamp_s <= 0.0:
             return now_s
         lag_s = now_s - stamp_s
@@ -337,13 +332,7 @@ class FaultLedger:
         self._last: dict[FaultKind, str] = {}
 
     def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
-        """Count a fault.
-
-        Args:
-            kind: what went wrong.
-            place: where: the cable, id, message or interface.
-            detail: a sentence for people; the latest of a kind is kept.
-        """
+        """Count a fault of a cable, id, message or interface; the latest detail is kept."""
         with self._lock:
             places = self._places.setdefault(kind, Counter())
             places[place if place in places or len(places) < PLACES_KEPT else ELSEWHERE] += 1

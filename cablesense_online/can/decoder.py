@@ -207,12 +207,7 @@ class SampleAssembler:
         self.dropped = 0
 
     def take(self, decoded: Decoded, time_s: float) -> Sample | None:
-        """Put a frame in; give the sample that it completes.
-
-        Args:
-            decoded: the frame.
-            time_s: its bus time, s.
-        """
+        """Put a frame in with its bus time; give the sample that it completes."""
         if decoded.counter is not None:
             self.close()
             self._open(time_s)

@@ -106,11 +106,7 @@ class CanDriver:
         self._reader.silence(monotonic())
 
     def report(self, stale_after_s: float) -> tuple[list[Status], FaultReport]:
-        """The driver's health and faults since the report before.
-
-        Args:
-            stale_after_s: without a sample for so long, samples count as stale.
-        """
+        """Health and faults since the report before; samples are stale after so long without."""
         now_s = monotonic()
         reader, loop, faults = self._reader, self._loop, self._ledger.report()
         counts = SampleCounts(reader.frames, reader.samples, reader.withheld)

@@ -250,12 +250,9 @@ class FrameEncoder:
     def cycle(
         self, tensions_n: Sequence[float], counter: int, statuses: Mapping[str, int] | None = None
     ) -> list[can.Message]:
-        """The frames of one cycle.
+        """The frames of one cycle: (M,) tensions in the order of the map.
 
-        Args:
-            tensions_n: (M,) in the order of the map.
-            counter: number of the cycle; it wraps as its signal does.
-            statuses: of cables whose status is not 0.
+        The counter wraps as its signal does; `statuses` are those that are not 0.
 
         Raises:
             ChannelMapError: a tension is not finite and its signal is no floating one.

@@ -65,11 +65,9 @@ def frame_line(frame: can.Message) -> bytes | None:
 
 
 def line_frame(line: bytes, time_s: float = 0.0) -> can.Message:
-    """The frame of a line; a stamp of four digits at its end is left out.
+    """The frame of a line without its return, with the timestamp `time_s`.
 
-    Args:
-        line: begins with one of `FRAME_COMMANDS`, without its carriage return.
-        time_s: the timestamp to give the frame.
+    A stamp of four digits at its end is left out.
 
     Raises:
         ValueError: the line is no frame; shows it.

@@ -74,10 +74,7 @@ class TensionReader:
     def take(self, frame: can.Message, now_s: float, monotonic_s: float) -> Sample | None:
         """Take a frame; give the sample that it completes, if every reading is valid.
 
-        Args:
-            frame: as received.
-            now_s: arrival by this machine's clock, s since the epoch.
-            monotonic_s: arrival by the monotonic clock.
+        `now_s` is its arrival, s since the epoch, `monotonic_s` that by the monotonic clock.
         """
         self.frames += 1
         self._last_frame_s = monotonic_s
@@ -91,7 +88,15 @@ class TensionReader:
         if decoded is None:
             return None
         sample = self._assembler.take(decoded, self._clock.time_s(frame.timestamp, now_s))
-        if sample is None or self._has_stuck(sample):
+        if sample is None:
+            return None
+        stuck = self._stuck.stuck(sample.tensions_n, sample.time_s)
+        if stuck:
+            for channel in stuck:
+                name = self._names[channel]
+                detail = f"{name} stands at {sample.tensions_n[channel]:g} N while the others move"
+                self._ledger.note(FaultKind.STUCK_VALUE, name, detail)
+            self._stuck_samples += 1
             return None
         self.samples += 1
         self.largest_skew_s = max(self.largest_skew_s, sample.skew_s)
@@ -109,18 +114,6 @@ class TensionReader:
         self._stuck.restart()
         self.bus.reopened()
 
-    def _has_stuck(self, sample: Sample) -> bool:
-        stuck = self._stuck.stuck(sample.tensions_n, sample.time_s)
-        for channel in stuck:
-            name = self._names[channel]
-            self._ledger.note(
-                FaultKind.STUCK_VALUE,
-                name,
-                f"{name} stands at {sample.tensions_n[channel]:g} N while the others move",
-            )
-        self._stuck_samples += bool(stuck)
-        return bool(stuck)
-
 
 class RateLimit:
     """Admits frames by rate, with two token buckets: one for all, one for those of the map.
@@ -136,26 +129,15 @@ class RateLimit:
         self._known = _Bucket(KNOWN_EXCESS * known_frames_s)
 
     def admit(self, known: bool, now_s: float) -> bool:
-        """Whether a frame may be decoded.
-
-        Args:
-            known: its id is one of the map.
-            now_s: monotonic time of its arrival.
-        """
+        """Whether a frame that came at `now_s` may be decoded; `known`: its id is of the map."""
         if not self._all.take(now_s):
-            self._ledger.note(
-                FaultKind.FLOODED,
-                "bus",
-                f"more than {self._all.rate:g} frames a second for {ALLOWANCE_S:g} s",
-            )
+            detail = f"more than {self._all.rate:g} frames a second for {ALLOWANCE_S:g} s"
+            self._ledger.note(FaultKind.FLOODED, "bus", detail)
         if not known or self._known.take(now_s):
             return True
-        self._ledger.note(
-            FaultKind.FLOODED,
-            "amplifier",
-            f"more than {self._known.rate:g} frames of the map a second for {ALLOWANCE_S:g} s; "
-            "the excess is dropped",
-        )
+        detail = f"more than {self._known.rate:g} frames of the map a second"
+        detail += f" for {ALLOWANCE_S:g} s; the excess is dropped"
+        self._ledger.note(FaultKind.FLOODED, "amplifier", detail)
         return False
 
 
@@ -196,12 +178,7 @@ class StuckDetector:
         self._needed = max(1, -(-(channel_count - 1) // 2))
 
     def stuck(self, tensions_n: Array, time_s: float) -> tuple[int, ...]:
-        """Positions of the channels that are stuck in this sample.
-
-        Args:
-            tensions_n: (M,) readings of a whole sample.
-            time_s: its time, ascending.
-        """
+        """Positions of the channels that are stuck in a sample (M,); times ascend."""
         changed = tensions_n != self._last_n
         self._last_n = tensions_n.copy()
         self._since_s[changed] = time_s

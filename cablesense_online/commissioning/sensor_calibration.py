@@ -100,12 +100,8 @@ def calibration_points(
 ) -> dict[str, list[CalibrationPoint]]:
     """The points of every cable that has loads, in the order of the loads.
 
-    Args:
-        loads: by cable.
-        as_recorded: the map, with the scales and zeros that were in force when the recording was
-            made: with them its tensions are turned back into the signals' values. Its channels
-            are in the order of the recording's tensions.
-        recording: where the loads' windows lie, if any has one.
+    `as_recorded` is the map with the scales and zeros in force when the recording was made, which
+    turn its tensions back into the signals' values; its channels are in the recording's order.
 
     Raises:
         CommissioningError: a window without a recording, or with too few samples in it.
@@ -121,11 +117,9 @@ def calibrate_sensor(
 ) -> SensorCalibration:
     """Scale and zero of a cable's sensor.
 
-    Args:
-        cable: its name, for errors.
-        points: in the order the loads were put on.
-        common_relative_u: relative standard uncertainty that all forces share (gravity, the gauge
-            or set of weights); it goes to the scale and no averaging lessens it.
+    Points are in the order the loads were put on. `common_relative_u`: relative standard
+    uncertainty that all forces share (gravity, the gauge or set of weights); it goes to the scale
+    and no averaging lessens it.
 
     Raises:
         CommissioningError: too few points or loads, loads too close together, uncertainties for
@@ -177,15 +171,9 @@ def calibration_record(
     gravity_m_s2: float | None,
     common_relative_u: float,
 ) -> Calibration:
-    """The calibration of a map's sensors; cables that were not calibrated are listed as such.
+    """The calibration file's content; cables of the map that were not found are listed as such.
 
-    Args:
-        found: by cable.
-        channel_map: the map of their channels.
-        database: its DBC file, whose units and factors are noted.
-        made: when.
-        gravity_m_s2: with which masses were converted to forces; none where there were no masses.
-        common_relative_u: relative standard uncertainty that all loads shared.
+    Gravity is none where there were no masses; the relative uncertainty is the one of all loads.
     """
     cables = {}
     for cable, channel in channel_map.channels.items():

@@ -250,12 +250,7 @@ class PullResult:
 
 
 def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
-    """The result of a pull.
-
-    Args:
-        series: of two cables or more.
-        pull: within its time.
-        floor_n: standard deviation of readings at rest, as it should be.
+    """The result of a pull; `floor_n`: standard deviation of readings at rest, as it should be.
 
     Raises:
         CommissioningError: too few readings before or during the pull.

@@ -34,16 +34,8 @@ LARGEST_RAW = 1e11
 LATEST_S = 1e7
 """A hundred days; beyond it a time is a date."""
 
-_LOAD_COLUMNS = (
-    "mass_kg",
-    "mass_u_kg",
-    "force_n",
-    "force_u_n",
-    "raw",
-    "raw_u",
-    "start_s",
-    "end_s",
-)
+_WINDOW_COLUMNS = ("start_s", "end_s")
+_LOAD_COLUMNS = ("mass_kg", "mass_u_kg", "force_n", "force_u_n", "raw", "raw_u", *_WINDOW_COLUMNS)
 
 
 class CommissioningError(CableSenseError):
@@ -119,7 +111,7 @@ def read_pulls(path: str | Path, cable_names: Sequence[str]) -> list[Pull]:
     Raises:
         CommissioningError: the file cannot be read as such a table, or names an unknown cable.
     """
-    rows = _rows(path, ("cable", "start_s", "end_s"), ())
+    rows = _rows(path, ("cable", *_WINDOW_COLUMNS), ())
     return [Pull(row.cable(cable_names), row.window()) for row in rows]
 
 
@@ -198,12 +190,7 @@ class _Row:
 
 
 def _rows(path: str | Path, required: Sequence[str], optional: Sequence[str]) -> list[_Row]:
-    """Read a table; empty lines and lines that begin with # are left out.
-
-    Raises:
-        CommissioningError: no file, too large, no text, a column missing, unknown or
-            twice, a row with more or fewer cells than the header, or no rows.
-    """
+    """Read a table; empty lines and lines that begin with # are left out."""
     text = read_bounded_text(path, MAX_TABLE_BYTES, "a table written by hand", CommissioningError)
     lines = [
         (number, line)

@@ -44,10 +44,7 @@ def cable_pieces(
 ) -> CablePieces:
     """The cables' paths through the guide holes, from the actuators to the anchors.
 
-    Args:
-        mechanism: N segments, M cables.
-        joint_positions_m: (N, 3) base frame.
-        segment_rotations: (N, 3, 3) segment to base frame.
+    Joint positions (N, 3) in the base frame; rotations (N, 3, 3) from segment to base frame.
     """
     ends: list[tuple[Array, Array]] = []
     cables: list[int] = []
