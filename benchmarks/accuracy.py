@@ -21,7 +21,6 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.evaluation.answers import single_contact_answer
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
@@ -40,6 +39,7 @@ from cablesense_training.fit import fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.recipes import build_network, recipe_for
+from cablesense_training.train_model import single_contact_answer
 
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0

@@ -23,6 +23,8 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
+from cablesense_training.data.motion_protocol import MotionProtocol
+from cablesense_training.data.sequences import Sequences, draw_sequences
 from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.evaluation.sequence_metrics import (
     SequenceMetrics,
@@ -32,8 +34,6 @@ from cablesense_training.evaluation.sequence_metrics import (
 )
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
-from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import Sequences, draw_sequences
 
 mpl.use("Agg")
 

@@ -22,7 +22,6 @@ from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import Pose, SingleContact
-from cablesense_training.evaluation.answers import single_contact_answer
 from cablesense_training.evaluation.comparison import evaluate_answer
 from cablesense_training.export import export_model
 from cablesense_training.fit import FitSettings, fit
@@ -34,6 +33,7 @@ from cablesense_training.networks.single_contact import (
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
+from cablesense_training.train_model import single_contact_answer
 
 DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
 ARCHITECTURES = (DECOUPLED, SHARED_TRUNK, TWO_STAGE)

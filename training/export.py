@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,8 @@ from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
-from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
+from cablesense_training.networks import MultiContactNetwork, Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
-from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 
 OPSET = 20
@@ -42,90 +42,49 @@ def export_model(network: Network | TemporalNetwork, path: Path, metadata: Model
         TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder
             cannot be written.
     """
-    answers = _answers(network).double().eval()
+    answers = _Answers(network).double().eval()
     trial = _trial_inputs(metadata)
     inputs = list(input_widths(metadata))
-    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, _outputs(network))
-    properties = metadata.to_properties()
-    onnx.helper.set_model_props(model, properties)
+    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, list(answers.outputs))
+    onnx.helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model, full_check=False)
     content = model.SerializeToString()
     _require_agreement(answers, content, dict(zip(inputs, trial, strict=True)))
     write_atomically(path, content, TrainingError)
 
 
-def _outputs(network: Network | TemporalNetwork) -> list[str]:
-    if isinstance(network, TemporalNetwork):
-        return list(TEMPORAL_OUTPUTS)
-    if isinstance(network, MultiContactNetwork):
-        return list(MULTI_OUTPUTS)
-    if isinstance(network, CorrectedClosedForm):
-        return [*OUTPUTS, TAUT]
-    return list(OUTPUTS)
+class _Answers(nn.Module):
+    """A network with answers in their units, and the names of these `outputs`."""
 
-
-class _SingleAnswers(nn.Module):
-    def __init__(self, network: SingleContactNetwork) -> None:
+    def __init__(self, network: Network | TemporalNetwork) -> None:
         super().__init__()
         self.network = network
+        self.outputs: Sequence[str] = OUTPUTS
+        if isinstance(network, TemporalNetwork):
+            self.outputs = TEMPORAL_OUTPUTS
+        elif isinstance(network, MultiContactNetwork):
+            self.outputs = MULTI_OUTPUTS
+        elif isinstance(network, CorrectedClosedForm):
+            self.outputs = (*OUTPUTS, TAUT)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        output = self.network(*inputs)
-        # a small addend would do as well, did the exporter not leave out what it takes for zero
-        length = torch.sqrt((output.direction * output.direction).sum(-1, keepdim=True))
-        return _single_answers(output, output.direction / length.clamp(min=1e-9))
-
-
-class _StaticsAnswers(nn.Module):
-    """Directions are of unit length already; which cables are taut is told beside the answers."""
-
-    def __init__(self, network: CorrectedClosedForm) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        output, taut = self.network.answer_and_taut(*inputs)
-        return *_single_answers(output, output.direction), taut
-
-
-class _TemporalAnswers(nn.Module):
-    def __init__(self, network: TemporalNetwork) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        output, following = self.network(Ticks(*inputs[:-1]), inputs[-1])
-        return *_single_answers(output, output.direction), following
-
-
-def _single_answers(output: SingleContactOutput, direction: Tensor) -> tuple[Tensor, ...]:
-    return (
-        torch.softmax(output.contact_logits, dim=-1),
-        direction,
-        output.magnitude_n,
-        output.magnitude_std_n,
-        output.angle_std_deg,
-    )
-
-
-class _MultiAnswers(nn.Module):
-    def __init__(self, network: Network) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        output = self.network(*inputs)
-        return torch.sigmoid(output.contact_logits), output.magnitude_n, output.magnitude_std_n
-
-
-def _answers(network: Network | TemporalNetwork) -> nn.Module:
-    if isinstance(network, MultiContactNetwork):
-        return _MultiAnswers(network)
-    if isinstance(network, CorrectedClosedForm):
-        return _StaticsAnswers(network)
-    if isinstance(network, TemporalNetwork):
-        return _TemporalAnswers(network)
-    return _SingleAnswers(network)
+        network = self.network
+        if isinstance(network, MultiContactNetwork):
+            several = network(*inputs)
+            contact = torch.sigmoid(several.contact_logits)
+            return contact, several.magnitude_n, several.magnitude_std_n
+        beside: list[Tensor] = []
+        if isinstance(network, TemporalNetwork):
+            output, *beside = network(Ticks(*inputs[:-1]), inputs[-1])
+        elif isinstance(network, CorrectedClosedForm):
+            output, *beside = network.answer_and_taut(*inputs)
+        else:
+            output = network(*inputs)
+            # a small addend would do as well, did the exporter not leave out what it takes for 0
+            squared = (output.direction * output.direction).sum(-1, keepdim=True)
+            length = torch.sqrt(squared).clamp(min=1e-9)
+            output = output._replace(direction=output.direction / length)
+        return torch.softmax(output.contact_logits, dim=-1), *output[1:], *beside
 
 
 def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
@@ -136,18 +95,18 @@ def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
         return (tension,)
     reach = np.deg2rad(metadata.pose_range_deg)
     command = rng.uniform(-reach, reach, (_TRIAL_ROWS, metadata.arm.joint_count))
-    course = [tension, torch.as_tensor(command)]
+    inputs = [tension, torch.as_tensor(command)]
     if metadata.memory:
         speed = np.deg2rad(metadata.joint_speed_deg_s)
-        course += [torch.as_tensor(rng.uniform(-v, v, command.shape)) for v in (speed, 5 * speed)]
-        course.append(torch.as_tensor(rng.uniform(-1.0, 1.0, (_TRIAL_ROWS, metadata.memory))))
-    return tuple(course)
+        inputs += [torch.as_tensor(rng.uniform(-v, v, command.shape)) for v in (speed, 5 * speed)]
+        inputs.append(torch.as_tensor(rng.uniform(-1.0, 1.0, (_TRIAL_ROWS, metadata.memory))))
+    return tuple(inputs)
 
 
 def _to_onnx(
     answers: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]
 ) -> onnx.ModelProto:
-    """The graph; the exporter's reports and warnings about itself help no user and stay unsaid."""
+    """The graph; the exporter's reports and warnings about itself are left out."""
     batch = torch.export.Dim("batch", min=1)
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -20,6 +20,7 @@ from torch import Tensor
 from cablesense_base.progress import progress_bar
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.metrics import NORMAL_95
 from cablesense_training.losses import (
     LossTerms,
     LossWeights,
@@ -32,9 +33,6 @@ from cablesense_training.losses import (
 from cablesense_training.networks import MultiContactNetwork, Network
 from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import TemporalNetwork
-
-NORMAL_95 = 1.959964
-"""Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
 
 _ROWS_AT_ONCE = 8192
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from cablesense_training.data.sequences import Sequences
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import (
     FitHistory,
@@ -30,7 +31,6 @@ from cablesense_training.losses import (
     direction_of,
     gaussian_nll,
 )
-from cablesense_training.motion.sequences import Sequences
 from cablesense_training.networks.closed_form import Balance
 from cablesense_training.networks.temporal import CorrectedAnswer, TemporalNetwork, Ticks
 

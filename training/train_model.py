@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
+from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.protocols import protocol_from_options
+from cablesense_training.data.sequences import Sequences, draw_sequences
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.answers import (
-    multi_contact_answer,
-    single_contact_answer,
-)
 from cablesense_training.evaluation.metrics import (
+    ContactAnswer,
     ContactTruth,
     MultiContactMetrics,
     SingleContactMetrics,
@@ -36,11 +41,11 @@ from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit
 from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
 from cablesense_training.inference.metadata import SEQUENCE_UNITS, UNITS, ModelMetadata
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import Sequences, draw_sequences
-from cablesense_training.networks import MultiContactNetwork, Network
+from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import build_network, network_name, recipe_for
+
+_ROWS_AT_ONCE = 8192
 
 TEST_SAMPLES = 20_000
 TEST_SHARE_OF_SEQUENCES = 0.125
@@ -177,7 +182,10 @@ def train_model(
     """
     path, name = Path(path), network_name(network)
     _require_fit(name, data, settings)
-    _require_folder(path)
+    if not path.parent.is_dir():
+        raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise TrainingError(f"{path} is a folder; give the name of the file to write")
     built = build_network(name, data.arm, settings.seed, data.protocol.tare_samples)
     metadata = _metadata(name, built, data, settings.seed, command)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
@@ -280,9 +288,36 @@ def _require_fit(
         )
 
 
-def _require_folder(path: Path) -> None:
-    """Better before an hour of training than after it."""
-    if not path.parent.is_dir():
-        raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise TrainingError(f"{path} is a folder; give the name of the file to write")
+def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
+    """Answers of a single-contact network on a dataset; angles in [0, 360)."""
+    outputs = list(_outputs(network, dataset))
+    logits, direction, magnitude, magnitude_std, angle_std = (
+        torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)
+    )
+    return ContactAnswer(
+        segment=logits.argmax(axis=1),
+        angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
+        magnitude_n=magnitude,
+        magnitude_std_n=magnitude_std,
+        angle_std_deg=angle_std,
+    )
+
+
+def multi_contact_answer(
+    network: MultiContactNetwork, dataset: Dataset
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Touched segments (B, N) and magnitudes (B, N) of a multi-contact network on a dataset."""
+    logits, magnitude, _ = zip(*_outputs(network, dataset), strict=True)
+    touched: NDArray[np.bool_] = torch.cat(logits).numpy() > 0.0
+    return touched, torch.cat(magnitude).double().numpy()
+
+
+def _outputs(network: Network, dataset: Dataset) -> Iterator[tuple[Tensor, ...]]:
+    dtype = next(network.parameters()).dtype
+    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype)
+    command = torch.as_tensor(dataset.command_rad).to(dtype)
+    network.eval()
+    with torch.no_grad():
+        for start in range(0, len(tension), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            yield tuple(network(tension[rows], command[rows]))

@@ -6,13 +6,13 @@ A motion protocol that cannot be is refused, naming what would be right.
 import numpy as np
 import pytest
 
-from cablesense_training.errors import DatasetError
-from cablesense_training.motion.motion_protocol import (
+from cablesense_training.data.motion_protocol import (
     STEP_S,
     MotionProtocol,
     drawn_contacts,
     drawn_motion,
 )
+from cablesense_training.errors import DatasetError
 
 PROTOCOL = MotionProtocol(duration_s=12.0)
 

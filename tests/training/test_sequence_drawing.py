@@ -9,9 +9,9 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.data.dataset import contact_forces_n
+from cablesense_training.data.motion_protocol import MotionProtocol
+from cablesense_training.data.sequences import draw_sequences
 from cablesense_training.evaluation.sequence_metrics import unsettled
-from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import draw_sequences
 
 CDSM, FRICTION = open_arm("cdsm"), open_arm("cdsm_friction")
 SHORT = MotionProtocol(sequences=2, duration_s=4.0, noise=False)

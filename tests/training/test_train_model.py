@@ -5,6 +5,8 @@ import json
 import pytest
 
 from cablesense_sim.arm import open_arm
+from cablesense_training.data.motion_protocol import MotionProtocol
+from cablesense_training.data.sequences import draw_sequences
 from cablesense_training.errors import DatasetError, TrainingError
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -15,8 +17,6 @@ from cablesense_training.fit import FitSettings
 from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.motion.motion_protocol import MotionProtocol
-from cablesense_training.motion.sequences import draw_sequences
 from cablesense_training.train_model import (
     TEST_SEED_OFFSET,
     draw_training_data,

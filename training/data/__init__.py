@@ -1,1 +1,1 @@
-"""Datasets: the paper's protocols, their generation on any number of workers, Parquet files."""
+"""Datasets and sequences: their protocols, generation on any number of workers, Parquet files."""

@@ -18,6 +18,7 @@ FORCE_EDGES_N = (0.0, 2.0, 10.0, 50.0, 100.0, 200.0)
 """Edges of the force bins; the last bin takes its upper edge and everything beyond."""
 
 NORMAL_95 = 1.959964
+"""Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cablesense_training.data.sequences import Sequences
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -16,7 +17,6 @@ from cablesense_training.evaluation.metrics import (
 )
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.motion.sequences import Sequences
 
 Rows = TypeVar("Rows", ContactTruth, ContactAnswer)
 

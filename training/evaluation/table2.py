@@ -1,7 +1,7 @@
-"""The main job on real input: the paper's Table II, tensions measured on the physical arm.
+"""Measured data: the paper's Table II, tensions measured on the physical arm.
 
 Loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment, nine-cable arm,
-straight and level. The estimator is told nothing of that: it gets nine tension differences and
+straight and level. The estimator receives nine tension differences alone and
 answers segment, direction and newtons.
 """
 
@@ -99,7 +99,7 @@ def read_table2(path: Path | None = None) -> list[HungLoad]:
 
 
 def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[HungLoadAnswer]:
-    """What a model of the three-segment arm says of the table's rows of one source.
+    """Answers of a model of the three-segment arm to the table's rows of one source.
 
     Raises:
         ModelFileError: the model is for an arm of other cables.
@@ -114,15 +114,15 @@ def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[Hung
     for load in read_table2():
         if load.source != source:
             continue
-        said = estimator.estimate(load.tension_difference_n, straight)
+        found = estimator.estimate(load.tension_difference_n, straight)
         answers.append(
             HungLoadAnswer(
                 load=load,
-                segment=said.segment,
-                angle_deg=said.angle_deg,
-                magnitude_n=said.magnitude_n,
-                angle_error_deg=float(angle_difference_deg(said.angle_deg, DOWN_DEG)),
-                magnitude_error=said.magnitude_n / load.weight_n - 1.0,
+                segment=found.segment,
+                angle_deg=found.angle_deg,
+                magnitude_n=found.magnitude_n,
+                angle_error_deg=float(angle_difference_deg(found.angle_deg, DOWN_DEG)),
+                magnitude_error=found.magnitude_n / load.weight_n - 1.0,
             )
         )
     return answers

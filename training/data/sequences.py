@@ -25,8 +25,7 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import contact_forces_n
-from cablesense_training.errors import DatasetError
-from cablesense_training.motion.motion_protocol import (
+from cablesense_training.data.motion_protocol import (
     STEP_S,
     CommandedMotion,
     ContactTrajectory,
@@ -35,6 +34,7 @@ from cablesense_training.motion.motion_protocol import (
     drawn_contacts,
     drawn_motion,
 )
+from cablesense_training.errors import DatasetError
 
 
 @dataclass(frozen=True, eq=False)
