@@ -173,7 +173,7 @@ def record(
         str | None,
         typer.Option(
             help="A bundled arm's name, or an arm file: what does not fit it is left out, and the "
-            "recording is checked at the end.",
+            "recording is checked at the end."
         ),
     ] = None,
 ) -> None:
@@ -285,8 +285,7 @@ def withhold(
     seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
     arm: _NominalArm = "cdsm_lab",
     answers: Annotated[
-        Path | None,
-        typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv."),
+        Path | None, typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv.")
     ] = None,
     only: Annotated[
         list[str] | None,

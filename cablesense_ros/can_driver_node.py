@@ -62,11 +62,7 @@ CAN_DRIVER_PARAMETERS: Final = (
         "channel", "can0", "What that kind calls its channels: can0, /dev/ttyACM0, PCAN_USBBUS1."
     ),
     NodeParameter(
-        "stale_after_s",
-        0.2,
-        "Without a sample this long diagnostics are stale, s.",
-        0.001,
-        60.0,
+        "stale_after_s", 0.2, "Without a sample this long diagnostics are stale, s.", 0.001, 60.0
     ),
 )
 
