@@ -1,5 +1,6 @@
 """From samples to a model file that the estimator opens and that answers as it was trained."""
 
+import importlib
 import json
 
 import pytest
@@ -30,8 +31,10 @@ FEW = {"samples": 600, "pose": "random", "pose_range_deg": 5.0, "force_high_n": 
 
 @pytest.fixture
 def stub_export(monkeypatch):
+    # by import, as the package has a function of that name, too
     monkeypatch.setattr(
-        "cablesense_training.train_model.export_model",
+        importlib.import_module("cablesense_training.train_model"),
+        "export_model",
         lambda network, path, metadata: path.write_bytes(b"model"),
     )
 
