@@ -6,13 +6,15 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_sim.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from cablesense_sim.mechanism import Mechanism
 
 Values = Mapping[str, Array]
 """Parameter values by name, each (P,): one for every arm that is simulated side by side."""
