@@ -38,8 +38,8 @@ from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
+from cablesense_training.model_training import single_contact_answer
 from cablesense_training.recipes import build_network, recipe_for
-from cablesense_training.train_model import single_contact_answer
 
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0

@@ -15,7 +15,7 @@ from cablesense_cli.dataset import command_line
 from cablesense_cli.options import refuse_given
 
 if TYPE_CHECKING:
-    from cablesense_training.train_model import TrainingReport
+    from cablesense_training.model_training import TrainingReport
 
 
 def train(
@@ -94,8 +94,8 @@ def train(
     from cablesense_sim.arm import open_arm
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import epoch_progress
+    from cablesense_training.model_training import draw_training_data, train_model
     from cablesense_training.recipes import adjusted, recipe_for
-    from cablesense_training.train_model import draw_training_data, train_model
 
     if data is not None:
         drawing = ("samples", "pose", "pose_range_deg", "force_high_n", "randomise")

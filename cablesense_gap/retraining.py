@@ -43,8 +43,8 @@ from cablesense_sim.loads import normal_components_n, normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.estimator import Estimates, Estimator
+from cablesense_training.model_training import draw_training_data, train_model
 from cablesense_training.recipes import adjusted, recipe_for
-from cablesense_training.train_model import draw_training_data, train_model
 
 NETWORK = "closed-form-corrected"
 SAMPLES = 2048

@@ -27,13 +27,13 @@ from cablesense_training.export import export_model
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import TENSION, open_session, read_model
+from cablesense_training.model_training import single_contact_answer
 from cablesense_training.networks import SingleContactNetwork
 from cablesense_training.networks.single_contact import (
     DecoupledNetwork,
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
-from cablesense_training.train_model import single_contact_answer
 
 DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
 ARCHITECTURES = (DECOUPLED, SHARED_TRUNK, TWO_STAGE)

@@ -16,5 +16,5 @@ from .inference.metadata import ModelFileError as ModelFileError
 from .inference.metadata import find_model as find_model
 from .inference.temporal_estimator import TemporalEstimator as TemporalEstimator
 from .inference.temporal_estimator import open_estimator as open_estimator
-from .train_model import draw_training_data as draw_training_data
-from .train_model import train_model as train_model
+from .model_training import draw_training_data as draw_training_data
+from .model_training import train_model as train_model

@@ -20,7 +20,7 @@ SMALL = ["--network", "two-stage", "--samples", "400", "--epochs", "2", "--threa
 
 @pytest.fixture(autouse=True)
 def small_test_set(monkeypatch):
-    monkeypatch.setattr("cablesense_training.train_model.TEST_SAMPLES", 300)
+    monkeypatch.setattr("cablesense_training.model_training.TEST_SAMPLES", 300)
 
 
 def _run(*words):
@@ -38,7 +38,7 @@ def test_writes_a_model_and_prints_its_figures(tmp_path):
 
 def test_json_holds_the_figures_and_nothing_else(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "cablesense_training.train_model.export_model",
+        "cablesense_training.model_training.export_model",
         lambda network, path, metadata: path.write_bytes(metadata.command.encode()),
     )
     result = _run(*SMALL, "--json", "--out", str(tmp_path / "model.onnx"))
@@ -112,7 +112,7 @@ def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
         asked.update(data, network=network, epochs=settings.epochs, command=command)
         raise TrainingError("enough")
 
-    module = "cablesense_training.train_model"
+    module = "cablesense_training.model_training"
     monkeypatch.setattr(f"{module}.draw_training_data", lambda arm, name, given, *_, **__: given)
     monkeypatch.setattr(f"{module}.train_model", train_nothing)
     words = ["--network", "momentary", "--samples", "4", "--epochs", "1", "--force-high-n", "50"]

@@ -18,7 +18,7 @@ from cablesense_training.fit import FitSettings
 from cablesense_training.fit_sequences import SequenceFitSettings
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.train_model import (
+from cablesense_training.model_training import (
     TEST_SEED_OFFSET,
     draw_training_data,
     train_model,
@@ -33,7 +33,7 @@ FEW = {"samples": 600, "pose": "random", "pose_range_deg": 5.0, "force_high_n": 
 def stub_export(monkeypatch):
     # by import, as the package has a function of that name, too
     monkeypatch.setattr(
-        importlib.import_module("cablesense_training.train_model"),
+        importlib.import_module("cablesense_training.model_training"),
         "export_model",
         lambda network, path, metadata: path.write_bytes(b"model"),
     )
