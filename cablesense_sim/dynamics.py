@@ -9,6 +9,7 @@ with the state that it had kept, and there is no swinging.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import mujoco
@@ -44,7 +45,7 @@ def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
     return ArmDynamics(arm, timestep_s)
 
 
-class _CommandedArm:
+class _CommandedArm(ABC):
     """What both kinds of arm have: the description, the command that counts, and the loads.
 
     Attributes:
@@ -62,9 +63,9 @@ class _CommandedArm:
         self._actuations = actuations([self._entries])
 
     @property
+    @abstractmethod
     def time_s(self) -> float:
         """Simulated time."""
-        raise NotImplementedError
 
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Let the actuators hold the cable lengths of these joint angles (2N,).
@@ -78,8 +79,9 @@ class _CommandedArm:
         self._command_rad = command
         self._hold(_held_m(self._nominal, command, self._actuations, self.time_s))
 
+    @abstractmethod
     def _hold(self, held_m: Array) -> None:
-        raise NotImplementedError
+        """Let the actuators hold cable lengths (M,), relative to the straight arm."""
 
     def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
         """Joint angles (2N,) that the arm can be commanded to; changes nothing.
