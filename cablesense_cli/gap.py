@@ -132,7 +132,7 @@ def protocol(
     """
     from rich.console import Console
 
-    from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
+    from cablesense_gap.recordings.protocol import rows_of, standard_protocol
     from cablesense_sim.arm import open_arm
 
     description = open_arm(arm)
@@ -145,14 +145,11 @@ def protocol(
         style="dim",
     )
     if out is not None:
-        import numpy as np
-
         from cablesense_gap.recordings.csv_file import write_csv
-        from cablesense_gap.recordings.recording import Recording
 
-        rows = protocol_rows(description, blocks)
-        write_csv(out, Recording(out.stem, *rows, tensions_n=np.empty((len(rows.time_s), 0))))
-        console.print(f"{out}: {len(rows.time_s):,} rows, {rows.time_s[-1]:.0f} s")
+        rows = rows_of(blocks, description.sensors.rate_hz)
+        write_csv(out, rows)
+        console.print(f"{out}: {len(rows):,} rows, {rows.time_s[-1]:.0f} s")
 
 
 def _protocol_table(blocks: Sequence[Block], title: str) -> Table:
@@ -202,8 +199,7 @@ def record(
     nominal = solve_equilibrium(
         mechanism_of(description), recording.command_rad, recording.forces_n
     )
-    report = check_recording(recording, description, nominal.tensions_n)
-    for finding in report.findings:
+    for finding in check_recording(recording, description, nominal.tensions_n):
         console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
 
 

@@ -8,7 +8,7 @@ are taken out, as these are fitted to every recording anew.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_gap.arm_simulator import ArmSimulator, entries_from, has_one_equilibrium
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm
@@ -141,7 +140,7 @@ def _rms(by_cable_n: Array) -> float:
 def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
     """None where an explanation cannot be simulated, or the arm has more than one rest."""
     rows = rows_of((block,), rate_hz)
-    recorded = Recording("block", *rows, np.zeros((len(rows.time_s), arm.cable_count)))
+    recorded = replace(rows, tensions_n=np.zeros((len(rows), arm.cable_count)))
     replay = Replay(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
     try:
         predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]

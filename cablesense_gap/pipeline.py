@@ -26,7 +26,7 @@ from cablesense_gap.diagnosis.probability import (
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare, to_scaled
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.experiments import next_experiment
-from cablesense_gap.recordings.checks import check_recording
+from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term, parameters_of
@@ -103,14 +103,14 @@ def diagnose(
         EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
     """
     began = time.monotonic()
-    check_recording(recording, arm).raise_if_unusable()
+    refuse_unusable(recording, check_recording(recording, arm))
     progress("predicting the nominal arm", 0.0)
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
     if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
         nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
-    checked = check_recording(recording, arm, nominal)
-    checked.raise_if_unusable()
+    findings = check_recording(recording, arm, nominal)
+    refuse_unusable(recording, findings)
     problem = problem_of(recording, simulator, nominal)
     ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
     progress("describing the verdict", 0.98)
@@ -164,7 +164,7 @@ def diagnose(
         predicted_before_n=nominal,
         predicted_after_n=held_out if unlisted else explained.prediction,
         held_out_n=held_out,
-        findings=tuple(finding.text for finding in checked.findings),
+        findings=tuple(finding.text for finding in findings),
     )
 
 

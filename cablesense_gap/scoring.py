@@ -6,9 +6,9 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
@@ -157,34 +157,28 @@ def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliabil
 
 @dataclass(frozen=True)
 class Proportion:
-    """`hits` of `count` cases."""
+    """A share of cases with its 95 % interval; without a case the value is None.
 
+    Wilson's score interval holds for few cases and for shares of 0 and 1 too (E. B. Wilson,
+    Journal of the American Statistical Association 22 (1927) 209-212).
+    """
+
+    value: float | None
+    ci95: tuple[float, float]
     hits: int
     count: int
 
-    @classmethod
-    def of(cls, outcomes: Iterable[bool]) -> Proportion:
-        """How many of the outcomes are true."""
-        listed = list(outcomes)
-        return cls(sum(listed), len(listed))
 
-    @property
-    def value(self) -> float | None:
-        """The share, None without a case."""
-        return self.hits / self.count if self.count else None
+def proportion(outcomes: Iterable[bool]) -> Proportion:
+    """How many of the outcomes are true."""
+    from scipy.stats import binomtest
 
-    @property
-    def ci95(self) -> tuple[float, float]:
-        """Wilson's score interval, which holds for few cases and for shares of 0 and 1 too.
-
-        E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212.
-        """
-        from scipy.stats import binomtest
-
-        if not self.count:
-            return 0.0, 1.0
-        low, high = binomtest(self.hits, self.count).proportion_ci(method="wilson")
-        return float(low), float(high)
+    listed = [bool(outcome) for outcome in outcomes]
+    hits, count = sum(listed), len(listed)
+    if not count:
+        return Proportion(None, (0.0, 1.0), 0, 0)
+    low, high = binomtest(hits, count).proportion_ci(method="wilson")
+    return Proportion(hits / count, (float(low), float(high)), hits, count)
 
 
 @dataclass(frozen=True)
@@ -234,119 +228,89 @@ class Score:
     wrong: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Case:
-    verdict: Verdict
-    answer: Answer
-
-    @property
-    def right(self) -> bool:
-        return self.verdict.effects == self.answer.effects
-
-    @property
-    def kind(self) -> str:
-        """`none`, `unknown`, `single` or `double`."""
-        first, *more = self.answer.effects
-        return "double" if more else first if first in (NONE, UNKNOWN) else "single"
-
-    @property
-    def clear(self) -> bool:
-        ratio, gap = self.answer.gap_over_floor, self.verdict.gap
-        if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
-            ratio = gap.before_n / gap.floor_n
-        return ratio is not None and ratio >= CLEAR_GAP_FLOORS
-
-    @property
-    def in_top2(self) -> bool:
-        others = [c.effects for c in self.verdict.ranked if c.effects != self.verdict.effects]
-        return self.answer.effects in (self.verdict.effects, *others[:1])
-
-    @property
-    def in_group(self) -> bool:
-        return self.right or joined(self.answer.effects) in self.verdict.ambiguity_group
-
-    @property
-    def probabilities(self) -> dict[tuple[str, ...], float]:
-        weighed = {c.effects: c.probability for c in self.verdict.candidates}
-        return weighed or {self.verdict.effects: self.verdict.probability}
-
-    @property
-    def places_right(self) -> bool:
-        """The same set for each kind of place that the answer names."""
-        kinds = {place.split("_")[0] for place in self.answer.places}
-        named = {p for p in self.verdict.where.places if p.split("_")[0] in kinds}
-        return named == self.answer.places
-
-    @property
-    def brier(self) -> float:
-        stated = self.probabilities
-        others = sum(p**2 for effects, p in stated.items() if effects != self.answer.effects)
-        return (1.0 - stated.get(self.answer.effects, 0.0)) ** 2 + others
-
-
 def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
     """Score verdicts, by recording, against answers; verdicts without an answer do not count.
 
     Raises:
         ScoreError: no answers, or one without a verdict.
     """
+    import pandas as pd
+
     if not answers:
         raise ScoreError("no answers to score against; give at least one")
     without = next((a.recording for a in answers if a.recording not in verdicts), None)
     if without is not None:
         raise ScoreError(f"no verdict on {without}; every recording of the answers needs one")
-    cases = [_Case(verdicts[answer.recording], answer) for answer in answers]
-    right = [case for case in cases if case.right]
-    removed = [c.verdict.gap.removed_fraction for c in right if c.kind in ("single", "double")]
-    singles = [case for case in cases if case.kind == "single"]
-    doubles = [case for case in cases if case.kind == "double"]
-    counts = Counter((joined(c.answer.effects), joined(c.verdict.effects)) for c in cases)
+    cases = pd.DataFrame([_judged(verdicts[answer.recording], answer) for answer in answers])
+    right, none, unknown, singles, doubles = (
+        cases[chosen]
+        for chosen in (cases.exact, *(cases.kind == k for k in (NONE, UNKNOWN, "one", "two")))
+    )
+    removed = right.removed[right.kind.isin(("one", "two"))]
     confusion: dict[str, dict[str, int]] = {}
-    for (truth, named), count in sorted(counts.items()):
-        confusion.setdefault(truth, {})[named] = count
+    for (truth, named), count in cases.groupby(["truth", "named"]).size().items():
+        confusion.setdefault(truth, {})[named] = int(count)
     return Score(
         cases=len(cases),
         confusion=confusion,
-        exact=Proportion.of(c.right for c in cases),
-        top2=Proportion.of(c.in_top2 for c in cases),
-        truth_in_group=Proportion.of(c.in_group for c in cases),
-        singles_exact=Proportion.of(c.right for c in singles),
-        clear_singles_exact=Proportion.of(c.right for c in singles if c.clear),
-        doubles_both=Proportion.of(c.right for c in doubles),
-        doubles_one=Proportion.of(
-            not set(c.answer.effects).isdisjoint(c.verdict.effects) for c in doubles
-        ),
-        false_alarms=Proportion.of(not c.right for c in cases if c.kind == NONE),
-        unknown_recall=Proportion.of(c.right for c in cases if c.kind == UNKNOWN),
-        where=Proportion.of(c.places_right for c in right if c.answer.places),
-        by_effect=_exact_by(singles, lambda c: c.answer.effects[0]),
-        by_form=_exact_by(cases, lambda c: c.answer.form),
-        mean_probability_on_truth=fmean(c.probabilities.get(c.answer.effects, 0.0) for c in cases),
-        brier_over_candidates=fmean(c.brier for c in cases),
-        reliability=reliability([c.verdict.probability for c in cases], [c.right for c in cases]),
-        median_removed_fraction=median(removed) if removed else None,
-        wrong=tuple(c.answer.recording for c in cases if not c.right),
+        exact=proportion(cases.exact),
+        top2=proportion(cases.top2),
+        truth_in_group=proportion(cases.in_group),
+        singles_exact=proportion(singles.exact),
+        clear_singles_exact=proportion(singles.exact[singles.clear]),
+        doubles_both=proportion(doubles.exact),
+        doubles_one=proportion(doubles.names_one),
+        false_alarms=proportion(~none.exact),
+        unknown_recall=proportion(unknown.exact),
+        where=proportion(right.places_right[right.has_places]),
+        by_effect={name: proportion(own.exact) for name, own in singles.groupby("truth")},
+        by_form={name: proportion(own.exact) for name, own in cases.groupby("form") if name},
+        mean_probability_on_truth=fmean(cases.on_truth),
+        brier_over_candidates=fmean(cases.brier),
+        reliability=reliability(cases.probability, cases.exact),
+        median_removed_fraction=median(removed) if len(removed) else None,
+        wrong=tuple(cases.recording[~cases.exact]),
     )
 
 
-def _exact_by(cases: Sequence[_Case], key: Callable[[_Case], str]) -> dict[str, Proportion]:
-    names = sorted({key(case) for case in cases} - {""})
-    return {name: Proportion.of(c.right for c in cases if key(c) == name) for name in names}
+def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
+    """One verdict beside its answer, as a row of the table that is counted."""
+    truth, named, gap = answer.effects, verdict.effects, verdict.gap
+    weighed = {c.effects: c.probability for c in verdict.candidates}
+    weighed = weighed or {named: verdict.probability}
+    others = [c.effects for c in verdict.ranked if c.effects != named]
+    ratio = answer.gap_over_floor
+    if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
+        ratio = gap.before_n / gap.floor_n
+    kinds = {place.split("_")[0] for place in answer.places}
+    on_truth = weighed.get(truth, 0.0)
+    return {
+        "recording": answer.recording,
+        "form": answer.form,
+        "truth": joined(truth),
+        "named": joined(named),
+        "kind": "two" if truth[1:] else truth[0] if truth[0] in (NONE, UNKNOWN) else "one",
+        "clear": ratio is not None and ratio >= CLEAR_GAP_FLOORS,
+        "exact": truth == named,
+        "top2": truth in (named, *others[:1]),
+        "in_group": truth == named or joined(truth) in verdict.ambiguity_group,
+        "names_one": not set(truth).isdisjoint(named),
+        # the same set for each kind of place that the answer names
+        "has_places": bool(kinds),
+        "places_right": {p for p in verdict.where.places if p.split("_")[0] in kinds}
+        == answer.places,
+        "probability": verdict.probability,
+        "on_truth": on_truth,
+        "brier": (1.0 - on_truth) ** 2 + sum(p**2 for e, p in weighed.items() if e != truth),
+        "removed": gap.removed_fraction,
+    }
 
 
 def as_json(score: Score) -> dict[str, Any]:
     """The score as plain values for a JSON file."""
-    plain = {field.name: _plain(getattr(score, field.name)) for field in fields(score)}
-    plain["calibration"] = asdict(plain.pop("reliability"))
+    plain = asdict(score)
+    plain["calibration"] = plain.pop("reliability")
     return plain
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Proportion):
-        return {"value": value.value, "ci95": list(value.ci95), **asdict(value)}
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Verdict]:
@@ -361,9 +325,8 @@ def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Ve
         raise ScoreError(f"{folder}: no such folder; give the one that holds the verdicts")
     found, missing = {}, []
     for name in recordings:
-        paths = [
-            p for p in (folder / name / "verdict.json", folder / f"{name}.json") if p.is_file()
-        ]
+        places = folder / name / "verdict.json", folder / f"{name}.json"
+        paths = [path for path in places if path.is_file()]
         if len(paths) > 1:
             raise ScoreError(f"{folder}: has {name}/verdict.json and {name}.json; keep one")
         if paths:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,8 +14,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cablesense_base.arrays import Array
-from cablesense_gap.recordings import csv_file
-from cablesense_gap.recordings.csv_file import read_csv
+from cablesense_gap.recordings.csv_file import (
+    LOAD,
+    LOAD_SEGMENT,
+    TIME,
+    command_columns,
+    read_csv,
+    tension_columns,
+)
 from cablesense_gap.recordings.mcap_file import is_bag, read_mcap
 from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
@@ -64,28 +71,20 @@ class Finding:
     text: str
 
 
-@dataclass(frozen=True)
-class RecordingReport:
-    """All that was found in a recording, the worst first."""
+_refuse = partial(Finding, Severity.REFUSE)
+_warn = partial(Finding, Severity.WARN)
 
-    name: str
-    findings: tuple[Finding, ...]
 
-    @property
-    def usable(self) -> bool:
-        """Whether nothing rules it out."""
-        return all(finding.severity is not Severity.REFUSE for finding in self.findings)
+def refuse_unusable(recording: Recording, findings: Sequence[Finding]) -> None:
+    """Nothing, where no finding rules the recording out.
 
-    def raise_if_unusable(self) -> None:
-        """Nothing, where the recording can be used.
-
-        Raises:
-            RecordingError: the first reason that rules it out, and how many more there are.
-        """
-        refusals = [f.text for f in self.findings if f.severity is Severity.REFUSE]
-        if refusals:
-            more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
-            raise RecordingError(f"{self.name}: {refusals[0]}{more}")
+    Raises:
+        RecordingError: the first reason that rules it out, and how many more there are.
+    """
+    refusals = [f.text for f in findings if f.severity is Severity.REFUSE]
+    if refusals:
+        more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
+        raise RecordingError(f"{recording.name}: {refusals[0]}{more}")
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
@@ -103,37 +102,37 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         raise RecordingError(
             f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"
         )
-    check_form(recording, arm).raise_if_unusable()
+    refuse_unusable(recording, check_form(recording, arm))
     return recording
 
 
-def check_form(recording: Recording, arm: Arm) -> RecordingReport:
+def check_form(recording: Recording, arm: Arm) -> list[Finding]:
     """Problems of a recording by itself, whatever it is for: shapes, numbers, time, labels.
 
-    Later checks wait for earlier ones.
+    The worst come first; later checks wait for earlier ones.
     """
-    findings: list[Finding] = []
+    found: list[Finding] = []
     for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
-        findings = findings or [f for check in checks for f in check(recording, arm)]
-    return RecordingReport(recording.name, _worst_first(findings))
+        found = found or [f for check in checks for f in check(recording, arm)]
+    return sorted(found, key=_rank)
 
 
 def check_recording(
     recording: Recording, arm: Arm, nominal_n: Array | None = None
-) -> RecordingReport:
+) -> list[Finding]:
     """Problems of a recording that is to be diagnosed, the worst first.
 
-    Args:
-        recording: as read, or made.
-        arm: the nominal arm.
-        nominal_n: (R, M) tensions that the nominal arm predicts for the rows. Exchanged channels
-            and other arms can only be found with them.
+    `nominal_n` (R, M) is what the nominal arm predicts for the rows: exchanged channels and other
+    arms can only be found with it.
     """
-    report = check_form(recording, arm)
-    if not report.usable:
-        return report
-    found = [*report.findings, *_amount(recording), *channel_findings(recording, arm, nominal_n)]
-    return RecordingReport(recording.name, _worst_first(found))
+    found = check_form(recording, arm)
+    if not any(finding.severity is Severity.REFUSE for finding in found):
+        found += [*_amount(recording), *channel_findings(recording, arm, nominal_n)]
+    return sorted(found, key=_rank)
+
+
+def _rank(finding: Finding) -> bool:
+    return finding.severity is not Severity.REFUSE
 
 
 def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) -> list[Finding]:
@@ -142,7 +141,16 @@ def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) ->
     Without a nominal prediction (R, M) only constant and saturated ones can be found.
     """
     read = recording.tensions_n
-    findings = [*_at_range_ends(read, arm), *_constant(recording)]
+    findings = list(_at_range_ends(read, arm))
+    if np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any():
+        findings += [
+            _warn(
+                "stuck",
+                f"tension_{cable + 1}_n is {read[0, cable]:g} N in every row, whatever loads and "
+                "poses; see whether its sensor is connected",
+            )
+            for cable in np.flatnonzero(np.ptp(read, axis=0) == 0.0)
+        ]
     if nominal_n is None:
         return findings
     moved_n = _MOVED_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors)))
@@ -159,37 +167,23 @@ def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) ->
     return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
 
 
-def _refuse(kind: str, text: str) -> Finding:
-    return Finding(Severity.REFUSE, kind, text)
-
-
-def _warn(kind: str, text: str) -> Finding:
-    return Finding(Severity.WARN, kind, text)
-
-
-def _worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda finding: finding.severity is not Severity.REFUSE))
-
-
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if len(recording) == 0:
         yield _refuse("rows", "has no rows; it must have one per sample")
-    read, command = recording.tensions_n, recording.command_rad
-    for kind, values, columns, wanted, of_what in (
-        ("cables", read, "tensions", arm.cable_count, " cables"),
-        ("joints", command, "commanded angles", arm.joint_count, ", pitch and yaw of each joint"),
+    for kind, values, wanted, has, right in (
+        ("cables", recording.tensions_n, arm.cable_count, "tensions", "cables"),
+        ("joints", recording.command_rad, arm.joint_count, "commanded angles", "joint angles"),
     ):
         if values.shape[1:] != (wanted,):
-            has = f"has {values.shape[-1]} {columns} a row"
-            yield _refuse(kind, f"{has}; arm {arm.name} has {wanted}{of_what}")
+            count = values.shape[-1]
+            yield _refuse(kind, f"has {count} {has} a row; arm {arm.name} has {wanted} {right}")
 
 
 def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    whole = (csv_file.TRIAL, csv_file.LOAD_SEGMENT)
-    names = csv_file.all_columns(arm.joint_count, arm.cable_count)
-    columns = [recording.time_s, *recording.command_rad.T, *recording.load_n.T]
-    columns.extend(recording.tensions_n.T)
-    for name, values in zip((n for n in names if n not in whole), columns, strict=True):
+    joints, cables = command_columns(arm.joint_count), tension_columns(arm.cable_count)
+    numbers = [recording.time_s, recording.command_rad, recording.load_n, recording.tensions_n]
+    columns = np.column_stack(numbers).T
+    for name, values in zip([TIME, *joints, *LOAD, *cables], columns, strict=True):
         if (wrong := ~np.isfinite(values)).any():
             yield _refuse(
                 "numbers",
@@ -201,25 +195,25 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
 def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     del arm
     steps, same_trial = np.diff(recording.time_s), np.diff(recording.trial) == 0
-    back = _later_rows(steps <= 0.0)
+    back = np.append(False, steps <= 0.0)
     if back.any():
         yield _refuse(
             "time",
-            f"{csv_file.TIME} does not go on in {rows_named(back)}; each row must be later than "
+            f"{TIME} does not go on in {rows_named(back)}; each row must be later than "
             "the one before: sort the rows, and leave out those that stand twice",
         )
         return
     within = steps[same_trial]
     if within.size:
         usual = float(np.median(within))
-        gap = _later_rows((steps > _GAP_INTERVALS * usual) & same_trial)
+        gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
         if gap.any():
             yield _warn(
                 "gap",
-                f"{csv_file.TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
+                f"{TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
                 f"{rows_named(gap)}, where {usual:.3g} s is usual; a break ends a trial",
             )
-    starts = np.concatenate([[True], ~same_trial])
+    starts = np.append(True, ~same_trial)
     numbers, counts = np.unique(recording.trial[starts], return_counts=True)
     if (counts > 1).any():
         yield _warn(
@@ -236,21 +230,21 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if outside.any():
         yield _refuse(
             "segment",
-            f"{csv_file.LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
+            f"{LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
             f"be from 1 to {arm.segment_count}, or 0 without a load",
         )
     unnamed = loaded & (segment == 0)
     if unnamed.any():
         yield _refuse(
             "label",
-            f"a load stands in {rows_named(unnamed)} beside {csv_file.LOAD_SEGMENT} 0; name the "
+            f"a load stands in {rows_named(unnamed)} beside {LOAD_SEGMENT} 0; name the "
             "segment it acts on, or give 0 N",
         )
     bare = ~loaded & (segment > 0)
     if bare.any():
         yield _warn(
             "label",
-            f"{csv_file.LOAD_SEGMENT} names a segment beside a load of 0 N in {rows_named(bare)}; "
+            f"{LOAD_SEGMENT} names a segment beside a load of 0 N in {rows_named(bare)}; "
             "0 is right there, unless a load was forgotten",
         )
     huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
@@ -281,18 +275,13 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     moved_rad = np.abs(np.diff(command, axis=0)).max(axis=1)
     fast = moved_rad > _FASTEST_RAD_S * np.diff(recording.time_s)
     # over a break between trials the arm had all the time it needed
-    jump = _later_rows(fast & (np.diff(recording.trial) == 0))
+    jump = np.append(False, fast & (np.diff(recording.trial) == 0))
     if jump.any():
         yield _warn(
             "jump",
             f"the command jumps in {rows_named(jump)}, and the arm follows later; send a move in "
             "small steps, or leave out the rows until the arm is there",
         )
-
-
-def _later_rows(steps: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(R,) the rows to which marked steps (R - 1,) lead."""
-    return np.concatenate([[False], steps])
 
 
 def _amount(recording: Recording) -> Iterator[Finding]:
@@ -326,18 +315,6 @@ def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
                 )
 
 
-def _constant(recording: Recording) -> Iterator[Finding]:
-    if not (np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any()):
-        return
-    for cable, values in enumerate(recording.tensions_n.T, start=1):
-        if np.ptp(values) == 0.0:
-            yield _warn(
-                "stuck",
-                f"tension_{cable}_n is {values[0]:g} N in every row, whatever loads and poses; "
-                "see whether its sensor is connected",
-            )
-
-
 def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[Finding]:
     """Channels that stop at one value while the prediction moves on.
 
@@ -346,7 +323,7 @@ def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[F
     """
     channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
     for cable, (values, predicted) in enumerate(channels, start=1):
-        if np.ptp(values) == 0.0:  # found by `_constant`
+        if np.ptp(values) == 0.0:  # found already
             continue
         edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
         runs = [slice(start, end) for start, end in pairwise(edges)]

@@ -22,16 +22,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
+from cablesense_gap.recordings.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
 
 STRONGEST_N = 60.0
@@ -107,16 +106,6 @@ class Block:
         return float(self.knots_s[-1])
 
 
-class ProtocolRows(NamedTuple):
-    """What a recording of a protocol has beside tensions; arrays as in `Recording`."""
-
-    time_s: Array
-    trial: NDArray[np.int64]
-    command_rad: Array
-    load_segment: NDArray[np.int64]
-    load_n: Array
-
-
 def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     """The blocks to record on an arm, in their order; about eight minutes for four segments.
 
@@ -129,20 +118,12 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     straight = np.zeros(arm.joint_count)
     reach_rad = _reach_rad(arm)
     bent = reach_rad * _pattern(arm.joint_count)
-    tip = arm.segment_count
-    segments = range(1, tip + 1)
+    tip, segments = arm.segment_count, range(1, arm.segment_count + 1)
     first, second = "first bent pose", "second bent pose"
     return (
         _rest(straight, "straight, at the start"),
-        *(
-            _cycle(arm, straight, n, side, "straight")
-            for n in segments
-            for side in _STRAIGHT_SIDES
-        ),
-        *(
-            _cycle(arm, straight, tip, side, "straight", slackening=True)
-            for side in _SLACKENING_SIDES
-        ),
+        *(_cycle(arm, straight, n, s, "straight") for n in segments for s in _STRAIGHT_SIDES),
+        *(_cycle(arm, straight, tip, s, "straight", slackening=True) for s in _SLACKENING_SIDES),
         _steps(arm, straight, tip, "to the left", "straight"),
         _rest(straight, "straight, in the middle"),
         *_single_sweeps(arm, reach_rad),
@@ -161,15 +142,8 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     )
 
 
-def protocol_rows(
-    arm: Arm, blocks: tuple[Block, ...], rate_hz: float | None = None
-) -> ProtocolRows:
-    """The blocks as rows at `rate_hz`, by default that of the arm's sensors."""
-    return rows_of(blocks, arm.sensors.rate_hz if rate_hz is None else rate_hz)
-
-
-def rows_of(blocks: tuple[Block, ...], rate_hz: float) -> ProtocolRows:
-    """One row every 1 / `rate_hz`, block after block, each a trial of its own."""
+def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
+    """One row every 1 / `rate_hz`, block after block, each a trial of its own; no tensions."""
     counts = [max(1, round(block.duration_s * rate_hz)) for block in blocks]
     times = [np.arange(count) / rate_hz for count in counts]
 
@@ -183,12 +157,14 @@ def rows_of(blocks: tuple[Block, ...], rate_hz: float) -> ProtocolRows:
 
     load_n = sampled([block.loads_n for block in blocks])
     segment = np.repeat([block.segment for block in blocks], counts)
-    return ProtocolRows(
+    return Recording(
+        name="protocol",
         time_s=np.arange(sum(counts)) / rate_hz,
         trial=np.repeat(np.arange(len(blocks)), counts),
         command_rad=sampled([block.commands_rad for block in blocks]),
         load_segment=np.where((load_n != 0.0).any(axis=1), segment, 0),
         load_n=load_n,
+        tensions_n=np.empty((sum(counts), 0)),
     )
 
 
@@ -201,16 +177,14 @@ def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism, step_n = mechanism_of(arm), _step_n(arm)
-    magnitude_n = np.arange(0.0, _LOAD_STEPS * step_n + step_n, step_n)
-    tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
+    loads_n, tensions, readable = _increasing_loads(arm, command_rad, segment, direction, 1.0)
     unloaded = tensions[0]
-    least = np.minimum(_TAUT_SHARE * mechanism.pretension_n, 0.5 * unloaded)
-    taut = _last_in_row((tensions >= least).all(axis=1) & _readable(arm, tensions))
+    least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
+    taut = _last_in_row((tensions >= least).all(axis=1) & readable)
     floor_n = float(np.sqrt(reading_variance_n2(arm.sensors)))
     shows = np.abs(tensions - unloaded).max(axis=1) >= _WORTH_FLOORS * floor_n
     weakest = int(np.argmax(shows)) if shows.any() else len(shows) - 1
-    return float(magnitude_n[max(taut, weakest)])
+    return float(loads_n[max(taut, weakest)])
 
 
 def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
@@ -223,37 +197,50 @@ def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Arr
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    mechanism, step_n = mechanism_of(arm), _step_n(arm)
-    strongest_n = _LOAD_STEPS * step_n
-    magnitude_n = np.arange(0.0, _REST_MARGIN * strongest_n + step_n, step_n)
-    tensions = _tensions_n(mechanism, command_rad, segment, magnitude_n[:, None] * direction)
+    loads_n, tensions, readable = _increasing_loads(
+        arm, command_rad, segment, direction, _REST_MARGIN
+    )
     slack = (tensions <= 0.0).any(axis=1)
-    weakest_n = float(magnitude_n[np.argmax(slack)])
-    safe_n = float(magnitude_n[len(tensions) - 1]) / _REST_MARGIN
-    readable_n = float(magnitude_n[_last_in_row(_readable(arm, tensions))])
-    wanted_n = min(strongest_n, _BEYOND_SLACK * weakest_n, safe_n, readable_n) // step_n * step_n
+    weakest_n = float(loads_n[np.argmax(slack)])
+    safe_n = float(loads_n[len(tensions) - 1]) / _REST_MARGIN
+    readable_n = float(loads_n[_last_in_row(readable)])
+    step_n = float(loads_n[1])
+    most_n = min(_LOAD_STEPS * step_n, _BEYOND_SLACK * weakest_n, safe_n, readable_n)
+    wanted_n = most_n // step_n * step_n
     if not slack.any() or wanted_n <= weakest_n:
         return bearable_load_n(arm, command_rad, segment, direction)
     return wanted_n
 
 
-def _step_n(arm: Arm) -> float:
-    """A thirtieth of the strongest load: 2 N, or on a weak arm less, by 1, 2 or 5 times 10^k N.
+def _increasing_loads(
+    arm: Arm, command_rad: Array, segment: int, direction: Array, share: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Loads from 0 to a share of the strongest, N; as far as the arm finds rest, what they give.
 
-    The strongest is at most three times the moment of the pretension about the axis, by the reach.
+    Tensions (L, M), and whether (L,) no sensor is near the end of its range that is not there
+    unloaded. A step is a thirtieth of the strongest load: 2 N, or on a weak arm less, by 1, 2 or
+    5 times 10^k N. The strongest is at most three times the moment of the pretension about the
+    axis, by the reach.
     """
     mechanism = mechanism_of(arm)
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
-    bears_n = 3.0 * moment_nm / float(mechanism.segment_length_m.sum())
+    most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
     steps = (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5))
-    return next(step for step in steps if _LOAD_STEPS * step <= min(STRONGEST_N, bears_n))
-
-
-def _readable(arm: Arm, tensions_n: Array) -> NDArray[np.bool_]:
-    """(L,) whether no load takes a sensor near the end of its range that is not there unloaded."""
-    most = np.inf if arm.sensors.range_n is None else _RANGE_SHARE * arm.sensors.range_n[1]
-    return np.asarray((tensions_n <= max(most, tensions_n[0].max())).all(axis=1))
+    step_n = next(step for step in steps if _LOAD_STEPS * step <= most_n)
+    loads_n = np.arange(0.0, share * (_LOAD_STEPS * step_n) + step_n, step_n)
+    forces_n = np.zeros((len(loads_n), mechanism.segment_count, 3))
+    forces_n[:, segment - 1] = loads_n[:, None] * direction
+    try:
+        tensions = solve_equilibrium(mechanism, command_rad, forces_n).tensions_n
+    except EquilibriumError as error:
+        if not error.failed.size or error.failed[0] == 0:
+            raise
+        borne = forces_n[: int(error.failed[0])]
+        tensions = solve_equilibrium(mechanism, command_rad, borne).tensions_n
+    limit_n = np.inf if arm.sensors.range_n is None else _RANGE_SHARE * arm.sensors.range_n[1]
+    readable = (tensions <= max(limit_n, tensions[0].max())).all(axis=1)
+    return loads_n, tensions, readable
 
 
 def _last_in_row(holds: NDArray[np.bool_]) -> int:
@@ -261,55 +248,41 @@ def _last_in_row(holds: NDArray[np.bool_]) -> int:
     return len(holds) - 1 if holds.all() else int(np.argmin(holds)) - 1
 
 
-def _tensions_n(mechanism: Mechanism, command_rad: Array, segment: int, loads_n: Array) -> Array:
-    """Tensions (L, M) of loads (L, 3) from the weakest up, as far as the arm finds rest."""
-    forces_n = np.zeros((len(loads_n), mechanism.segment_count, 3))
-    forces_n[:, segment - 1] = loads_n
-    try:
-        return solve_equilibrium(mechanism, command_rad, forces_n).tensions_n
-    except EquilibriumError as error:
-        if not error.failed.size or error.failed[0] == 0:
-            raise
-        borne = forces_n[: int(error.failed[0])]
-        return solve_equilibrium(mechanism, command_rad, borne).tensions_n
-
-
 def _rest(command: Array, where: str) -> Block:
     does = f"Leave the arm alone, {where}."
-    return _unloaded(BlockKind.REST, does, (0.0, _REST_S), [command] * 2)
+    return _unloaded(BlockKind.REST, does, [command] * 2, [0.0, _REST_S])
 
 
 def _move(start: Array, end: Array, where: str) -> Block:
     took_s = _way_s(start, end)
-    knots_s = (0.0, took_s, took_s + _REST_S / 2)
     listed = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(end))
     does = f"Move {where} (joints at {listed} degrees), and wait."
-    return _unloaded(BlockKind.MOVE, does, knots_s, [start, end, end])
+    knots_s = [0.0, took_s, took_s + _REST_S / 2]
+    return _unloaded(BlockKind.MOVE, does, [start, end, end], knots_s)
 
 
 def _cycle(
     arm: Arm, command: Array, segment: int, side: str, pose: str, slackening: bool = False
 ) -> Block:
     """Up in levels, the strongest twice as long, and down by the same levels."""
-    kind, strength_n = BlockKind.LOAD_CYCLE, bearable_load_n
-    if slackening:
-        kind, strength_n = BlockKind.SLACKENING, slackening_load_n
+    strength_n = slackening_load_n if slackening else bearable_load_n
     peak_n = strength_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
     levels = ", ".join(f"{share * peak_n:.3g}" for share in _LEVELS)
     end = "; a cable may go slack." if slackening else "."
     does = f"{pose.capitalize()}: load segment {segment} {side}, {levels} N, and back{end}"
+    kind = BlockKind.SLACKENING if slackening else BlockKind.LOAD_CYCLE
     shares = (0.0, *_LEVELS, *_LEVELS[::-1], 0.0)
-    return _stepped(kind, does, command, segment, side, peak_n, shares, _LEVEL_S)
+    return _loaded(kind, does, command, segment, side, peak_n * np.array(shares), _LEVEL_S)
 
 
 def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
     peak_n = bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
-    does = f"{pose.capitalize()}: put {peak_n:.3g} N {side} on segment {segment} at once, take it "
-    shares = (0.0, 1.0) * 3 + (0.0,)
-    return _stepped(
-        BlockKind.STEP_LOAD, does + "off at once, three times.", command, segment, side, peak_n,
-        shares, 2.0 * _LEVEL_S,
-    )  # fmt: skip
+    does = (
+        f"{pose.capitalize()}: put {peak_n:.3g} N {side} on segment {segment} at once, take it "
+        "off at once, three times."
+    )
+    levels_n = np.array([0.0, peak_n] * 3 + [0.0])
+    return _loaded(BlockKind.STEP_LOAD, does, command, segment, side, levels_n, 2.0 * _LEVEL_S)
 
 
 def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
@@ -318,20 +291,27 @@ def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block
         f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {_HOLD_S:g} s, "
         f"take it off, and wait {_RELEASE_S:g} s."
     )
-    load = peak_n * np.asarray(DIRECTIONS[side])
-    off_s = _LEVEL_S + _HOLD_S
-    knots_s = np.array([0.0, _LEVEL_S, _LEVEL_S, off_s, off_s, off_s + _RELEASE_S])
-    loads = np.outer([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], load)
-    return Block(BlockKind.HOLD, does, knots_s, np.tile(command, (6, 1)), segment, loads)
+    levels_n, each_s = np.array([0.0, peak_n, 0.0]), (_LEVEL_S, _HOLD_S, _RELEASE_S)
+    return _loaded(BlockKind.HOLD, does, command, segment, side, levels_n, each_s)
+
+
+def _loaded(
+    kind: BlockKind, does: str, command: Array, segment: int, side: str,
+    levels_n: Array, each_s: float | Sequence[float],
+) -> Block:  # fmt: skip
+    """A load that holds each level for a while, and steps to the next."""
+    edges_s = np.append(0.0, np.cumsum(np.broadcast_to(each_s, len(levels_n))))
+    knots_s = np.repeat(edges_s, 2)[1:-1]
+    loads = np.outer(np.repeat(levels_n, 2), DIRECTIONS[side])
+    return Block(kind, does, knots_s, np.tile(command, (len(knots_s), 1)), segment, loads)
 
 
 def _single_sweeps(arm: Arm, reach_rad: float) -> Iterator[Block]:
     """Each joint angle alone, to one side, through to the other and back."""
     for joint, name in enumerate(arm.joint_names):
-        alone = np.eye(arm.joint_count)[joint]
-        way = reach_rad * np.outer([0.0, 1.0, -1.0, 0.0], alone)
+        way = reach_rad * np.outer([0.0, 1.0, -1.0, 0.0], np.eye(arm.joint_count)[joint])
         does = f"Sweep {name} to +{np.rad2deg(reach_rad):.2g}°, to the other side, and back."
-        yield _unloaded(BlockKind.SWEEP, does, _times_s(way), way)
+        yield _unloaded(BlockKind.SWEEP, does, way)
 
 
 def _joint_sweep(joint_count: int, reach_rad: float, sign: float) -> Block:
@@ -339,7 +319,7 @@ def _joint_sweep(joint_count: int, reach_rad: float, sign: float) -> Block:
     corners = np.array([_pattern(joint_count, turn) for turn in range(1, 7)])
     way = sign * reach_rad * np.vstack([np.zeros(joint_count), corners, np.zeros(joint_count)])
     does = "Sweep all joints at once through six poses and back, without a stop."
-    return _unloaded(BlockKind.SWEEP, does, _times_s(way), way)
+    return _unloaded(BlockKind.SWEEP, does, way)
 
 
 def _reversals(command: Array, pose: str) -> Block:
@@ -347,35 +327,15 @@ def _reversals(command: Array, pose: str) -> Block:
     twice = np.array([1.0, -1.0, 1.0, -1.0, 0.0]) * _SMALL_ANGLE_RAD
     way = [command, *(command + angle * row for row in np.eye(len(command)) for angle in twice)]
     does = f"{pose.capitalize()}: turn each joint by ±{np.rad2deg(_SMALL_ANGLE_RAD):.0f}° twice."
-    return _unloaded(BlockKind.REVERSALS, does, _times_s(np.array(way)), way)
-
-
-def _stepped(
-    kind: BlockKind,
-    does: str,
-    command: Array,
-    segment: int,
-    side: str,
-    peak_n: float,
-    shares: Sequence[float],
-    each_s: float,
-) -> Block:
-    """A load that holds each share of its peak for a while, and steps to the next."""
-    edges_s = each_s * np.arange(len(shares) + 1)
-    knots_s = np.repeat(edges_s, 2)[1:-1]
-    loads = np.outer(np.repeat(shares, 2) * peak_n, DIRECTIONS[side])
-    return Block(kind, does, knots_s, np.repeat(command[None], len(knots_s), 0), segment, loads)
+    return _unloaded(BlockKind.REVERSALS, does, way)
 
 
 def _unloaded(
-    kind: BlockKind, does: str, knots_s: Sequence[float] | Array, commands: Sequence[Array] | Array
+    kind: BlockKind, does: str, way: Sequence[Array] | Array, knots_s: Sequence[float] = ()
 ) -> Block:
-    knots, way = np.asarray(knots_s, dtype=float), np.asarray(commands, dtype=float)
-    return Block(kind, does, knots, way, 0, np.zeros((len(knots), 3)))
-
-
-def _times_s(way: Array) -> Array:
-    return np.append(0.0, np.cumsum([_way_s(a, b) for a, b in pairwise(way)]))
+    """Commands (K, 2N) one after the other, at the protocol's speed unless times are given."""
+    knots = knots_s or np.append(0.0, np.cumsum([_way_s(a, b) for a, b in pairwise(way)]))
+    return Block(kind, does, np.array(knots), np.array(way), 0, np.zeros((len(way), 3)))
 
 
 def _way_s(start: Array, end: Array) -> float:

@@ -16,7 +16,6 @@ from cablesense_gap.recordings.protocol import (
     Block,
     BlockKind,
     bearable_load_n,
-    protocol_rows,
     rows_of,
     standard_protocol,
 )
@@ -29,21 +28,15 @@ LAB = ARMS["cdsm_lab"]
 BLOCKS = standard_protocol(LAB)
 
 
-def forces_of(rows, segment_count):
-    loaded = rows.load_segment[:, None] == np.arange(1, segment_count + 1)
-    return loaded[..., None] * rows.load_n[:, None]
-
-
 def tensions_of(rows, mechanism, **changes):
     mechanism = replace(mechanism, **changes)
-    forces = forces_of(rows, mechanism.segment_count)
-    return solve_equilibrium(mechanism, rows.command_rad, forces).tensions_n
+    return solve_equilibrium(mechanism, rows.command_rad, rows.forces_n).tensions_n
 
 
 def in_kind(arm, kind):
     """The protocol's rows at 2 Hz, and which of them are of blocks of a kind."""
     blocks = standard_protocol(arm)
-    rows = protocol_rows(arm, blocks, 2.0)
+    rows = rows_of(blocks, 2.0)
     return rows, np.isin(rows.trial, [i for i, block in enumerate(blocks) if block.kind is kind])
 
 
@@ -73,7 +66,7 @@ def test_an_arm_somewhat_weaker_than_nominal_rests_as_well(arm):
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_every_segment_is_loaded_and_every_joint_turns_back_in_several_trials(arm):
-    rows = protocol_rows(arm, standard_protocol(arm))
+    rows = rows_of(standard_protocol(arm), arm.sensors.rate_hz)
     for segment in range(1, arm.segment_count + 1):
         assert len(set(rows.trial[rows.load_segment == segment])) >= 5
     for joint in range(arm.joint_count):
@@ -90,7 +83,7 @@ def test_rest_comes_at_the_start_in_the_middle_and_at_the_end():
     at = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.REST]
     assert (at[0], at[-1]) == (0, len(BLOCKS) - 1)
     assert len(at) >= 3
-    rows = protocol_rows(LAB, BLOCKS)
+    rows = rows_of(BLOCKS, LAB.sensors.rate_hz)
     for i in at:
         chosen = rows.trial == i
         assert not rows.command_rad[chosen].any()
@@ -101,12 +94,12 @@ def test_blocks_follow_on_without_a_jump_of_the_command():
     for before, after in pairwise(BLOCKS):
         np.testing.assert_allclose(before.commands_rad[-1], after.commands_rad[0], atol=1e-12)
         assert not before.loads_n[-1].any()
-    speed = np.abs(np.diff(protocol_rows(LAB, BLOCKS, 100.0).command_rad, axis=0)) * 100.0
+    speed = np.abs(np.diff(rows_of(BLOCKS, 100.0).command_rad, axis=0)) * 100.0
     assert np.rad2deg(speed.max()) < 20.0  # the speed of the simulated arm
 
 
 def test_rows_are_even_and_loads_stand_beside_their_segment():
-    rows = protocol_rows(LAB, BLOCKS)
+    rows = rows_of(BLOCKS, LAB.sensors.rate_hz)
     np.testing.assert_allclose(np.diff(rows.time_s), 1.0 / LAB.sensors.rate_hz)
     assert (np.diff(rows.trial) >= 0).all()
     assert set(np.diff(rows.trial)) == {0, 1}
@@ -161,7 +154,7 @@ def test_where_slack_cannot_be_avoided_the_load_still_shows():
 def test_the_sensors_range_bounds_the_load():
     sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 110.0)})
     short = LAB.model_copy(update={"sensors": sensors})
-    rows = protocol_rows(short, standard_protocol(short), 2.0)
+    rows = rows_of(standard_protocol(short), 2.0)
     assert tensions_of(rows, mechanism_of(short)).max() <= 0.9 * 110.0 + 1e-9
 
 
@@ -228,21 +221,21 @@ def separation(found, name):
 
 
 def test_static_effects_can_be_told_apart_by_it_and_not_by_rest_alone():
-    rows = protocol_rows(LAB, BLOCKS, 1.0)
+    rows = rows_of(BLOCKS, 1.0)
     found = sensitivities(rows)
     apart = {name: separation(found, name) for name in found}
     # 2 % of an effect of 20 noise floors is 60 standard deviations over 26,000 readings
     assert min(apart.values()) > 0.02, apart
-    resting = type(rows)(*(np.asarray(values)[rows.trial == 0] for values in rows))
+    resting = rows.rows(rows.trial == 0)
     still = sensitivities(resting)
     assert separation(still, "gain_3") < 1e-6
     assert separation(still, "payload_3") < 1e-6
 
 
 def test_slackening_cycles_tell_a_tilted_base_from_zeros_and_pretension():
-    rows = protocol_rows(LAB, BLOCKS, 1.0)
+    rows = rows_of(BLOCKS, 1.0)
     slackening = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.SLACKENING]
     taut = ~np.isin(rows.trial, slackening)
-    without = type(rows)(*(np.asarray(values)[taut] for values in rows))
+    without = rows.rows(taut)
     assert separation(sensitivities(rows), "tilt_1") > 0.2
     assert separation(sensitivities(without), "tilt_1") < 0.03

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
+from cablesense_gap.recordings.protocol import rows_of, standard_protocol
 from cablesense_gap.recordings.recording import derive_trials, rows_named
 from cablesense_sim.arm import open_arm
 
@@ -75,7 +75,7 @@ def test_trials_count_up_from_zero_by_one(runs):
 
 def test_those_of_the_protocol_are_found_again_but_for_rests_between():
     arm = open_arm("cdsm_lab")
-    rows = protocol_rows(arm, standard_protocol(arm))
+    rows = rows_of(standard_protocol(arm), arm.sensors.rate_hz)
     found = derive_trials(rows.time_s, rows.command_rad, rows.load_segment, rows.load_n)
     # no derived trial mixes blocks but for those that a rest or another move follows
     loaded = [set(rows.trial[(found == t) & (rows.load_segment > 0)]) for t in set(found)]

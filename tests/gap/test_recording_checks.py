@@ -9,15 +9,15 @@ import pytest
 
 from cablesense_gap.recordings.checks import (
     Finding,
-    RecordingReport,
     Severity,
     check_form,
     check_recording,
     read_recording,
+    refuse_unusable,
 )
 from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.protocol import protocol_rows, standard_protocol
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.recordings.protocol import rows_of, standard_protocol
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -25,18 +25,22 @@ from cablesense_sim.replay import read_tensions_n
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 MECHANISM = mechanism_of(LAB)
-ROWS = protocol_rows(LAB, standard_protocol(LAB), 2.0)
+ROWS = rows_of(standard_protocol(LAB), 2.0)
 
 
-def of_kind(report: RecordingReport, kind: str) -> list[Finding]:
-    return [finding for finding in report.findings if finding.kind == kind]
+def of_kind(found: list[Finding], kind: str) -> list[Finding]:
+    return [finding for finding in found if finding.kind == kind]
+
+
+def refused(found: list[Finding]) -> bool:
+    return any(finding.severity is Severity.REFUSE for finding in found)
 
 
 def tensions_of(mechanism, recording):
     return solve_equilibrium(mechanism, recording.command_rad, recording.forces_n).tensions_n
 
 
-BARE = Recording("made", *ROWS, tensions_n=np.zeros((len(ROWS.time_s), 12)))
+BARE = replace(ROWS, tensions_n=np.zeros((len(ROWS), 12)))
 NOMINAL = tensions_of(MECHANISM, BARE)
 SOUND = replace(BARE, tensions_n=read_tensions_n(NOMINAL, LAB.sensors, np.random.default_rng(0)))
 
@@ -52,14 +56,14 @@ def with_tensions(change, source=SOUND):
     return replace(source, tensions_n=change(tensions))
 
 
-def only(report):
-    (finding,) = report.findings
+def only(found):
+    (finding,) = found
     return finding
 
 
 def test_a_sound_recording_has_nothing_to_find():
-    assert check_recording(SOUND, LAB, NOMINAL).findings == ()
-    assert check_recording(SOUND, LAB).usable
+    assert check_recording(SOUND, LAB, NOMINAL) == []
+    assert check_recording(SOUND, LAB) == []
 
 
 @pytest.mark.parametrize(
@@ -76,13 +80,13 @@ def test_a_sound_recording_has_nothing_to_find():
 )
 def test_gross_effects_of_an_arm_are_no_fault_of_the_recording(changes):
     read = tensions_of(replace(MECHANISM, **changes), BARE)
-    assert check_recording(replace(BARE, tensions_n=read), LAB, NOMINAL).findings == ()
+    assert check_recording(replace(BARE, tensions_n=read), LAB, NOMINAL) == []
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.4])
 def test_nor_are_gains_and_offsets(gain):
     changed = with_tensions(lambda t: t * np.where(np.arange(12) < 6, gain, 1.0) - 4.0)
-    assert check_recording(changed, LAB, NOMINAL).findings == ()
+    assert check_recording(changed, LAB, NOMINAL) == []
 
 
 @pytest.mark.parametrize(
@@ -104,12 +108,12 @@ def test_nor_are_gains_and_offsets(gain):
     ],
 )
 def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, said):
-    report = check_recording(broken, LAB)
-    assert of_kind(report, kind), report.findings
-    assert not report.usable
-    assert report.findings[0].severity is Severity.REFUSE
+    found = check_recording(broken, LAB)
+    assert of_kind(found, kind), found
+    assert refused(found)
+    assert found[0].severity is Severity.REFUSE
     with pytest.raises(RecordingError, match=said):
-        report.raise_if_unusable()
+        refuse_unusable(broken, found)
 
 
 @pytest.mark.parametrize(
@@ -122,9 +126,9 @@ def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, sai
     ],
 )
 def test_what_is_odd_is_a_warning(odd, kind, said):
-    report = check_recording(odd, LAB)
-    assert report.usable
-    assert any(said in finding.text for finding in of_kind(report, kind)), report.findings
+    found = check_recording(odd, LAB)
+    assert not refused(found)
+    assert any(said in finding.text for finding in of_kind(found, kind)), found
 
 
 def test_a_break_within_a_trial_is_a_warning():
@@ -182,15 +186,15 @@ def test_another_arm_and_other_units_are_refused():
         (rng.normal(50.0, 10.0, NOMINAL.shape), "arm"),
         (NOMINAL / 9.81, "unit"),
     ):
-        report = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
-        assert not report.usable
-        assert of_kind(report, kind), report.findings
+        found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
+        assert refused(found)
+        assert of_kind(found, kind), found
 
 
 def test_a_recording_at_rest_has_no_findings_of_channels():
     rest = SOUND.rows(SOUND.trial == 0)
     nominal = NOMINAL[SOUND.trial == 0]
-    assert {finding.kind for finding in check_recording(rest, LAB, nominal).findings} == {"amount"}
+    assert {finding.kind for finding in check_recording(rest, LAB, nominal)} == {"amount"}
 
 
 def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_path):
@@ -199,4 +203,4 @@ def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_pat
     write_csv(tmp_path / "degrees.csv", replace(SOUND, command_rad=np.rad2deg(SOUND.command_rad)))
     with pytest.raises(RecordingError, match=r"degrees: .*seem to be degrees"):
         read_recording(tmp_path / "degrees.csv", LAB)
-    assert not check_form(with_((9, 4), "tensions_n", np.nan), LAB).usable
+    assert refused(check_form(with_((9, 4), "tensions_n", np.nan), LAB))

@@ -12,9 +12,9 @@ from verdict_cases import gap_of, verdict_of
 from cablesense_cli.app import app
 from cablesense_gap.scoring import (
     Answer,
-    Proportion,
     ScoreError,
     as_json,
+    proportion,
     read_answers,
     read_verdicts,
     reliability,
@@ -135,16 +135,13 @@ def test_certainty_belongs_to_the_last_bin_and_can_be_perfect():
 @pytest.mark.parametrize("truth", [0.05, 0.5, 0.9])
 def test_the_interval_holds_the_truth_about_as_often_as_stated(truth):
     drawn = np.random.default_rng(5).binomial(40, truth, 2000)
-    held = np.mean([low <= truth <= high for low, high in (Proportion(k, 40).ci95 for k in drawn)])
+    of_40 = [proportion([True] * k + [False] * (40 - k)) for k in range(41)]
+    held = np.mean([low <= truth <= high for low, high in (of_40[k].ci95 for k in drawn)])
     assert held == pytest.approx(0.95, abs=0.03)
 
 
-def test_outcomes_are_counted():
-    assert Proportion.of(k > 2 for k in range(5)) == Proportion(2, 5)
-
-
-def test_no_case_says_nothing():
-    nothing = Proportion.of([])
+def test_no_case_has_no_share():
+    nothing = proportion([])
     assert nothing.value is None
     assert nothing.ci95 == (0.0, 1.0)
 
