@@ -21,7 +21,7 @@ import numpy as np
 from cantools.database.can import Database
 from numpy.typing import NDArray
 
-from cablesense_online.can.channel_map import ChannelMap, channel_signal, open_channel_map
+from cablesense_online.can.channel_map import ChannelMap, open_channel_map, signal_conversion
 from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_sim.arm import Arm, open_arm
@@ -96,7 +96,7 @@ def marked_sequence(arm: Arm, channel_map: ChannelMap, database: Database, rate_
 ):  # fmt: skip
     """The sequence of an arm in the steps of its amplifier; all channels have one step."""
     (step_n,) = {
-        abs(channel_signal(database, channel).factor * channel.scale_n_per_unit)
+        abs(signal_conversion(database, channel)[1] * channel.scale_n_per_unit)
         for channel in channel_map.channels.values()
     }
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""YAML as data: a mapping of plain values, and what is wrong with one in a single line.
+"""YAML as data: a mapping of plain values, its model, and what is wrong with it in a single line.
 
 No tags, so nothing is ever constructed but text, numbers, booleans, dates, lists and mappings; no
 aliases and no merging, which nest without end; no key twice, where PyYAML would take the last; no
@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 import reprlib
-from typing import Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from cablesense_base.errors import CableSenseError
 
@@ -23,6 +23,43 @@ MAX_DEPTH = 20
 """The deepest file here has five levels."""
 
 _SHOWN_CHARACTERS = 60
+
+_ModelT = TypeVar("_ModelT", bound=BaseModel)
+
+
+class FilePart(BaseModel):
+    """A part of a file: every key known, every number finite."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=()
+    )
+
+
+def _not_a_boolean(value: Any) -> Any:
+    """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
+    if isinstance(value, bool):
+        raise ValueError(f"= {value}: must be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_not_a_boolean)]
+Count = Annotated[int, BeforeValidator(_not_a_boolean)]
+
+
+def read_plain(
+    text: str, source: str, model: type[_ModelT], refusal: type[CableSenseError]
+) -> _ModelT:
+    """The `model` that YAML text describes; errors name its `source`.
+
+    Raises:
+        CableSenseError: of the class `refusal`: no plain YAML, an unknown key, or a value that
+            cannot be true.
+    """
+    content = parse_plain_mapping(text, source, ", ".join(model.model_fields), refusal)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise refusal(f"{source}: {describe_problem(error, model)}") from None
 
 
 def parse_plain_mapping(

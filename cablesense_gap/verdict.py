@@ -6,11 +6,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated, Final
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
-from cablesense_base.plain_yaml import describe_problem
+from cablesense_base.plain_yaml import FilePart, describe_problem
 
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
@@ -48,13 +48,7 @@ Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
 ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$")]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=()
-    )
-
-
-class Where(_Part):
+class Where(FilePart):
     """The parts of the arm where the gap is, and what the arm was doing where it is larger."""
 
     cables: tuple[Annotated[str, Field(pattern=r"^cable_[1-9]\d*$")], ...] = ()
@@ -68,7 +62,7 @@ class Where(_Part):
         return frozenset((*self.cables, *self.segments, *self.joints))
 
 
-class Estimate(_Part):
+class Estimate(FilePart):
     """A fitted parameter, its unit, and the interval that holds it with 95 %."""
 
     value: float
@@ -76,7 +70,7 @@ class Estimate(_Part):
     ci95: Interval
 
 
-class Gap(_Part):
+class Gap(FilePart):
     """How far the gap shrinks on trials that the fit has not seen; sizes are RMS over readings.
 
     Attributes:
@@ -96,7 +90,7 @@ class Gap(_Part):
     by_cable_n: tuple[Newtons, ...]
 
 
-class CandidateResult(_Part):
+class CandidateResult(FilePart):
     """An explanation that was weighed.
 
     Attributes:
@@ -112,14 +106,14 @@ class CandidateResult(_Part):
     held_out_ci95_n: Interval | None = None
 
 
-class Estimator(_Part):
+class Estimator(FilePart):
     """Errors of the force estimator trained on the nominal and on the amended arm, by name."""
 
     before: dict[str, float]
     after: dict[str, float]
 
 
-class Verdict(_Part):
+class Verdict(FilePart):
     """What causes the gap, where, how sure that is, and how far the gap shrinks.
 
     Attributes:
@@ -141,7 +135,7 @@ class Verdict(_Part):
     ambiguity_group: tuple[str, ...] = ()
     next_experiment: str = ""
     where: Where
-    parameters: dict[ParameterName, Estimate] = {}
+    parameters: dict[ParameterName, Estimate] = Field(default_factory=dict)
     gap: Gap
     candidates: tuple[CandidateResult, ...] = ()
     estimator: Estimator | None = None

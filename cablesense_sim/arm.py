@@ -13,21 +13,14 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, model_validator
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
-from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
+from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 from cablesense_sim.effects.registry import checked_entry
 
 MAX_FILE_BYTES = 200_000
@@ -41,21 +34,6 @@ class ArmFileError(CableSenseError):
     """An arm file that cannot be true: names the key, its value and what would be valid."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=()
-    )
-
-
-def _not_a_boolean(value: Any) -> Any:
-    """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
-    if isinstance(value, bool):
-        raise ValueError(f"= {value}: must be a number")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_not_a_boolean)]
-Count = Annotated[int, BeforeValidator(_not_a_boolean)]
 Length = Annotated[Number, Field(gt=0.0, le=5.0)]
 Radius = Annotated[Number, Field(ge=0.001, le=1.0)]
 Mass = Annotated[Number, Field(ge=0.0, le=200.0)]
@@ -65,7 +43,7 @@ PerSegmentRadius = Radius | Annotated[list[Radius], Field(min_length=1)]
 PerSegmentMass = Mass | Annotated[list[Mass], Field(min_length=1)]
 
 
-class Segments(_Part):
+class Segments(FilePart):
     """The chain: `count` rigid segments on universal joints. One number, or one per segment."""
 
     count: Annotated[Count, Field(ge=1, le=16)]
@@ -77,7 +55,7 @@ class Segments(_Part):
     joint_damping_n_m_s: Annotated[Number, Field(ge=0.0, le=100.0)] = 0.5
 
 
-class CableAngles(_Part):
+class CableAngles(FilePart):
     """Where the guide holes are: angle of cable k of segment n, from +z towards +y."""
 
     first: Annotated[Number, Field(ge=-360.0, le=360.0)] = 0.0
@@ -85,7 +63,7 @@ class CableAngles(_Part):
     per_cable: Annotated[Number, Field(ge=-360.0, le=360.0)]
 
 
-class Cables(_Part):
+class Cables(FilePart):
     """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
 
     `stiffness_n_m` counts from command to anchor, cable and actuator in series; `axial_rigidity_n`
@@ -112,7 +90,7 @@ class Cables(_Part):
         return self
 
 
-class Actuators(_Part):
+class Actuators(FilePart):
     """Self-locking position actuators; `kp_n_m` of `.inf` is a rigid one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
@@ -121,7 +99,7 @@ class Actuators(_Part):
     kp_n_m: Annotated[Number, Field(ge=1e2)]
 
 
-class Sensors(_Part):
+class Sensors(FilePart):
     """Tension sensors at the actuator ends: Gaussian noise, then rounding to a step."""
 
     place: Literal["actuator end"]
@@ -139,15 +117,15 @@ class Sensors(_Part):
         return self
 
 
-class ListedEffect(_Part):
+class ListedEffect(FilePart):
     """What the arm does beyond the ideal: an effect's name, its place, and its parameters."""
 
     effect: str
     at: str = "arm"
-    parameters: dict[str, Number] = {}
+    parameters: dict[str, Number] = Field(default_factory=dict)
 
 
-class Arm(_Part):
+class Arm(FilePart):
     """A cable-driven serial arm, as its file describes it: SI units, or degrees in `_deg`."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
@@ -156,7 +134,7 @@ class Arm(_Part):
     cables: Cables
     actuators: Actuators
     sensors: Sensors
-    effects: list[ListedEffect] = []
+    effects: list[ListedEffect] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _geometry_is_possible(self) -> Arm:
@@ -295,11 +273,7 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
     Raises:
         ArmFileError: as `load_arm`.
     """
-    content = parse_plain_mapping(text, source, ", ".join(Arm.model_fields), ArmFileError)
-    try:
-        return Arm.model_validate(content)
-    except ValidationError as error:
-        raise ArmFileError(f"{source}: {describe_problem(error, Arm)}") from None
+    return read_plain(text, source, Arm, ArmFileError)
 
 
 _BUNDLED = BundledFiles("arm", "arms", (".yaml", ".yml"), ArmFileError)

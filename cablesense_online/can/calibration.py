@@ -14,22 +14,18 @@ from cantools.database.can import Database
 from pydantic import Field
 
 from cablesense_base.files import read_bounded_text, write_atomically
+from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.channel_map import (
     MAX_CHANNELS,
     MAX_MAP_BYTES,
     ChannelMap,
     ChannelMapError,
-    Count,
-    FilePart,
     Name,
-    Number,
     Scale,
     Zero,
-    channel_signal,
+    signal_conversion,
 )
-
-UNIT_CHARACTERS = 32
 
 _HEAD = """\
 # Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
@@ -52,7 +48,7 @@ class CalibratedSensor(FilePart):
 
     message: Name
     signal: Name
-    signal_unit: Annotated[str, Field(max_length=UNIT_CHARACTERS)]
+    signal_unit: Annotated[str, Field(max_length=32)]
     signal_factor: Number
     signal_offset: Number
     scale_n_per_unit: Scale
@@ -83,7 +79,7 @@ class Calibration(FilePart):
     made: datetime
     gravity_m_s2: Number | None = None
     common_relative_u: Number | None = None
-    uncalibrated: Annotated[list[Name], Field(max_length=MAX_CHANNELS)] = []  # noqa: RUF012
+    uncalibrated: Annotated[tuple[Name, ...], Field(max_length=MAX_CHANNELS)] = ()
     cables: Annotated[dict[Name, CalibratedSensor], Field(min_length=1, max_length=MAX_CHANNELS)]
 
 
@@ -101,28 +97,6 @@ def calibrated(
             f"{source}: was made for map {calibration.map}, not for {channel_map.name}; calibrate "
             "with the map that the driver uses"
         )
-    _check_cables(channel_map, calibration, source)
-    channels = dict(channel_map.channels)
-    for cable, sensor in calibration.cables.items():
-        channel = channels[cable]
-        expected = channel_signal(database, channel)
-        text = "{}.{} in {!r}, factor {:g}, offset {:g}"
-        now = (channel.message, channel.signal, expected.unit, expected.factor, expected.offset)
-        then = (
-            *(sensor.message, sensor.signal, sensor.signal_unit),
-            *(sensor.signal_factor, sensor.signal_offset),
-        )
-        if then != now:
-            raise ChannelMapError(
-                f"{source}: {cable} was calibrated as {text.format(*then)}; map and DBC file now "
-                f"give it {text.format(*now)}: calibrate it anew"
-            )
-        update = {"scale_n_per_unit": sensor.scale_n_per_unit, "zero": sensor.zero}
-        channels[cable] = channel.model_copy(update=update)
-    return channel_map.model_copy(update={"channels": channels})
-
-
-def _check_cables(channel_map: ChannelMap, calibration: Calibration, source: str) -> None:
     named = [*calibration.cables, *calibration.uncalibrated]
     unknown = [cable for cable in named if cable not in channel_map.channels]
     twice = sorted({cable for cable in named if named.count(cable) > 1})
@@ -138,6 +112,23 @@ def _check_cables(channel_map: ChannelMap, calibration: Calibration, source: str
     ):
         if cables:
             raise ChannelMapError(f"{source}: {text.format(', '.join(cables))}")
+    channels = dict(channel_map.channels)
+    for cable, sensor in calibration.cables.items():
+        channel = channels[cable]
+        text = "{}.{} in {!r}, factor {:g}, offset {:g}"
+        now = (channel.message, channel.signal, *signal_conversion(database, channel))
+        then = (
+            *(sensor.message, sensor.signal, sensor.signal_unit),
+            *(sensor.signal_factor, sensor.signal_offset),
+        )
+        if then != now:
+            raise ChannelMapError(
+                f"{source}: {cable} was calibrated as {text.format(*then)}; map and DBC file now "
+                f"give it {text.format(*now)}: calibrate it anew"
+            )
+        update = {"scale_n_per_unit": sensor.scale_n_per_unit, "zero": sensor.zero}
+        channels[cable] = channel.model_copy(update=update)
+    return channel_map.model_copy(update={"channels": channels})
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -148,7 +139,7 @@ def load_calibration(path: str | Path) -> Calibration:
             cannot be.
     """
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
-    return Calibration.from_yaml(text, str(path))
+    return read_plain(text, str(path), Calibration, ChannelMapError)
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:

@@ -10,67 +10,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated
 
 import cantools
 from cantools.database.can import Database, Message, Signal
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from cablesense_base.errors import CableSenseError, some_of
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
-from cablesense_base.plain_yaml import describe_problem, parse_plain_mapping
+from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 
 MAX_CHANNELS = 256
 MAX_MAP_BYTES = 200_000
 """A map is a page of text."""
-MAX_DBC_BYTES = 2_000_000
+_MAX_DBC_BYTES = 2_000_000
 """A car's whole DBC file is a megabyte."""
-MOST_BYTES = 1785
+_MOST_BYTES = 1785
 """Of the longest message that travels over CAN: that of J1939's transport protocol."""
-MOST_SIGNAL_BITS = 64
-
+_MOST_SIGNAL_BITS = 64
 _LARGEST_FACTOR = 1e30
 
 
 class ChannelMapError(CableSenseError):
     """A channel map, DBC or calibration file that does not fit: names which, where, what would."""
-
-
-class FilePart(BaseModel):
-    """A part of a map or calibration file: every key known, every number finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    @classmethod
-    def from_yaml(cls, text: str, source: str) -> Self:
-        """Read it from YAML text; `source` names that in errors.
-
-        Raises:
-            ChannelMapError: no YAML, an unknown key, or a value that cannot be true.
-        """
-        content = parse_plain_mapping(text, source, ", ".join(cls.model_fields), ChannelMapError)
-        try:
-            return cls.model_validate(content)
-        except ValidationError as error:
-            raise ChannelMapError(f"{source}: {describe_problem(error, cls)}") from None
-
-
-def _not_a_boolean(value: Any) -> Any:
-    """Python counts `true` as 1; a person who writes it has put it under the wrong key."""
-    if isinstance(value, bool):
-        raise ValueError(f"= {value}: must be a number")
-    return value
 
 
 def _not_zero(scale_n_per_unit: float) -> float:
@@ -82,8 +46,6 @@ def _not_zero(scale_n_per_unit: float) -> float:
     return scale_n_per_unit
 
 
-Number = Annotated[float, BeforeValidator(_not_a_boolean)]
-Count = Annotated[int, BeforeValidator(_not_a_boolean)]
 Mask = Annotated[Count, Field(ge=0, le=0xFFFF)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,127}$")]
 """A DBC identifier."""
@@ -163,8 +125,8 @@ class ChannelMap(FilePart):
     status_masks: StatusMasks = StatusMasks()
     counter: CounterSignal | None = None
     nmt_start_nodes: Annotated[
-        list[Annotated[Count, Field(ge=1, le=127)]], Field(max_length=127)
-    ] = []
+        tuple[Annotated[Count, Field(ge=1, le=127)], ...], Field(max_length=127)
+    ] = ()
     channels: Annotated[dict[Name, Channel], Field(min_length=1, max_length=MAX_CHANNELS)]
 
     @property
@@ -229,83 +191,20 @@ class ChannelMap(FilePart):
 _BUNDLED = BundledFiles("channel map", "can", (".yaml", ".yml"), ChannelMapError)
 
 
-def bundled_maps() -> list[str]:
-    """Names of the bundled maps, for example `twelve_channel_amplifier`."""
-    return _BUNDLED.names()
-
-
-def find_channel_map(name_or_path: str | Path) -> Path:
-    """The file that a name (`cia404_amplifier`) or a path (`my/map.yaml`) stands for.
-
-    Raises:
-        ChannelMapError: neither a bundled map nor a file; the message lists the bundled names.
-    """
-    return _BUNDLED.find(name_or_path)
-
-
-def load_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Path]:
-    """Read a map; give it and the path of the DBC file beside it, which is not read yet.
-
-    Raises:
-        ChannelMapError: the file cannot be found or read, is not YAML, has an unknown key or a
-            value that cannot be true.
-    """
-    path = find_channel_map(name_or_path)
-    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
-    channel_map = ChannelMap.from_yaml(text, str(path))
-    return channel_map, path.parent / channel_map.dbc
-
-
-_TOKEN = re.compile(
-    r'"(?:\\"|[^"])*"|(?P<comment>//.*)|(?P<number>\d+)|(?P<sign>[:|@])|\w+|[^\s\w]'
-)
-_LIMITS = {
-    (":", None): (MOST_BYTES, "a message of bytes"),
-    (":", "|"): (8 * MOST_BYTES, "a signal from bit"),
-    ("|", "@"): (MOST_SIGNAL_BITS, "a signal of bits"),
-}
-"""The most that a number between two signs may be, and what it is; None stands for no sign."""
-
-
-def _require_bounded_sizes(text: str, source: str) -> None:
-    """Refuse DBC text with messages or signals that no bus carries."""
-    sign: str | None = None
-    number: re.Match[str] | None = None
-    for token in _TOKEN.finditer(text):
-        if token["comment"]:
-            continue
-        if number is not None and (sign, token["sign"]) in _LIMITS:
-            most, what = _LIMITS[sign or "", token["sign"]]
-            if len(number[0]) > 9 or int(number[0]) > most:
-                line = text.count("\n", 0, number.start()) + 1
-                raise ChannelMapError(
-                    f"{source}: line {line}: {what} {number[0][:20]}; it must be at most {most}"
-                )
-        if token["number"] and number is None:
-            number = token
-        else:
-            sign, number = token["sign"], None
-
-
-@dataclass(frozen=True)
-class ChannelSignal:
-    """A channel's value by the DBC file: `value = factor * bits + offset`, in `unit`."""
-
-    unit: str
-    factor: float
-    offset: float
-
-
 def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
-    """Read a map and its DBC file, and check that one fits the other.
+    """A map by name (`cia404_amplifier`) or path (`my/map.yaml`), and the DBC file beside it.
 
     Raises:
-        ChannelMapError: either cannot be read, or they do not fit.
+        ChannelMapError: neither a bundled map nor a file; either file cannot be read, is no YAML
+            or DBC, or has a key or value that cannot be true; or they do not fit.
     """
-    channel_map, path = load_channel_map(name_or_path)
-    text = read_bounded_text(path, MAX_DBC_BYTES, "a DBC file", ChannelMapError)
-    database = parse_database(text, source=str(path))
-    check_fit(channel_map, database, source=str(path))
+    path = _BUNDLED.find(name_or_path)
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
+    channel_map = read_plain(text, str(path), ChannelMap, ChannelMapError)
+    beside = path.parent / channel_map.dbc
+    text = read_bounded_text(beside, _MAX_DBC_BYTES, "a DBC file", ChannelMapError)
+    database = parse_database(text, source=str(beside))
+    check_fit(channel_map, database, source=str(beside))
     return channel_map, database
 
 
@@ -357,14 +256,45 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
             )
 
 
-def channel_signal(database: Database, channel: Channel) -> ChannelSignal:
-    """Unit, factor and offset of a channel's value.
+def signal_conversion(database: Database, channel: Channel) -> tuple[str, float, float]:
+    """Unit, factor and offset of a channel by the DBC file: `value = factor * bits + offset`.
 
     Raises:
         ChannelMapError: the database lacks its message or signal.
     """
     signal = _signal_of(database, channel.message, channel.signal, "DBC file")
-    return ChannelSignal(signal.unit or "", float(signal.scale), float(signal.offset))
+    return signal.unit or "", float(signal.scale), float(signal.offset)
+
+
+_TOKEN = re.compile(
+    r'"(?:\\"|[^"])*"|(?P<comment>//.*)|(?P<number>\d+)|(?P<sign>[:|@])|\w+|[^\s\w]'
+)
+_LIMITS = {
+    (":", None): (_MOST_BYTES, "a message of bytes"),
+    (":", "|"): (8 * _MOST_BYTES, "a signal from bit"),
+    ("|", "@"): (_MOST_SIGNAL_BITS, "a signal of bits"),
+}
+"""The most that a number between two signs may be, and what it is; None stands for no sign."""
+
+
+def _require_bounded_sizes(text: str, source: str) -> None:
+    """Refuse DBC text with messages or signals that no bus carries."""
+    sign: str | None = None
+    number: re.Match[str] | None = None
+    for token in _TOKEN.finditer(text):
+        if token["comment"]:
+            continue
+        if number is not None and (sign, token["sign"]) in _LIMITS:
+            most, what = _LIMITS[sign or "", token["sign"]]
+            if len(number[0]) > 9 or int(number[0]) > most:
+                line = text.count("\n", 0, number.start()) + 1
+                raise ChannelMapError(
+                    f"{source}: line {line}: {what} {number[0][:20]}; it must be at most {most}"
+                )
+        if token["number"] and number is None:
+            number = token
+        else:
+            sign, number = token["sign"], None
 
 
 def _message_of(database: Database, name: str, where: str) -> Message:

@@ -31,7 +31,7 @@ from scipy.stats import t as student_t
 from cablesense_base.arrays import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import CalibratedSensor, Calibration
-from cablesense_online.can.channel_map import ChannelMap, channel_signal
+from cablesense_online.can.channel_map import ChannelMap, signal_conversion
 from cablesense_online.commissioning.tables import CommissioningError, KnownLoad
 
 LEAST_CHANGE = 1e-6
@@ -178,7 +178,7 @@ def calibration_record(
     cables = {}
     for cable, channel in channel_map.channels.items():
         if cable in found:
-            signal = channel_signal(database, channel)
+            unit, factor, offset = signal_conversion(database, channel)
             values = {
                 name: value
                 for name, value in asdict(found[cable]).items()
@@ -187,9 +187,9 @@ def calibration_record(
             cables[cable] = CalibratedSensor(
                 message=channel.message,
                 signal=channel.signal,
-                signal_unit=signal.unit,
-                signal_factor=signal.factor,
-                signal_offset=signal.offset,
+                signal_unit=unit,
+                signal_factor=factor,
+                signal_offset=offset,
                 **values,
             )
     return Calibration(
@@ -197,7 +197,7 @@ def calibration_record(
         made=made,
         gravity_m_s2=gravity_m_s2,
         common_relative_u=common_relative_u,
-        uncalibrated=[cable for cable in channel_map.channels if cable not in found],
+        uncalibrated=tuple(cable for cable in channel_map.channels if cable not in found),
         cables=cables,
     )
 

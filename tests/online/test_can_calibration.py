@@ -17,18 +17,18 @@ from cablesense_online.can.calibration import (
     load_calibration,
     write_calibration,
 )
-from cablesense_online.can.channel_map import ChannelMapError, channel_signal
+from cablesense_online.can.channel_map import ChannelMapError, signal_conversion
 
 
 def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
     channel = channel_map.channels[cable]
-    signal = channel_signal(database, channel)
+    unit, factor, offset = signal_conversion(database, channel)
     values = {
         "message": channel.message,
         "signal": channel.signal,
-        "signal_unit": signal.unit,
-        "signal_factor": signal.factor,
-        "signal_offset": signal.offset,
+        "signal_unit": unit,
+        "signal_factor": factor,
+        "signal_offset": offset,
         "scale_n_per_unit": 1.25,
         "zero": -3.0,
     }
@@ -37,7 +37,7 @@ def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
 
 def calibration(cables, uncalibrated=(), name=PACKED.name):
     return Calibration(
-        map=name, made=datetime.now(UTC), uncalibrated=list(uncalibrated), cables=cables
+        map=name, made=datetime.now(UTC), uncalibrated=tuple(uncalibrated), cables=cables
     )
 
 

@@ -8,15 +8,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from cablesense_base.installation import config_path
+from cablesense_base.plain_yaml import read_plain
 from cablesense_online.can.channel_map import (
     MAX_MAP_BYTES,
     Channel,
     ChannelMap,
     ChannelMapError,
-    bundled_maps,
     check_fit,
-    find_channel_map,
-    load_channel_map,
     open_channel_map,
     parse_database,
 )
@@ -100,40 +98,39 @@ def test_a_map_for_other_cables_is_refused(names, said):
         ChannelMap.model_validate(GIVEN).arranged(names)
 
 
-BUNDLED = find_channel_map("twelve_channel_amplifier").read_text(encoding="utf-8")
+BUNDLED = config_path("can/twelve_channel_amplifier.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", bundled_maps())
-def test_a_bundled_map_has_every_cable_of_the_arm_once(name):
-    channel_map, dbc = load_channel_map(name)
-    assert channel_map.name == name
+@pytest.mark.parametrize("channel_map", [PACKED, SINGLE], ids=lambda made: made.name)
+def test_a_bundled_map_has_every_cable_of_the_arm_once(channel_map):
     assert channel_map.cable_names == open_arm("cdsm").cable_names
-    assert dbc.is_file()
 
 
 def test_a_path_is_taken_and_its_dbc_sought_beside_it(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(BUNDLED, encoding="utf-8")
-    _, dbc = load_channel_map(file)
-    assert dbc == tmp_path / "twelve_channel_amplifier.dbc"
+    with pytest.raises(ChannelMapError, match=f"{tmp_path}/twelve_channel_amplifier.dbc: "):
+        open_channel_map(file)
+    (tmp_path / "twelve_channel_amplifier.dbc").write_text(TEXT, encoding="utf-8")
+    assert open_channel_map(file)[0] == PACKED
 
 
 def test_an_unknown_name_lists_the_bundled_ones():
     with pytest.raises(ChannelMapError, match="cia404_amplifier, twelve_channel_amplifier"):
-        load_channel_map("none")
+        open_channel_map("none")
 
 
 def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
     with pytest.raises(ChannelMapError, match="no channel map file"):
-        load_channel_map(tmp_path / "none.yaml")
+        open_channel_map(tmp_path / "none.yaml")
     folder = tmp_path / "folder.yaml"
     folder.mkdir()
     with pytest.raises(ChannelMapError, match="no channel map file"):
-        load_channel_map(folder)
+        open_channel_map(folder)
     huge = tmp_path / "huge.yaml"
     huge.write_text("#" * (MAX_MAP_BYTES + 1))
     with pytest.raises(ChannelMapError, match="larger than"):
-        load_channel_map(huge)
+        open_channel_map(huge)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +148,7 @@ def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
 )
 def test_a_broken_map_says_what_is_wrong_and_where(text, said):
     with pytest.raises(ChannelMapError, match=said) as caught:
-        ChannelMap.from_yaml(text, "mine.yaml")
+        read_plain(text, "mine.yaml", ChannelMap, ChannelMapError)
     assert str(caught.value).startswith("mine.yaml: ")
     assert "\n" not in str(caught.value)
 
@@ -169,7 +166,8 @@ def test_any_value_under_any_key_is_taken_or_refused_in_one_line(value, key):
     content = {**yaml.safe_load(BUNDLED), key: value}
     said = ""
     try:
-        ChannelMap.from_yaml(yaml.safe_dump(content, allow_unicode=True), "mine.yaml")
+        text = yaml.safe_dump(content, allow_unicode=True)
+        read_plain(text, "mine.yaml", ChannelMap, ChannelMapError)
     except ChannelMapError as error:
         said = str(error)
     assert "\n" not in said
@@ -211,9 +209,8 @@ def test_any_text_is_looked_through_at_once(text):
 TEXT = config_path("can/twelve_channel_amplifier.dbc").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", bundled_maps())
-def test_a_bundled_dbc_fits_its_map_and_says_that_no_hardware_has_seen_it(name):
-    channel_map, _ = open_channel_map(name)
+@pytest.mark.parametrize("channel_map", [PACKED, SINGLE], ids=lambda made: made.name)
+def test_a_bundled_dbc_says_that_no_hardware_has_seen_it(channel_map):
     text = " ".join(config_path(f"can/{channel_map.dbc}").read_text(encoding="utf-8").split())
     assert "written from published manuals" in text.lower()
     assert "not been tried on hardware" in text

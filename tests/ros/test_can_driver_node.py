@@ -10,7 +10,7 @@ from lifecycle_msgs.msg import Transition
 from ros_graph import Graph, NodeProcess
 
 from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
-from cablesense_online.can.channel_map import channel_signal
+from cablesense_online.can.channel_map import signal_conversion
 from cablesense_online.can.emulated_amplifier import EmulatedAmplifier
 from cablesense_online.can.emulator import play
 from cablesense_online.can.slcan import SlcanPort
@@ -155,13 +155,13 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
 
 def test_a_calibration_takes_the_place_of_the_maps_scale_and_zero(graph, tmp_path):
     channel = PACKED.channels["cable_2"]
-    signal = channel_signal(PACKED_DATABASE, channel)
+    unit, factor, offset = signal_conversion(PACKED_DATABASE, channel)
     sensor = CalibratedSensor(
         message=channel.message,
         signal=channel.signal,
-        signal_unit=signal.unit,
-        signal_factor=signal.factor,
-        signal_offset=signal.offset,
+        signal_unit=unit,
+        signal_factor=factor,
+        signal_offset=offset,
         scale_n_per_unit=2.0,
         zero=10.0,
     )
