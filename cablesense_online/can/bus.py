@@ -200,10 +200,6 @@ class BusState:
             self.recoveries += 1
             self.condition = BusCondition.ACTIVE
 
-    def reopened(self) -> None:
-        """The interface was opened anew."""
-        self.condition = BusCondition.ACTIVE
-
 
 def error_text(arbitration_id: int, data: bytes) -> str:
     """The meaning of an error frame as text."""
@@ -307,10 +303,10 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True)
 class FaultReport:
-    """Faults of a stretch of time.
+    """Faults since the report before.
 
     Attributes:
-        recent: how many of each kind since the report before.
+        recent: how many of each kind.
         places: of these, how many at each place (a cable, an id, a message).
         total: how many of each kind in all.
         last: the latest detail of each kind.

@@ -9,20 +9,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
+from typing import NamedTuple
 
 import can
 import numpy as np
 from cantools.database.can import Database, Message
-from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_online.can.bus import FaultKind, FaultLedger
-from cablesense_online.can.channel_map import ChannelMap, StatusMasks
+from cablesense_online.can.channel_map import Channel, ChannelMap
 
 CUT_SAMPLES = 8
-WIDER = 2.0
+_WIDER = 2.0
 """A pause within a sample must be so much wider than that before it to count."""
-
-_COUNTER_PLACE = "cycle counter"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +39,11 @@ class Decoded:
     counter: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    channel: int
-    cable: str
-    signal: str
-    status: str | None
-    scale_n_per_unit: float
-    zero: float
+class _Plan(NamedTuple):
+    """A message of the map, its channels with position and cable, and its counter's signal."""
 
-
-@dataclass(frozen=True, slots=True)
-class _Plan:
     message: Message
-    places: tuple[_Place, ...]
+    channels: tuple[tuple[int, str, Channel], ...]
     counter: str | None
 
 
@@ -67,26 +57,20 @@ class FrameDecoder:
 
     def __init__(self, channel_map: ChannelMap, database: Database, ledger: FaultLedger) -> None:
         """`channel_map` must fit `database` (`channel_map.check_fit`)."""
-        self._ledger = ledger
-        self._range_n = channel_map.range_n
-        self._masks = channel_map.status_masks
+        self._map, self._ledger = channel_map, ledger
+        self._described = {(m.frame_id, m.is_extended_frame) for m in database.messages}
         self._plans: dict[tuple[int, bool], _Plan] = {}
         self.counter_modulo = 0
-        self._described = {(m.frame_id, m.is_extended_frame) for m in database.messages}
-        counter = channel_map.counter
         self.frames_per_cycle = len(channel_map.message_names)
+        numbered = [(n, *item) for n, item in enumerate(channel_map.channels.items())]
         for name in sorted(channel_map.message_names):
-            message = database.get_message_by_name(name)
-            counts = counter.signal if counter and counter.message == name else None
-            if counts:
-                self.counter_modulo = 1 << message.get_signal_by_name(counts).length
+            message, counter = database.get_message_by_name(name), None
+            if channel_map.counter and channel_map.counter.message == name:
+                counter = channel_map.counter.signal
+                self.counter_modulo = 1 << message.get_signal_by_name(counter).length
+            channels = tuple(one for one in numbered if one[2].message == name)
             key = (message.frame_id, message.is_extended_frame)
-            places = tuple(
-                _Place(n, cable, one.signal, one.status, one.scale_n_per_unit, one.zero)
-                for n, (cable, one) in enumerate(channel_map.channels.items())
-                if one.message == name
-            )
-            self._plans[key] = _Plan(message, places, counts)
+            self._plans[key] = _Plan(message, channels, counter)
 
     def knows(self, frame: can.Message) -> bool:
         """Whether the frame's id is one that carries readings or the counter."""
@@ -116,39 +100,35 @@ class FrameDecoder:
         return self._readings(plan, values)  # type: ignore[arg-type]  # no container, no choices
 
     def _readings(self, plan: _Plan, values: dict[str, float]) -> Decoded:
-        low, high = self._range_n
+        low, high = self._map.range_n
         readings, valid = [], True
-        for place in plan.places:
-            tension_n = place.scale_n_per_unit * (values[place.signal] - place.zero)
-            status = int(values[place.status]) if place.status is not None else 0
+        for number, cable, channel in plan.channels:
+            tension_n = channel.tension_n(values[channel.signal])
+            status = int(values[channel.status]) if channel.status is not None else 0
             if status or not low < tension_n < high:
-                fault = _fault(tension_n, status, self._range_n, self._masks)
+                fault = self._fault(tension_n, status)
                 if fault is not None:
                     valid = False
                     suffix = f", status 0x{status:02X}" if status else ""
-                    detail = f"{place.cable} reads {tension_n:g} N{suffix}"
-                    self._ledger.note(fault, place.cable, detail)
-            readings.append((place.channel, tension_n))
+                    self._ledger.note(fault, cable, f"{cable} reads {tension_n:g} N{suffix}")
+            readings.append((number, tension_n))
         counter = int(values[plan.counter]) if plan.counter is not None else None
         return Decoded(readings, valid, counter)
 
-
-def _fault(
-    tension_n: float, status: int, range_n: tuple[float, float], masks: StatusMasks
-) -> FaultKind | None:
-    """A reading at or beyond an end of the range is none: the tension lies there or further."""
-    low, high = range_n
-    for applies, kind in (
-        (status & masks.over_range, FaultKind.OVER_RANGE),
-        (status & masks.under_range, FaultKind.UNDER_RANGE),
-        (status & masks.invalid, FaultKind.INVALID_STATUS),
-        (not isfinite(tension_n), FaultKind.NOT_FINITE),
-        (tension_n >= high, FaultKind.OVER_RANGE),
-        (tension_n <= low, FaultKind.UNDER_RANGE),
-    ):
-        if applies:
-            return kind
-    return None
+    def _fault(self, tension_n: float, status: int) -> FaultKind | None:
+        """A reading at or beyond an end of the range is none: the tension lies beyond."""
+        (low, high), masks = self._map.range_n, self._map.status_masks
+        for applies, kind in (
+            (status & masks.over_range, FaultKind.OVER_RANGE),
+            (status & masks.under_range, FaultKind.UNDER_RANGE),
+            (status & masks.invalid, FaultKind.INVALID_STATUS),
+            (not isfinite(tension_n), FaultKind.NOT_FINITE),
+            (tension_n >= high, FaultKind.OVER_RANGE),
+            (tension_n <= low, FaultKind.UNDER_RANGE),
+        ):
+            if applies:
+                return kind
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +143,7 @@ class Sample:
 
     time_s: float
     skew_s: float
-    tensions_n: NDArray[np.float64]
+    tensions_n: Array
 
 
 class SampleAssembler:
@@ -197,10 +177,9 @@ class SampleAssembler:
         self._tensions_n = [0.0] * len(self._names)
         self._missing = set(range(len(self._names)))
         self._open_s: float | None = None
-        self._earliest_s = self._latest_s = 0.0
-        self._valid = True
-        self._late = False
         self._last_count: int | None = None
+        self._earliest_s = self._latest_s = 0.0
+        self._valid, self._late = True, False
         self._frames: list[tuple[float, Decoded]] = []
         self._last_end_s = float("-inf")
         self._cut = 0
@@ -218,19 +197,9 @@ class SampleAssembler:
             if self._modulo:
                 return None  # the rest of a cycle whose beginning did not come
             self._open(time_s)
-        return self._put(decoded, time_s)
-
-    def restart(self) -> None:
-        """The interface was opened again: what came before has no bearing on what comes."""
-        self._open_s = None
-        self._last_count = None
-        self._last_end_s, self._cut = float("-inf"), 0
-
-    def _put(self, decoded: Decoded, time_s: float) -> Sample | None:
         earliest_s, latest_s = min(self._earliest_s, time_s), max(self._latest_s, time_s)
         late = latest_s - earliest_s > self._skew_limit_s
-        twice = any(channel not in self._missing for channel, _ in decoded.readings)
-        if late or twice:
+        if late or any(channel not in self._missing for channel, _ in decoded.readings):
             self._note_late(decoded, time_s, late)
             if self._modulo:
                 self._late = True
@@ -240,7 +209,33 @@ class SampleAssembler:
         else:
             self._earliest_s, self._latest_s = earliest_s, latest_s
         self._fill(decoded, time_s)
-        return None if self._missing else self._finish(time_s)
+        if self._missing or (not self._modulo and self._begins_anew()):
+            return None
+        opened_s, self._open_s = self._open_s, None
+        if not self._valid or self._late or opened_s is None:
+            self.dropped += 1
+            return None
+        return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
+
+    def restart(self) -> None:
+        """The interface was opened again: what came before has no bearing on what comes."""
+        self._open_s = self._last_count = None
+        self._last_end_s, self._cut = float("-inf"), 0
+
+    def close(self) -> None:
+        """Give up the open sample, if any: nothing came for longer than a cycle."""
+        if self._open_s is None:
+            return
+        for channel in sorted(self._missing):
+            self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
+        self._open_s = None
+        self.dropped += 1
+
+    def _open(self, time_s: float) -> None:
+        self._open_s = self._earliest_s = self._latest_s = time_s
+        self._frames.clear()
+        self._missing = set(range(len(self._names)))
+        self._valid, self._late = True, False
 
     def _fill(self, decoded: Decoded, time_s: float) -> None:
         for channel, tension_n in decoded.readings:
@@ -250,22 +245,13 @@ class SampleAssembler:
         if not self._modulo:
             self._frames.append((time_s, decoded))
 
-    def _finish(self, time_s: float) -> Sample | None:
-        if not self._modulo and self._begins_anew():
-            return None
-        opened_s, self._open_s = self._open_s, None
-        if not self._valid or self._late or opened_s is None:
-            self.dropped += 1
-            return None
-        return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
-
     def _begins_anew(self) -> bool:
         """Whether samples are cut in mid-cycle; the open one begins at the pause then."""
         times_s = [time_s for time_s, _ in self._frames]
         pauses_s = [after - before for before, after in pairwise(times_s)]
         before_s, self._last_end_s = times_s[0] - self._last_end_s, times_s[-1]
         widest_s = max(pauses_s, default=0.0)
-        self._cut = self._cut + 1 if widest_s > WIDER * before_s else 0
+        self._cut = self._cut + 1 if widest_s > _WIDER * before_s else 0
         if self._cut < CUT_SAMPLES:
             return False
         self._cut = 0
@@ -279,21 +265,6 @@ class SampleAssembler:
                 self._ledger.note(FaultKind.LATE_CHANNEL, name, detail)
         self.dropped += 1
         return True
-
-    def _open(self, time_s: float) -> None:
-        self._open_s = self._earliest_s = self._latest_s = time_s
-        self._frames.clear()
-        self._missing = set(range(len(self._names)))
-        self._valid, self._late = True, False
-
-    def close(self) -> None:
-        """Give up the open sample, if any: nothing came for longer than a cycle."""
-        if self._open_s is None:
-            return
-        for channel in sorted(self._missing):
-            self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
-        self._open_s = None
-        self.dropped += 1
 
     def _note_late(self, decoded: Decoded, time_s: float, late: bool) -> None:
         after_ms = (time_s - (self._open_s or 0.0)) * 1e3
@@ -321,4 +292,4 @@ class SampleAssembler:
             detail = f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost"
         else:
             return
-        self._ledger.note(FaultKind.COUNTER_GAP, _COUNTER_PLACE, detail)
+        self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", detail)

@@ -7,8 +7,8 @@ a fault is requested as text: its kind, and a cable where it concerns one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import isfinite
+from typing import NamedTuple
 
 import can
 from cantools.database.can import Database, Signal
@@ -25,16 +25,26 @@ from cablesense_online.can.bus import (
 )
 from cablesense_online.can.channel_map import ChannelMap, ChannelMapError
 
-GAP_CYCLES = 3
-CYCLES_PER_GAP = 50
-LATE_FACTOR = 1.5
-FLOOD_FACTOR = 2.0
-BEYOND_N = 1.0
+_GAP_CYCLES = 3
+_CYCLES_PER_GAP = 50
+_LATE_FACTOR = 1.5
+_FLOOD_FACTOR = 2.0
+_BEYOND_N = 1.0
 _NODE_BITS = 0x7F
 
 
-@dataclass(frozen=True)
-class PlannedFrame:
+class FaultRequestError(CableSenseError):
+    """A fault that cannot be shown: lists those that can."""
+
+
+class FaultRequest(NamedTuple):
+    """One fault; `cable` is empty for a fault of the whole bus."""
+
+    kind: FaultKind
+    cable: str = ""
+
+
+class PlannedFrame(NamedTuple):
     """A frame and how long after the one before it is sent."""
 
     frame: can.Message
@@ -54,7 +64,11 @@ class EmulatedAmplifier:
     def __init__(self, channel_map: ChannelMap, database: Database) -> None:
         self._map = channel_map
         self._encoder = FrameEncoder(channel_map, database)
-        self._described = {message.frame_id for message in database.messages}
+        described = {message.frame_id for message in database.messages}
+        lowest_priority = next((n for n in range(0x7FF, 0, -1) if n not in described), 0x7FF)
+        self._undescribed = can.Message(
+            arbitration_id=lowest_priority, is_extended_id=False, data=bytes(8)
+        )
         self._cycle = 0
         self._frozen_n: float | None = None
         self._was_off = False
@@ -62,21 +76,42 @@ class EmulatedAmplifier:
         self.fault: FaultRequest | None = None
 
     def requested(self, text: str) -> FaultRequest | None:
-        """The fault that a text requests, as `parse_fault`; changes nothing.
+        """The fault that a text requests (`missing_channel cable_5`); empty text requests none.
 
         Raises:
-            FaultRequestError: no such fault, or NaN of a signal that holds whole numbers.
+            FaultRequestError: an unknown fault or cable, or one that these amplifiers cannot show.
         """
-        fault = parse_fault(text, self._map)
-        not_finite = fault is not None and fault.kind is FaultKind.NOT_FINITE
-        if fault and not_finite and not self._encoder.is_float(fault.cable):
+        name, *cables = text.split() or [""]
+        if not name:
+            return None
+        kinds = {kind.name.lower(): kind for kind in FaultKind}
+        if name not in kinds:
+            raise FaultRequestError(f"unknown fault {name[:40]!r}; there are {', '.join(kinds)}")
+        kind, channels = kinds[name], self._map.channels
+        if not kind.of_cable:
+            if cables:
+                raise FaultRequestError(f"{name} concerns the whole bus; leave the cable out")
+            if kind is FaultKind.COUNTER_GAP and self._map.counter is None:
+                raise FaultRequestError(
+                    f"map {self._map.name} has no cycle counter to leave a gap"
+                )
+            return FaultRequest(kind)
+        if len(cables) != 1 or cables[0] not in channels:
+            names = self._map.cable_names
             raise FaultRequestError(
-                f"{fault.cable} is sent as a whole number, which cannot be NaN; request over_range"
+                f"{name} needs one cable of {names[0]} … {names[-1]}, as in '{name} {names[0]}'"
             )
-        return fault
+        (cable,) = cables
+        if kind is FaultKind.INVALID_STATUS and channels[cable].status is None:
+            raise FaultRequestError(f"{cable} has no status in map {self._map.name}")
+        if kind is FaultKind.NOT_FINITE and not self._encoder.is_float(cable):
+            raise FaultRequestError(
+                f"{cable} is sent as a whole number, which cannot be NaN; request over_range"
+            )
+        return FaultRequest(kind, cable)
 
     def request(self, text: str) -> None:
-        """Show a fault (`missing_channel cable_5`) from the next cycle on; empty text ends it.
+        """Show a fault from the next cycle on; empty text ends it.
 
         Raises:
             FaultRequestError: as `requested`.
@@ -105,8 +140,8 @@ class EmulatedAmplifier:
         """The frames of one cycle, in their order; (M,) tensions in the order of the map."""
         kind = self.fault.kind if self.fault else None
         self._cycle += 1
-        if kind is FaultKind.COUNTER_GAP and self._cycle % CYCLES_PER_GAP == 0:
-            self._cycle += GAP_CYCLES
+        if kind is FaultKind.COUNTER_GAP and self._cycle % _CYCLES_PER_GAP == 0:
+            self._cycle += _GAP_CYCLES
         if kind is FaultKind.BUS_OFF:
             first, self._was_off = not self._was_off, True
             return [_error_frame(BUS_OFF_CLASS)] if first else []
@@ -121,50 +156,44 @@ class EmulatedAmplifier:
         return planned + self._faulty_frames(frames)
 
     def _faulty_readings(self, tensions_n: Sequence[float]) -> tuple[list[float], dict[str, int]]:
-        values = [float(tension_n) for tension_n in tensions_n]
+        values, status = [float(tension_n) for tension_n in tensions_n], 0
         if self.fault is None or not self.fault.cable:
             return values, {}
-        cable, masks = self.fault.cable, self._map.status_masks
-        at = self._map.cable_names.index(cable)
+        at, masks = self._map.cable_names.index(self.fault.cable), self._map.status_masks
         low, high = self._map.range_n
         match self.fault.kind:
             case FaultKind.OVER_RANGE:
-                values[at] = high + BEYOND_N
-                return values, {cable: masks.over_range}
+                values[at], status = high + _BEYOND_N, masks.over_range
             case FaultKind.UNDER_RANGE:
-                values[at] = low - BEYOND_N
-                return values, {cable: masks.under_range}
+                values[at], status = low - _BEYOND_N, masks.under_range
             case FaultKind.STUCK_VALUE:
                 self._frozen_n = values[at] if self._frozen_n is None else self._frozen_n
                 values[at] = self._frozen_n
             case FaultKind.NOT_FINITE:
                 values[at] = float("nan")
             case FaultKind.INVALID_STATUS:
-                return values, {cable: masks.invalid}
-        return values, {}
+                status = masks.invalid
+        return values, {self.fault.cable: status}
 
     def _faulty_frames(self, frames: list[can.Message]) -> list[PlannedFrame]:
         planned = [PlannedFrame(frame) for frame in frames]
         if self.fault is None:
             return planned
-        match self.fault.kind:
-            case FaultKind.UNKNOWN_ID:
-                return [*planned, PlannedFrame(self._undescribed())]
-            case FaultKind.ERROR_FRAME:
-                return [*planned, _error_frame(BUS_ERROR_CLASS)]
-            case FaultKind.FLOODED:
-                count = int(FLOOD_FACTOR * self._map.flood_frames_s * self._map.cycle_time_s)
-                return planned + [PlannedFrame(self._undescribed())] * max(1, count)
-        if not self.fault.cable:
-            return planned
-        number = self._encoder.frame_id(self.fault.cable)
+        number = self._encoder.frame_id(self.fault.cable) if self.fault.cable else -1
         others = [one for one in planned if one.frame.arbitration_id != number]
         ours = [one.frame for one in planned if one.frame.arbitration_id == number]
         match self.fault.kind:
+            case FaultKind.UNKNOWN_ID:
+                return [*planned, PlannedFrame(self._undescribed)]
+            case FaultKind.ERROR_FRAME:
+                return [*planned, _error_frame(BUS_ERROR_CLASS)]
+            case FaultKind.FLOODED:
+                count = int(_FLOOD_FACTOR * self._map.flood_frames_s * self._map.cycle_time_s)
+                return planned + [PlannedFrame(self._undescribed)] * max(1, count)
             case FaultKind.MISSING_CHANNEL:
                 return others
             case FaultKind.LATE_CHANNEL:
-                late_s = LATE_FACTOR * self._map.skew_limit_s
+                late_s = _LATE_FACTOR * self._map.skew_limit_s
                 return others + [PlannedFrame(frame, late_s) for frame in ours]
             case FaultKind.WRONG_LENGTH:
                 for frame in ours:
@@ -176,54 +205,6 @@ class EmulatedAmplifier:
                 )
                 return [*others, PlannedFrame(remote)]
         return planned
-
-    def _undescribed(self) -> can.Message:
-        """A frame that the DBC file does not describe, of the lowest priority there is."""
-        number = next(n for n in range(0x7FF, 0, -1) if n not in self._described)
-        return can.Message(arbitration_id=number, is_extended_id=False, data=bytes(8))
-
-
-class FaultRequestError(CableSenseError):
-    """A fault that cannot be shown: lists those that can."""
-
-
-@dataclass(frozen=True)
-class FaultRequest:
-    """One fault; `cable` is empty for a fault of the whole bus."""
-
-    kind: FaultKind
-    cable: str = ""
-
-
-def parse_fault(text: str, channel_map: ChannelMap) -> FaultRequest | None:
-    """Read `missing_channel cable_5`, `bus_off` or the like; an empty text requests none.
-
-    Raises:
-        FaultRequestError: an unknown fault or cable, or one that these amplifiers cannot show.
-    """
-    parts = text.split()
-    if not parts:
-        return None
-    name = parts[0]
-    kinds = {kind.name.lower(): kind for kind in FaultKind}
-    kind = kinds.get(name)
-    if kind is None:
-        raise FaultRequestError(f"unknown fault {name[:40]!r}; there are {', '.join(kinds)}")
-    if not kind.of_cable:
-        if len(parts) > 1:
-            raise FaultRequestError(f"{name} concerns the whole bus; leave the cable out")
-        if kind is FaultKind.COUNTER_GAP and channel_map.counter is None:
-            raise FaultRequestError(f"map {channel_map.name} has no cycle counter to leave a gap")
-        return FaultRequest(kind)
-    cable = parts[1] if len(parts) == 2 else ""
-    if cable not in channel_map.channels:
-        names = channel_map.cable_names
-        raise FaultRequestError(
-            f"{name} needs one cable of {names[0]} … {names[-1]}, as in '{name} {names[0]}'"
-        )
-    if kind is FaultKind.INVALID_STATUS and channel_map.channels[cable].status is None:
-        raise FaultRequestError(f"{cable} has no status in map {channel_map.name}")
-    return FaultRequest(kind, cable)
 
 
 class FrameEncoder:

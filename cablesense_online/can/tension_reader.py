@@ -11,7 +11,14 @@ import numpy as np
 from cantools.database.can import Database
 
 from cablesense_base.arrays import Array
-from cablesense_online.can.bus import BusClock, BusState, CanInterface, FaultKind, FaultLedger
+from cablesense_online.can.bus import (
+    BusClock,
+    BusCondition,
+    BusState,
+    CanInterface,
+    FaultKind,
+    FaultLedger,
+)
 from cablesense_online.can.channel_map import ChannelMap, StuckLimits
 from cablesense_online.can.decoder import FrameDecoder, Sample, SampleAssembler
 
@@ -112,7 +119,7 @@ class TensionReader:
         self._clock.restart()
         self._assembler.restart()
         self._stuck.restart()
-        self.bus.reopened()
+        self.bus.condition = BusCondition.ACTIVE
 
 
 class RateLimit:

@@ -108,13 +108,6 @@ def test_codes_of_other_drivers_are_not_read_as_classes():
     assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
 
 
-def test_reopening_is_no_recovery(watch):
-    watch.error_frame(0x40, bytes(8))
-    watch.reopened()
-    assert watch.condition is BusCondition.ACTIVE
-    assert watch.recoveries == 0
-
-
 def test_an_error_frame_is_put_in_words():
     assert error_text(0x24, bytes([0, 0x01])) == (
         "controller, no acknowledge, receive buffer overflow"

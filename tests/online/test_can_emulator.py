@@ -1,6 +1,7 @@
 """The emulated amplifier: frames of each cycle, every fault, sinks, recordings played back."""
 
 import math
+from contextlib import suppress
 
 import can
 import numpy as np
@@ -25,7 +26,6 @@ from cablesense_online.can.emulated_amplifier import (
     FaultRequestError,
     FrameEncoder,
     PlannedFrame,
-    parse_fault,
 )
 from cablesense_online.can.emulator import PAUSE_S, BusSink, Emulator, RecordingPlayer, play
 from cablesense_online.can.tension_reader import TensionReader
@@ -249,43 +249,45 @@ def test_canopen_nodes_send_only_after_they_were_started():
     assert amplifier.cycle(TENSIONS_N) == []
 
 
-@pytest.mark.parametrize("kind", FaultKind)
-def test_every_kind_can_be_asked_for(kind):
-    name = kind.name.lower()
-    if kind.of_cable:
-        asked = parse_fault(f" {name}  cable_5 ", SINGLE)
-        assert asked == FaultRequest(kind, "cable_5")
-    else:
-        assert parse_fault(name, PACKED) == FaultRequest(kind)
-
-
-def test_an_empty_text_ends_a_fault():
-    assert parse_fault("  ", PACKED) is None
+def requested(text, channel_map=PACKED, database=PACKED_DATABASE):
+    return EmulatedAmplifier(channel_map, database).requested(text)
 
 
 @pytest.mark.parametrize(
-    ("text", "channel_map", "said"),
+    "kind", [k for k in FaultKind if k.name not in ("NOT_FINITE", "COUNTER_GAP")]
+)
+def test_every_kind_can_be_requested(kind):
+    cable = "cable_5" if kind.of_cable else ""
+    text = f" {kind.name.lower()}  {cable} "
+    assert requested(text, SINGLE, SINGLE_DATABASE) == FaultRequest(kind, cable)
+
+
+def test_an_empty_text_ends_a_fault():
+    assert requested("  ") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "amplifier", "refusal"),
     [
-        ("explosion", PACKED, "unknown fault 'explosion'; there are missing_channel"),
-        ("missing_channel", PACKED, "needs one cable of cable_1 … cable_12"),
-        ("missing_channel cable_13", PACKED, "needs one cable"),
-        ("bus_off cable_1", PACKED, "concerns the whole bus"),
-        ("counter_gap", SINGLE, "no cycle counter"),
-        ("invalid_status cable_1", PACKED, "no status"),
+        ("explosion", (PACKED, PACKED_DATABASE), "unknown fault 'explosion'; there are missing_"),
+        ("missing_channel", (PACKED, PACKED_DATABASE), "needs one cable of cable_1 … cable_12"),
+        ("missing_channel cable_13", (PACKED, PACKED_DATABASE), "needs one cable"),
+        ("bus_off cable_1", (PACKED, PACKED_DATABASE), "concerns the whole bus"),
+        ("counter_gap", (SINGLE, SINGLE_DATABASE), "no cycle counter"),
+        ("invalid_status cable_1", (PACKED, PACKED_DATABASE), "no status"),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused(text, channel_map, said):
-    with pytest.raises(FaultRequestError, match=said):
-        parse_fault(text, channel_map)
+def test_what_cannot_be_requested_is_refused(text, amplifier, refusal):
+    with pytest.raises(FaultRequestError, match=refusal):
+        requested(text, *amplifier)
 
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_fault_or_refused(text):
-    try:
-        asked = parse_fault(text, PACKED)
-    except FaultRequestError:
-        return
-    assert asked is None or isinstance(asked, FaultRequest)
+    amplifier = EmulatedAmplifier(PACKED, PACKED_DATABASE)
+    with suppress(FaultRequestError):
+        amplifier.request(text)
+        assert amplifier.fault is None or isinstance(amplifier.fault, FaultRequest)
 
 
 TWELVE = st.lists(st.floats(-49.0, 3270.0), min_size=12, max_size=12)

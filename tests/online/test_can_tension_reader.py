@@ -145,9 +145,13 @@ def test_silence_names_what_did_not_come_once_a_cycle_has_passed(bench):
     assert bench.faults == {FaultKind.MISSING_CHANNEL}
 
 
-def test_after_reopening_any_counter_and_clock_is_taken(bench):
+def test_after_reopening_any_counter_and_clock_is_taken_and_bus_off_is_over(bench):
     bench.cycles(3)
+    bench.reader.bus.error_frame(0x40, bytes(8))
+    bench.ledger.report()
     bench.reader.reopened()
+    assert bench.reader.bus.condition is BusCondition.ACTIVE
+    assert bench.reader.bus.recoveries == 0
     frames = packed_cycle(TENSIONS_N, 200, 5.0)
     samples = [bench.reader.take(f, NOW_S + 9.0, NOW_S + 9.0) for f in frames]
     assert samples[-1].time_s == pytest.approx(NOW_S + 9.0, abs=1e-3)
