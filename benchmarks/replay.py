@@ -221,7 +221,7 @@ def _recorder(path: Path) -> Process:
 def _recording(path: Path) -> dict[str, Any]:
     """Its content, and the samples without an answer between the first and the last."""
     counts = Counter(message.topic for message in McapMessages(path))
-    answered = [step.pair.answer is not None for step in RecordedRun(path).steps()]
+    answered = [step.answer is not None for step in RecordedRun(path).steps()]
     first, last = answered.index(True), len(answered) - answered[::-1].index(True)
     stamps = np.array(
         [stamp_ns(m.data) for m in McapMessages(path) if m.topic == "/cable_tensions"]

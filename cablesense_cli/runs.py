@@ -132,13 +132,13 @@ def replay(
 
     Example: cablesense replay run.mcap
     """
-    from contextlib import nullcontext
+    from dataclasses import asdict
     from functools import partial
     from json import dumps
 
     from cablesense_gap.recordings.recording import RecordingError
     from cablesense_online.recorded_run import RecordedRun
-    from cablesense_online.replay import comparison_lines, estimate_table, replay_in_process
+    from cablesense_online.replay import comparison_lines, replay_in_process
 
     if publish and (arm or model or estimates):
         raise RecordingError(
@@ -153,10 +153,9 @@ def replay(
 
         comparison = replay_through_node(run, rate, namespace, partial(typer.echo, err=True))
     else:
-        with nullcontext() if estimates is None else estimate_table(estimates) as table:
-            comparison = replay_in_process(run, arm, model, table)
+        comparison = replay_in_process(run, arm, model, estimates)
     if json:
-        typer.echo(dumps(comparison.as_json() | {"cut": run.cut}))
+        typer.echo(dumps(asdict(comparison) | {"cut": run.cut}))
     else:
         for line in comparison_lines(comparison, run.cut):
             typer.echo(line)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
@@ -16,114 +16,40 @@ from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import EstimatorState, EventKind, state_of
 
-_WRENCH = Struct("<6d")
-
-WINDOW_NS = 2_000_000_000
-"""An answer that has not come this long after its sample never came; far longer than any takes."""
-
-
-class AnsweredSample(NamedTuple):
-    """A sample, and the wrench with its stamp.
-
-    Attributes:
-        stamp_ns: of both.
-        log_ns: when the sample was recorded.
-        sample: serialized `JointState`.
-        answer: serialized `WrenchStamped`; none where the estimator was not running, did not
-            receive the sample, or refused its stamp.
-    """
-
-    stamp_ns: int
-    log_ns: int
-    sample: bytes
-    answer: bytes | None
-
-
-class AnsweredSamples:
-    """Pairs samples and answers by their stamps, in the order of the samples.
-
-    Attributes:
-        unstamped: samples without a stamp, or that are no messages: no answer can be assigned.
-        lone_contacts: answers with a contact whose sample is not in the recording.
-        lone_zeros: zero wrenches with no sample's stamp: published in a silence, or at a sample
-            whose stamp was refused.
-    """
-
-    def __init__(self) -> None:
-        self.unstamped = 0
-        self.lone_contacts = 0
-        self.lone_zeros = 0
-        self._samples: deque[tuple[int, int, bytes]] = deque()
-        self._answers: dict[int, tuple[int, bytes]] = {}
-
-    def of(self, messages: Iterable[RawMessage]) -> Iterator[AnsweredSample]:
-        """The samples among messages of one arm, in the order they were recorded."""
-        for message in messages:
-            topic = of_contract(message.topic)
-            if topic == topics.CABLE_TENSIONS:
-                stamp = _stamp(message.data)
-                if stamp:
-                    self._samples.append((stamp, message.log_ns, message.data))
-                else:
-                    self.unstamped += 1
-            elif topic == topics.WRENCH:
-                self._answers[_stamp(message.data)] = (message.log_ns, message.data)
-            else:
-                continue
-            yield from self._settled(message.log_ns - WINDOW_NS)
-        yield from self._settled(2**63)
-
-    def _settled(self, before_ns: int) -> Iterator[AnsweredSample]:
-        while self._samples:
-            stamp, log_ns, sample = self._samples[0]
-            if stamp not in self._answers and log_ns >= before_ns:
-                break
-            self._samples.popleft()
-            _, answer = self._answers.pop(stamp, (0, None))
-            yield AnsweredSample(stamp, log_ns, sample, answer)
-        while self._answers:
-            stamp, (log_ns, answer) = next(iter(self._answers.items()))
-            if log_ns >= before_ns - WINDOW_NS:
-                break
-            del self._answers[stamp]
-            if shows_contact(answer):
-                self.lone_contacts += 1
-            else:
-                self.lone_zeros += 1
-
-
-def shows_contact(answer: bytes) -> bool:
-    """Whether a serialized `WrenchStamped` is anything but zero."""
-    return len(answer) < _WRENCH.size or any(_WRENCH.unpack(answer[-_WRENCH.size :]))
-
-
-def _stamp(raw: bytes) -> int:
-    try:
-        return stamp_ns(raw)
-    except ContractError:
-        return 0
-
-
 MOST_CHANGES = 1_000_000
 """A hundred commands a second for hours; more would fill the memory."""
+
+_WINDOW_NS = 2_000_000_000
+"""An answer that has not come this long after its sample never came; far longer than any takes."""
 
 _STATE_AFTER_NS = 1_000_000_000
 """A state is published with the answer to its sample, so it is not recorded much later."""
 
+_WRENCH = Struct("<6d")
+
 
 class Step(NamedTuple):
-    """One sample, and the states that take effect with it.
+    """One sample, its answer, and the states that take effect with it.
 
     Attributes:
+        stamp_ns: of sample and answer.
+        log_ns: when the sample was recorded.
+        sample: serialized `JointState`.
+        answer: serialized `WrenchStamped`; none where the estimator was not running, did not
+            receive the sample, or refused its stamp.
+        states: in their order.
         taken: whether the estimator took the sample: its answer was recorded, or the sample came
             after the estimator's start and before the first recorded answer. The recorder
             receives answers only once it has discovered the estimator; the state of the start
             waits for it.
     """
 
-    states: tuple[EstimatorState, ...]
-    pair: AnsweredSample
-    taken: bool
+    stamp_ns: int
+    log_ns: int
+    sample: bytes
+    answer: bytes | None
+    states: tuple[EstimatorState, ...] = ()
+    taken: bool = False
 
 
 class RecordedRun:
@@ -136,7 +62,11 @@ class RecordedRun:
             is the contract's.
         has_answers: whether an estimator's answers are in it.
         cut: where the file breaks off, as text; empty if it is whole.
-        pairs: what the last `steps` found beside the samples.
+        unstamped: samples without a stamp, or that are no messages: no answer can be assigned.
+            This and the two below were counted by the last `steps`.
+        lone_contacts: answers with a contact whose sample is not in the recording.
+        lone_zeros: zero wrenches with no sample's stamp: published in a silence, or at a sample
+            whose stamp was refused.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -146,7 +76,7 @@ class RecordedRun:
             RecordingError: no recording, damaged, of two arms, or without tensions.
         """
         self.path = Path(path)
-        self.pairs = AnsweredSamples()
+        self.unstamped = self.lone_contacts = self.lone_zeros = 0
         if self.path.is_dir():
             raise RecordingError(f"{path}: is a folder; give the .mcap file in it")
         messages, types = McapMessages(self.path), BagTypes()
@@ -188,22 +118,60 @@ class RecordedRun:
         Raises:
             RecordingError: the file has become unreadable.
         """
-        self.pairs = AnsweredSamples()
         following, before_first_answer = 0, False
-        for pair in self.pairs.of(McapMessages(self.path)):
+        for step in self._answered_samples():
             first = following
             while following < len(self._logged):
                 log_ns, state = self._logged[following]
                 # after a step back of the clock, stamps alone do not order states and samples
-                if state.before_ns > pair.stamp_ns or log_ns > pair.log_ns + _STATE_AFTER_NS:
+                if state.before_ns > step.stamp_ns or log_ns > step.log_ns + _STATE_AFTER_NS:
                     break
                 following += 1
             states = self.states[first:following]
             before_first_answer |= any(
                 event.kind is EventKind.START for state in states for event in state.events
             )
-            before_first_answer &= pair.answer is None
-            yield Step(states, pair, before_first_answer or pair.answer is not None)
+            before_first_answer &= step.answer is None
+            yield step._replace(
+                states=states, taken=before_first_answer or step.answer is not None
+            )
+
+    def _answered_samples(self) -> Iterator[Step]:
+        """Samples and answers paired by their stamps, in the order of the samples."""
+        self.unstamped = self.lone_contacts = self.lone_zeros = 0
+        samples: deque[Step] = deque()
+        answers: dict[int, tuple[int, bytes]] = {}
+        for message in McapMessages(self.path):
+            topic = of_contract(message.topic)
+            if topic == topics.CABLE_TENSIONS:
+                stamp = _stamp(message.data)
+                if stamp:
+                    samples.append(Step(stamp, message.log_ns, message.data, None))
+                else:
+                    self.unstamped += 1
+            elif topic == topics.WRENCH:
+                answers[_stamp(message.data)] = (message.log_ns, message.data)
+            else:
+                continue
+            yield from self._settled(samples, answers, message.log_ns - _WINDOW_NS)
+        yield from self._settled(samples, answers, 2**63)
+
+    def _settled(
+        self, samples: deque[Step], answers: dict[int, tuple[int, bytes]], before_ns: int
+    ) -> Iterator[Step]:
+        """Take out the samples whose answer is there, or that were recorded before a time."""
+        while samples and (samples[0].stamp_ns in answers or samples[0].log_ns < before_ns):
+            sample = samples.popleft()
+            _, answer = answers.pop(sample.stamp_ns, (0, None))
+            yield sample._replace(answer=answer)
+        while answers:
+            stamp, (log_ns, answer) = next(iter(answers.items()))
+            if log_ns >= before_ns - _WINDOW_NS:
+                break
+            del answers[stamp]
+            contact = shows_contact(answer)
+            self.lone_contacts += contact
+            self.lone_zeros += not contact
 
     def _check(self, topic: str, raw: RawMessage, names: dict[str, str]) -> None:
         first = names.setdefault(topic, raw.topic)
@@ -225,3 +193,15 @@ class RecordedRun:
             raise RecordingError(f"{where}: {error}") from error
         except Exception as error:  # bytes that are no message raise anything in a parser
             raise RecordingError(f"{where}: cannot be read ({error})") from error
+
+
+def shows_contact(answer: bytes) -> bool:
+    """Whether a serialized `WrenchStamped` is anything but zero."""
+    return len(answer) < _WRENCH.size or any(_WRENCH.unpack(answer[-_WRENCH.size :]))
+
+
+def _stamp(raw: bytes) -> int:
+    try:
+        return stamp_ns(raw)
+    except ContractError:
+        return 0

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import csv
 import struct
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
 
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
@@ -37,7 +36,7 @@ class Comparison:
         contacts: those compared whose recorded answer is a contact.
         unanswered: without a recorded answer.
         before_journal: answered, but the state that the answer rests on is not in the recording.
-        unstamped, lone_contacts, lone_zeros: as in `AnsweredSamples`.
+        unstamped, lone_contacts, lone_zeros: as in `RecordedRun`.
         first_difference: empty where there is none.
     """
 
@@ -73,10 +72,6 @@ class Comparison:
         """Whether there was something to compare, and no difference."""
         return 0 < self.compared == self.identical
 
-    def as_json(self) -> dict[str, Any]:
-        """The counts, for a machine."""
-        return asdict(self)
-
 
 def _wrench_text(raw: bytes) -> str:
     """Frame and numbers of a serialized `WrenchStamped`, or its bytes."""
@@ -89,45 +84,6 @@ def _wrench_text(raw: bytes) -> str:
     return f"{frame} {numbers}"
 
 
-class EstimateTable:
-    """Writes rows; numbers with all their digits."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._rows = csv.writer(file, lineterminator="\n")
-        self._begun = False
-
-    def add(self, stamp_ns: int, answer: Answer, segment_count: int) -> None:
-        """The answer to one sample of an arm with N segments.
-
-        `segment` is 0 without a contact; probabilities are empty where nothing was estimated: in a
-        move, before the first tare, and at a sample that was refused, whose `problem` is given.
-        """
-        if not self._begun:
-            self._begun = True
-            columns = ["stamp_ns", "segment", "angle_deg", "magnitude_n", "p_none"]
-            columns += [f"p_segment_{n + 1}" for n in range(segment_count)]
-            self._rows.writerow([*columns, "problem"])
-        contact = answer.contact
-        probabilities: list[Any] = [*answer.probabilities] or [""] * (segment_count + 1)
-        problem = "" if answer.problem is None else answer.problem.kind.value
-        touched = [contact.angle_deg, contact.magnitude_n] if contact.segment else ["", ""]
-        self._rows.writerow([stamp_ns, contact.segment, *touched, *probabilities, problem])
-
-
-@contextmanager
-def estimate_table(path: Path) -> Iterator[EstimateTable]:
-    """A table that gets its name when it is whole.
-
-    Raises:
-        RecordingError: it cannot be written there.
-    """
-    with (
-        written_whole(path, RecordingError) as beside,
-        beside.open("w", encoding="utf-8", newline="") as file,
-    ):
-        yield EstimateTable(file)
-
-
 def replayed_steps(
     run: RecordedRun, comparison: Comparison
 ) -> Iterator[tuple[list[EstimatorState], Step]]:
@@ -138,14 +94,14 @@ def replayed_steps(
     states: list[EstimatorState] = []
     for step in run.steps():
         comparison.samples += 1
-        comparison.unanswered += step.pair.answer is None
+        comparison.unanswered += step.answer is None
         states += step.states
         if step.taken or not run.has_answers:
             yield states, step
             states = []
-    comparison.unstamped = run.pairs.unstamped
-    comparison.lone_contacts = run.pairs.lone_contacts
-    comparison.lone_zeros = run.pairs.lone_zeros
+    comparison.unstamped = run.unstamped
+    comparison.lone_contacts = run.lone_contacts
+    comparison.lone_zeros = run.lone_zeros
 
 
 class RebuiltEstimation:
@@ -218,7 +174,7 @@ class RebuiltEstimation:
 
 
 def replay_in_process(
-    run: RecordedRun, arm: str = "", model: str = "", table: EstimateTable | None = None
+    run: RecordedRun, arm: str = "", model: str = "", estimates: Path | None = None
 ) -> Comparison:
     """Answer every recorded sample that the live estimator answered, and compare.
 
@@ -230,10 +186,13 @@ def replay_in_process(
         run: the recording.
         arm: another than the recorded, or empty.
         model: another than the recorded, or empty.
-        table: takes the answers, if any is wanted.
+        estimates: CSV file for the answers, numbers with all their digits. `segment` is 0 without
+            a contact; probabilities are empty where nothing was estimated: in a move, before the
+            first tare, and at a sample that was refused, whose `problem` is given.
 
     Raises:
-        RecordingError: the recording has not all that a replay needs.
+        RecordingError: the recording has not all that a replay needs, or `estimates` cannot be
+            written.
         CableSenseError: the model is not to be found, or does not fit.
     """
     if not run.states:
@@ -241,31 +200,53 @@ def replay_in_process(
             f"{run.path}: has no ~/journal, and without it tare and command are unknown at each "
             "sample; record with: cablesense record"
         )
-    rebuilt, comparison = RebuiltEstimation(arm, model), Comparison()
-    for states, (_, pair, _) in replayed_steps(run, comparison):
+    comparison = Comparison()
+    compared = _compared(run, RebuiltEstimation(arm, model), comparison)
+    if estimates is None:
+        deque(compared, maxlen=0)
+        return comparison
+    with (
+        written_whole(estimates, RecordingError) as beside,
+        beside.open("w", encoding="utf-8", newline="") as file,
+    ):
+        table = csv.writer(file, lineterminator="\n")
+        for number, (stamp, answer, segment_count) in enumerate(compared):
+            if number == 0:
+                segments = [f"p_segment_{n + 1}" for n in range(segment_count)]
+                head = ("stamp_ns", "segment", "angle_deg", "magnitude_n", "p_none")
+                table.writerow([*head, *segments, "problem"])
+            contact = answer.contact
+            touched = (contact.angle_deg, contact.magnitude_n) if contact.segment else ("", "")
+            probabilities = answer.probabilities or ("",) * (segment_count + 1)
+            problem = "" if answer.problem is None else answer.problem.kind.value
+            table.writerow([stamp, contact.segment, *touched, *probabilities, problem])
+    return comparison
+
+
+def _compared(
+    run: RecordedRun, rebuilt: RebuiltEstimation, comparison: Comparison
+) -> Iterator[tuple[int, Answer, int]]:
+    """Stamp, answer and number of segments of each sample that was compared."""
+    for states, step in replayed_steps(run, comparison):
         for state in states:
             rebuilt.restore(state)
         if rebuilt.loaded is None:
-            comparison.before_journal += pair.answer is not None
+            comparison.before_journal += step.answer is not None
             continue
-        wrench = rebuilt.wrench(pair.sample, pair.stamp_ns)
-        if pair.answer is None:
+        wrench = rebuilt.wrench(step.sample, step.stamp_ns)
+        if step.answer is None:
             continue  # a history-dependent model has received it
         if not rebuilt.reproducible:
             comparison.before_journal += 1
             continue
-        comparison.compare(comparison.samples, pair.answer, wrench)
-        if table is not None:
-            table.add(pair.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count)
-    return comparison
+        comparison.compare(comparison.samples, step.answer, wrench)
+        yield step.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count
 
 
 def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
     """One line for each count that is not zero, the verdict, and the first difference.
 
-    Args:
-        comparison: the counts.
-        cut: where the file breaks off, as text; empty if it is whole.
+    `cut` is where the file breaks off, as text; empty if it is whole.
     """
     counted = {
         "samples recorded": comparison.samples,

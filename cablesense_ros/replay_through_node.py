@@ -252,16 +252,14 @@ class _Player:
         for states, step in replayed_steps(self._run, counts):
             if not self._begun:
                 self._begin(step)
-            self._pace(step.pair.log_ns)
+            self._pace(step.log_ns)
             for state in states:
                 self._repeat(state)
-            stamp_ns = self._shifted(step.pair.stamp_ns)
+            stamp_ns = self._shifted(step.stamp_ns)
             self._sent = True
-            self._live.publish(topics.CABLE_TENSIONS, restamped(step.pair.sample, stamp_ns))
-            if step.pair.answer is not None:
-                self._open.append(
-                    _Open(counts.samples, stamp_ns, step.pair.stamp_ns, step.pair.answer)
-                )
+            self._live.publish(topics.CABLE_TENSIONS, restamped(step.sample, stamp_ns))
+            if step.answer is not None:
+                self._open.append(_Open(counts.samples, stamp_ns, step.stamp_ns, step.answer))
             if len(self._open) > MOST_OPEN:
                 self._live.wait_for(self._open[0].stamp_ns)
             self._compare()
@@ -286,8 +284,8 @@ class _Player:
             self._report(
                 "no ~/journal in the recording: commands go as they came, tares not at all"
             )
-        self._first_log_ns, self._first_stamp_ns = step.pair.log_ns, step.pair.stamp_ns
-        age_ns = min(max(step.pair.log_ns - step.pair.stamp_ns, 0), LONGEST_AGE_NS)
+        self._first_log_ns, self._first_stamp_ns = step.log_ns, step.stamp_ns
+        age_ns = min(max(step.log_ns - step.stamp_ns, 0), LONGEST_AGE_NS)
         self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
 
     def _adjust(self, state: EstimatorState) -> None:
