@@ -10,7 +10,7 @@ from cablesense_sim.arm import load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, gravity_torques_n_m
 from cablesense_sim.loads import contact_angle_deg
-from cablesense_training.data.dataset import Dataset, combine, summarise
+from cablesense_training.data.dataset import Dataset, summarise
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
@@ -127,7 +127,7 @@ def test_parts_put_together_are_the_whole(arm):
     assert [len(part) for part in parts] == [200, 200, 100]
     whole = Dataset.concatenate(parts)
     assert (whole.tension_difference_n == dataset.tension_difference_n).all()
-    assert combine(map(summarise, parts)) == summarise(dataset)
+    assert summarise(parts) == summarise([dataset])
     assert (dataset.select(dataset.segment == 2).segment == 2).all()
 
 
@@ -151,7 +151,7 @@ def test_single_contact_labels_are_refused_for_several(arm):
 
 
 def test_summary_counts(arm):
-    summary = summarise(ideal(arm, force_low_n=20.0))
+    summary = summarise([ideal(arm, force_low_n=20.0)])
     assert summary.rows == 500
     assert summary.contact_free + sum(summary.contacts_per_segment) == 500
     assert 20.0 <= summary.weakest_n < 22.0

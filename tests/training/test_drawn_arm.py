@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.effects.registry import known_effects
-from cablesense_training.data.protocols import drawn_entries, effect_names
+from cablesense_training.data.protocols import SingleContact, drawn_entries, effect_names
 from cablesense_training.errors import DatasetError
 
 
@@ -25,8 +25,8 @@ def test_what_is_no_effect_is_refused_with_those_there_are(randomise: str) -> No
 
 @pytest.mark.parametrize("randomise", [3, True, ["payload"]])
 def test_what_is_no_text_is_refused(randomise: object) -> None:
-    with pytest.raises(DatasetError, match="must be names"):
-        effect_names(randomise)  # type: ignore[arg-type]
+    with pytest.raises(DatasetError, match="must be text"):
+        SingleContact(randomise=randomise)  # type: ignore[arg-type]
 
 
 def many(name: str, draws: int = 400) -> list:

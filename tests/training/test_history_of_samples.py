@@ -12,9 +12,9 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_training.data.chunk import LoadHistory
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.history import LoadHistory
 from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.errors import DatasetError

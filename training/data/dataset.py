@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,47 @@ def contact_forces_n(
 
 
 @dataclass(frozen=True, eq=False)
-class Dataset:
+class RunRows:
+    """Rows of a run that arm, protocol and seed determine; further fields are arrays of them."""
+
+    arm: Arm
+    protocol: Any
+    seed: int
+
+    @classmethod
+    def array_names(cls) -> list[str]:
+        """Names of the arrays that have one entry a row."""
+        return [f.name for f in fields(cls) if f.name not in ("arm", "protocol", "seed")]
+
+    def select(self, rows: Any) -> Self:
+        """The given rows (slice, mask or row numbers), in that order."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in self.array_names()})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Parts of one run, in the order given.
+
+        Raises:
+            DatasetError: no parts, or parts of different arms, protocols or seeds.
+        """
+        if not parts:
+            raise DatasetError("a run needs at least one part")
+        first = parts[0]
+        for part in parts[1:]:
+            if (part.arm, part.protocol, part.seed) != (first.arm, first.protocol, first.seed):
+                raise DatasetError(
+                    f"parts of different runs: {first.arm.identity}, {first.protocol}, "
+                    f"seed {first.seed} and {part.arm.identity}, {part.protocol}, seed {part.seed}"
+                )
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in cls.array_names()
+        }
+        return replace(first, **arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset(RunRows):
     """B samples of an arm with N segments and M cables. Rows of all arrays belong together.
 
     Attributes:
@@ -60,9 +100,7 @@ class Dataset:
         redrawn: (B,) how often the case was drawn again because it lay beyond the arm.
     """
 
-    arm: Arm
     protocol: Protocol
-    seed: int
     sample_id: NDArray[np.int64]
     command_rad: Array
     tension_difference_n: Array
@@ -74,20 +112,11 @@ class Dataset:
     redrawn: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        n, m = self.arm.segment_count, self.arm.cable_count
-        rows = len(self.sample_id)
-        shapes: dict[str, tuple[int, ...]] = {
-            "sample_id": (rows,),
-            "command_rad": (rows, 2 * n),
-            "tension_difference_n": (rows, m),
-            "unloaded_n": (rows, m),
-            "contacts": (rows, n),
-            "angles_deg": (rows, n),
-            "magnitudes_n": (rows, n),
-            "slack_cables": (rows,),
-            "redrawn": (rows,),
-        }
-        for name, shape in shapes.items():
+        rows, n, m = len(self.sample_id), self.arm.segment_count, self.arm.cable_count
+        widths = {"command_rad": 2 * n, "tension_difference_n": m, "unloaded_n": m}
+        widths |= dict.fromkeys(("contacts", "angles_deg", "magnitudes_n"), n)
+        for name in self.array_names():
+            shape = (rows, widths[name]) if name in widths else (rows,)
             if getattr(self, name).shape != shape:
                 raise DatasetError(
                     f"{name} has shape {getattr(self, name).shape}; {rows} samples of arm "
@@ -128,40 +157,10 @@ class Dataset:
                 f"{self.protocol.kind}; use contacts, angles_deg and magnitudes_n"
             )
 
-    def select(self, rows: Any) -> Dataset:
-        """The given rows (slice, mask or row numbers), in that order."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ARRAY_NAMES})
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[Dataset]) -> Dataset:
-        """Parts of one run, in the order given.
-
-        Raises:
-            DatasetError: no parts, or parts of different arms, protocols or seeds.
-        """
-        if not parts:
-            raise DatasetError("a dataset needs at least one part")
-        first = parts[0]
-        for part in parts[1:]:
-            same = (part.arm, part.protocol, part.seed) == (first.arm, first.protocol, first.seed)
-            if not same:
-                raise DatasetError(
-                    f"parts of different runs: {first.arm.identity}, {first.protocol}, "
-                    f"seed {first.seed} and {part.arm.identity}, {part.protocol}, seed {part.seed}"
-                )
-        arrays: dict[str, Any] = {
-            n: np.concatenate([getattr(p, n) for p in parts]) for n in ARRAY_NAMES
-        }
-        return replace(first, **arrays)
-
     def parts(self, rows: int) -> Iterator[Dataset]:
         """The dataset in consecutive parts of at most `rows` samples."""
         for start in range(0, len(self), rows):
             yield self.select(slice(start, start + rows))
-
-
-ARRAY_NAMES = tuple(f.name for f in fields(Dataset) if f.name not in ("arm", "protocol", "seed"))
-"""Names of the arrays that have one row per sample."""
 
 
 @dataclass(frozen=True)
@@ -186,32 +185,25 @@ class Summary:
     redrawn_rows: int
 
 
-def summarise(dataset: Dataset) -> Summary:
-    """What a dataset holds."""
-    contacts = dataset.contacts
-    forces = dataset.magnitudes_n[contacts]
+def summarise(parts: Iterable[Dataset]) -> Summary:
+    """What the parts of a run hold together; there must be at least one."""
+    counts, per_segment, ranges = [], [], []
+    for part in parts:
+        free = ~part.contacts.any(axis=1)
+        counts.append(
+            [len(part), free.sum(), (part.slack_cables > 0).sum(), (part.redrawn > 0).sum()]
+        )
+        per_segment.append(part.contacts.sum(axis=0))
+        forces = part.magnitudes_n[part.contacts]
+        if forces.size:
+            ranges += [forces.min(), forces.max()]
+    rows, contact_free, slack_rows, redrawn_rows = np.sum(counts, axis=0).tolist()
     return Summary(
-        rows=len(dataset),
-        contact_free=int((~contacts.any(axis=1)).sum()),
-        contacts_per_segment=tuple(int(count) for count in contacts.sum(axis=0)),
-        weakest_n=float(forces.min()) if forces.size else 0.0,
-        strongest_n=float(forces.max()) if forces.size else 0.0,
-        slack_rows=int((dataset.slack_cables > 0).sum()),
-        redrawn_rows=int((dataset.redrawn > 0).sum()),
-    )
-
-
-def combine(summaries: Iterable[Summary]) -> Summary:
-    """What several parts hold together; there must be at least one."""
-    parts = list(summaries)
-    touched = [p for p in parts if p.rows > p.contact_free]
-    per_segment = np.sum([p.contacts_per_segment for p in parts], axis=0)
-    return Summary(
-        rows=sum(p.rows for p in parts),
-        contact_free=sum(p.contact_free for p in parts),
-        contacts_per_segment=tuple(int(count) for count in per_segment),
-        weakest_n=min((p.weakest_n for p in touched), default=0.0),
-        strongest_n=max((p.strongest_n for p in touched), default=0.0),
-        slack_rows=sum(p.slack_rows for p in parts),
-        redrawn_rows=sum(p.redrawn_rows for p in parts),
+        rows=rows,
+        contact_free=contact_free,
+        contacts_per_segment=tuple(np.sum(per_segment, axis=0).tolist()),
+        weakest_n=float(min(ranges, default=0.0)),
+        strongest_n=float(max(ranges, default=0.0)),
+        slack_rows=slack_rows,
+        redrawn_rows=redrawn_rows,
     )

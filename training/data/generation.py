@@ -20,7 +20,7 @@ from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.protocols import Protocol, chunk_sizes
 from cablesense_training.errors import DatasetError
 
-MAX_WORKERS = 256
+_MAX_WORKERS = 256
 DASK_PATIENCE_S = 10.0
 """How long a Dask scheduler may take to answer, and its first worker to appear."""
 
@@ -47,14 +47,14 @@ def generate(
     """
     if not isinstance(seed, int) or not 0 <= seed < 2**63:
         raise DatasetError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 - 1")
-    if not isinstance(workers, int) or not 1 <= workers <= MAX_WORKERS:
+    if not isinstance(workers, int) or not 1 <= workers <= _MAX_WORKERS:
         raise DatasetError(
-            f"workers = {workers!r}: must be a whole number from 1 to {MAX_WORKERS}"
+            f"workers = {workers!r}: must be a whole number from 1 to {_MAX_WORKERS}"
         )
     chunks = len(chunk_sizes(protocol.samples))
     if dask_scheduler is not None:
-        return _on_dask(dask_scheduler, arm, protocol, seed, chunks)
-    return _on_processes(min(workers, chunks), arm, protocol, seed, chunks)
+        return _on_dask(dask_scheduler, chunks, arm, protocol, seed)
+    return _on_processes(min(workers, chunks), chunks, arm, protocol, seed)
 
 
 def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1) -> Dataset:
@@ -66,23 +66,19 @@ def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 
     return Dataset.concatenate(list(generate(arm, protocol, seed, workers=workers)))
 
 
-def _on_processes(
-    workers: int, arm: Arm, protocol: Protocol, seed: int, chunks: int
-) -> Iterator[Dataset]:
-    with WorkerPool(workers, arm, protocol, seed, refusal=DatasetError) as pool:
+def _on_processes(workers: int, chunks: int, *run: Any) -> Iterator[Dataset]:
+    with WorkerPool(workers, *run, refusal=DatasetError) as pool:
         most_pending = workers * _IN_FLIGHT_PER_WORKER
         yield from pool.map(generate_chunk, range(chunks), most_pending=most_pending)
 
 
-def _on_dask(
-    address: str, arm: Arm, protocol: Protocol, seed: int, chunks: int
-) -> Iterator[Dataset]:
+def _on_dask(address: str, chunks: int, *run: Any) -> Iterator[Dataset]:
     """Keep every worker busy, hand the parts on in order."""
     with _dask(address) as client:
         most_pending = _check_cluster(client, address) * _IN_FLIGHT_PER_WORKER
         pending: deque[Any] = deque()
         for chunk in range(chunks):
-            pending.append(client.submit(generate_chunk, arm, protocol, seed, chunk, pure=False))
+            pending.append(client.submit(generate_chunk, *run, chunk, pure=False))
             if len(pending) == most_pending:
                 yield pending.popleft().result()
         while pending:
@@ -105,14 +101,11 @@ def _dask(address: str) -> Iterator[Any]:
             f"no Dask scheduler answers at {address!r} (expected something like "
             f"tcp://127.0.0.1:8786): {_line(error)}"
         ) from error
+    lost = (distributed.KilledWorker, distributed.client.FutureCancelledError, OSError)
     with client:
         try:
             yield client
-        except (
-            distributed.KilledWorker,
-            distributed.client.FutureCancelledError,
-            OSError,
-        ) as error:
+        except lost as error:
             raise DatasetError(
                 f"the Dask cluster at {address} lost its workers: {_line(error)}"
             ) from error
@@ -122,13 +115,12 @@ def _check_cluster(client: Any, address: str) -> int:
     """Number of workers (at least one), all of which run this version of the package."""
     try:
         client.wait_for_workers(1, timeout=DASK_PATIENCE_S)
+        versions = client.run(package_version)
     except TimeoutError as error:
         raise DatasetError(
             f"the Dask scheduler at {address} has no workers; "
             f"start one with: dask worker {address}"
         ) from error
-    try:
-        versions = client.run(package_version)
     except ModuleNotFoundError as error:
         raise DatasetError(
             f"a Dask worker at {address} lacks this package ({error}); install it on every machine"

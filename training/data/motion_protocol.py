@@ -6,23 +6,23 @@ steps. `drawn_contacts` gives contacts that come and go: segment, direction and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from cablesense_base.arrays import Array
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.errors import require_within
-
-LONGEST_S = 3600.0
+from cablesense_training.data.protocols import Options, PoseRange, Readings
+from cablesense_training.errors import DatasetError
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionProtocol:
-    """Options of a run; refused with a `DatasetError` when out of range.
+class MotionProtocol(Options):
+    """Options of a run of sequences.
 
     Attributes:
         sequences: number of sequences, independent of each other.
@@ -36,23 +36,20 @@ class MotionProtocol:
         noise: whether the sensors' noise and step act.
     """
 
-    sequences: int = 256
-    duration_s: float = 30.0
-    tick_s: float = 0.02
-    pose_range_deg: float = 10.0
-    joint_speed_deg_s: float = 20.0
-    force_high_n: float = 100.0
-    tare_samples: int = 50
+    sequences: Annotated[int, Field(ge=1, le=1_000_000)] = 256
+    duration_s: Annotated[float, Field(le=3600.0)] = 30.0
+    tick_s: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    pose_range_deg: PoseRange = 10.0
+    joint_speed_deg_s: Annotated[float, Field(ge=0.1, le=1000.0)] = 20.0
+    force_high_n: Annotated[float, Field(ge=0.1, le=10_000.0)] = 100.0
+    tare_samples: Readings = 50
     noise: bool = True
 
     def __post_init__(self) -> None:
-        require_within("sequences", self.sequences, 1, 1_000_000)
-        require_within("tick_s", self.tick_s, 1e-3, 1.0)
-        require_within("duration_s", self.duration_s, self.tick_s, LONGEST_S)
-        require_within("pose_range_deg", self.pose_range_deg, 0.0, 45.0)
-        require_within("joint_speed_deg_s", self.joint_speed_deg_s, 0.1, 1000.0)
-        require_within("force_high_n", self.force_high_n, 0.1, 10_000.0)
-        require_within("tare_samples", self.tare_samples, 1, 10_000)
+        if self.duration_s < self.tick_s:
+            raise DatasetError(
+                f"duration_s = {self.duration_s:g}: must be at least a tick, {self.tick_s:g} s"
+            )
 
     @property
     def ticks(self) -> int:
@@ -143,14 +140,17 @@ class _Commander:
         if time_s < self._next_s:
             return None
         rng = self._rng
-        if time_s < self._stream_until_s:
-            self._step()
-            self._next_s = time_s + self._every_s
-        elif rng.random() < _SHARE_OF_STREAMS:
+        streams = time_s < self._stream_until_s
+        if not streams and rng.random() < _SHARE_OF_STREAMS:
+            streams = True
             self._every_s = rng.uniform(*_STREAM_EVERY_S)
             self._stream_until_s = time_s + rng.uniform(*_STREAM_LASTS_S)
             self._velocity = self._drawn_velocity()
-            self._step()
+        if streams:
+            turned = self._velocity + 0.3 * self._drawn_velocity()
+            ahead = self._command + turned * self._every_s
+            self._velocity = np.where(np.abs(ahead) > self._reach, -turned, turned)
+            self._command = np.clip(ahead, -self._reach, self._reach)
             self._next_s = time_s + self._every_s
         else:
             moved = np.ones(len(self._command), dtype=bool)
@@ -160,24 +160,16 @@ class _Commander:
             drawn = rng.uniform(-self._reach, self._reach, len(moved))
             way = np.abs(np.where(moved, drawn - self._command, 0.0)).max()
             self._command = np.where(moved, drawn, self._command)
-            self._next_s = time_s + 1.9 * way / self._speed + self._dwell_s()
+            if rng.random() < _SHARE_OF_LONG_DWELLS:
+                dwell_s = float(rng.uniform(*_LONG_DWELL_S))
+            else:
+                dwell_s = float(rng.exponential(_MEAN_DWELL_S))
+            self._next_s = time_s + 1.9 * way / self._speed + dwell_s
         return self._command.copy()
 
     def _drawn_velocity(self) -> Array:
         size = self._speed * self._rng.uniform(0.0, 0.5)
         return self._rng.normal(0.0, 0.6, len(self._command)) * size
-
-    def _step(self) -> None:
-        turned = self._velocity + 0.3 * self._drawn_velocity()
-        ahead = self._command + turned * self._every_s
-        out = np.abs(ahead) > self._reach
-        self._velocity = np.where(out, -turned, turned)
-        self._command = np.clip(ahead, -self._reach, self._reach)
-
-    def _dwell_s(self) -> float:
-        if self._rng.random() < _SHARE_OF_LONG_DWELLS:
-            return float(self._rng.uniform(*_LONG_DWELL_S))
-        return float(self._rng.exponential(_MEAN_DWELL_S))
 
 
 _MEAN_FREE_S = 2.0

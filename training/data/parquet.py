@@ -1,19 +1,15 @@
 """Datasets as Parquet files: one row a sample, units and provenance in the schema's metadata.
 
-Metadata keys (all text): `cablesense.format` (version of this layout), `cablesense.arm_identity`,
-`cablesense.arm` (the arm file's content, YAML), `cablesense.cables` and `cablesense.joints` (JSON
-lists, the order of the columns), `cablesense.protocol` (JSON, kind and all options),
-`cablesense.seed`, `cablesense.version` (of this package) and `cablesense.command`. Nothing in a
-file depends on when, where or by how many workers it was made.
-
-Files are read whole and every value is checked; they are written as the parts come, and appear
-under their name only when they are whole.
+docs/data.md describes the columns and the metadata. Nothing in a file depends on when, where or
+by how many workers it was made. Files are read whole and every value is checked.
 """
 
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +22,7 @@ from cablesense_base.files import written_whole
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm, ArmFileError, parse_arm
-from cablesense_training.data.dataset import Dataset, Summary, combine, summarise
+from cablesense_training.data.dataset import Dataset, Summary, summarise
 from cablesense_training.data.generation import generate
 from cablesense_training.data.protocols import (
     CHUNK_SAMPLES,
@@ -36,69 +32,57 @@ from cablesense_training.data.protocols import (
 )
 from cablesense_training.errors import DatasetError
 
-FORMAT = "1"
-PREFIX = "cablesense."
+_FORMAT = "1"
+_PREFIX = "cablesense."
+_ROWS_PER_GROUP = 32 * CHUNK_SAMPLES
+
+_MAX_COLUMNS = 2_000
+"""Far more than the largest arm has."""
+
+_LARGEST_UNPACKED_B, _MAX_UNPACKING = 2**26, 100
+"""A dataset may hold so many bytes, and so many more for each byte of its file."""
 
 
-class Column(NamedTuple):
+class _Column(NamedTuple):
     """One column: `array[:, place]` of the dataset, or all of it when `place` is None."""
 
-    name: str
-    unit: str
-    type: pa.DataType
+    field: pa.Field
     array: str
     place: int | None
 
+    @property
+    def name(self) -> str:
+        return str(self.field.name)
 
-def columns(arm: Arm, protocol: Protocol) -> list[Column]:
+
+def _columns(arm: Arm, protocol: Protocol) -> list[_Column]:
     """The columns of a dataset of that arm and protocol, in the file's order."""
+    found: list[_Column] = []
+
+    def add(name: str, unit: str, kind: pa.DataType, array: str, place: int | None = None) -> None:
+        field = pa.field(name, kind, nullable=False, metadata={"unit": unit})
+        found.append(_Column(field, array, place))
+
     number, whole = pa.float64(), pa.int64()
-    found = [Column("sample_id", "1", whole, "sample_id", None)]
+    add("sample_id", "1", whole, "sample_id")
     for i, name in enumerate(arm.joint_names):
-        found.append(Column(f"command_{name}_rad", "rad", number, "command_rad", i))
+        add(f"command_{name}_rad", "rad", number, "command_rad", i)
     for label in ("tension_difference", "unloaded"):
         for i, name in enumerate(arm.cable_names):
-            found.append(Column(f"{label}_{name}_n", "N", number, f"{label}_n", i))
+            add(f"{label}_{name}_n", "N", number, f"{label}_n", i)
     if isinstance(protocol, SingleContact):
-        found.append(Column("segment", "1", whole, "segment", None))
-        found.append(Column("angle_deg", "deg", number, "angle_deg", None))
-        found.append(Column("magnitude_n", "N", number, "magnitude_n", None))
+        add("segment", "1", whole, "segment")
+        add("angle_deg", "deg", number, "angle_deg")
+        add("magnitude_n", "N", number, "magnitude_n")
     else:
         for i in range(arm.segment_count):
             label = f"segment_{i + 1}"
-            found.append(Column(f"contact_{label}", "1", pa.bool_(), "contacts", i))
-            found.append(Column(f"angle_{label}_deg", "deg", number, "angles_deg", i))
-            found.append(Column(f"magnitude_{label}_n", "N", number, "magnitudes_n", i))
+            add(f"contact_{label}", "1", pa.bool_(), "contacts", i)
+            add(f"angle_{label}_deg", "deg", number, "angles_deg", i)
+            add(f"magnitude_{label}_n", "N", number, "magnitudes_n", i)
     for name in ("slack_cables", "redrawn"):
-        found.append(Column(name, "1", whole, name, None))
+        add(name, "1", whole, name)
     return found
-
-
-def schema(arm: Arm, protocol: Protocol, seed: int, command: str) -> pa.Schema:
-    """Columns with their units, and the metadata of the module's docstring."""
-    listed = [
-        pa.field(c.name, c.type, nullable=False, metadata={"unit": c.unit})
-        for c in columns(arm, protocol)
-    ]
-    metadata = {
-        "format": FORMAT,
-        "arm_identity": arm.identity,
-        "arm": yaml.safe_dump(arm.model_dump(), sort_keys=False),
-        "cables": json.dumps(arm.cable_names),
-        "joints": json.dumps(arm.joint_names),
-        "protocol": json.dumps(protocol.options(), sort_keys=True),
-        "seed": str(seed),
-        "version": package_version(),
-        "command": command,
-    }
-    return pa.schema(listed, metadata={PREFIX + key: text for key, text in metadata.items()})
-
-
-MAX_COLUMNS = 2_000
-"""Far more than the largest arm has."""
-
-LARGEST_UNPACKED_B, MAX_UNPACKING = 2**26, 100
-"""A dataset may hold so many bytes, and so many more for each byte of its file."""
 
 
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
@@ -115,9 +99,9 @@ def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
     path = Path(path)
     table = _read_table(path)
     found = {
-        key.decode().removeprefix(PREFIX): value.decode(errors="replace")
+        key.decode().removeprefix(_PREFIX): value.decode(errors="replace")
         for key, value in (table.schema.metadata or {}).items()
-        if key.startswith(PREFIX.encode())
+        if key.startswith(_PREFIX.encode())
     }
     stored, protocol, seed = _provenance(path, found)
     if arm is not None and stored.identity != arm.identity:
@@ -125,22 +109,28 @@ def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
             f"{path}: comes from arm {stored.identity}, and {arm.identity} was asked for; "
             "generate the dataset again with that arm's file"
         )
-    layout = columns(stored, protocol)
-    _check_columns(path, table.schema, layout)
+    layout = _columns(stored, protocol)
+    _require_columns(path, table.schema, layout)
     if table.num_rows == 0:
         raise DatasetError(f"{path}: holds no samples; it must hold at least one")
-    arrays: dict[str, np.ndarray] = {}
+    parts: dict[str, list[np.ndarray]] = {}
     for column in layout:
-        values = _column_values(path, table, column)
-        if column.place is None:
-            arrays[column.array] = values
-        else:
-            shape = (len(values), sum(c.array == column.array for c in layout))
-            arrays.setdefault(column.array, np.empty(shape, values.dtype))
-            arrays[column.array][:, column.place] = values
+        parts.setdefault(column.array, []).append(_column_values(path, table, column))
+    single = {column.array for column in layout if column.place is None}
+    arrays = {
+        name: values[0] if name in single else np.stack(values, axis=1)
+        for name, values in parts.items()
+    }
     if isinstance(protocol, SingleContact):
         _expand_single(path, arrays, stored.segment_count)
-    _check_labels(path, arrays, protocol)
+    contacts, magnitude, angle = arrays["contacts"], arrays["magnitudes_n"], arrays["angles_deg"]
+    low, high = protocol.force_low_n, protocol.force_high_n
+    outside = contacts & ((magnitude < low) | (magnitude > high))
+    _refuse(path, "magnitude", magnitude, outside, f"must be from {low:g} to {high:g} N")
+    idle = ~contacts & ((magnitude != 0.0) | (angle != 0.0))
+    _refuse(path, "magnitude", magnitude, idle, "magnitude and angle must be 0 without contact")
+    turned = (angle < 0.0) | (angle >= 360.0)
+    _refuse(path, "angle", angle, turned, "must be from 0 to below 360 degrees")
     return Dataset(arm=stored, protocol=protocol, seed=seed, **arrays)
 
 
@@ -149,7 +139,14 @@ def _read_table(path: Path) -> pa.Table:
         if path.exists() and not path.is_file():  # a pipe would keep an open waiting
             raise DatasetError(f"{path}: not a Parquet file, nor a file at all")
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            _require_credible(path, file.metadata.num_rows, file.metadata.num_columns)
+            rows, width = file.metadata.num_rows, file.metadata.num_columns
+            # a few bytes of Parquet can stand for any number of equal rows; no measured ones do
+            unpacked, packed = 8 * rows * width, path.stat().st_size
+            if width > _MAX_COLUMNS or unpacked > _LARGEST_UNPACKED_B + _MAX_UNPACKING * packed:
+                raise DatasetError(
+                    f"{path}: claims {rows} rows of {width} columns in {packed} bytes; no dataset "
+                    "is packed so tightly: generate it again"
+                )
             return file.read()
     except FileNotFoundError as error:
         raise DatasetError(
@@ -160,54 +157,47 @@ def _read_table(path: Path) -> pa.Table:
         raise DatasetError(f"{path}: not a Parquet file, or cut short ({reason})") from error
 
 
-def _require_credible(path: Path, rows: int, width: int) -> None:
-    """A few bytes of Parquet can stand for any number of equal rows; no measured ones do."""
-    unpacked, packed = 8 * rows * width, path.stat().st_size
-    if width > MAX_COLUMNS or unpacked > LARGEST_UNPACKED_B + MAX_UNPACKING * packed:
-        raise DatasetError(
-            f"{path}: says {rows} rows of {width} columns in {packed} bytes; no dataset is packed "
-            "so tightly: generate it again"
-        )
-
-
 def _provenance(path: Path, found: dict[str, str]) -> tuple[Arm, Protocol, int]:
     """Arm, protocol and seed from the metadata."""
     version = found.get("format")
     if version is None:
         raise DatasetError(
             f"{path}: a Parquet file, but not a CableSense dataset (its metadata lacks "
-            f"{PREFIX}format); "
-            "`cablesense dataset` writes one"
+            f"{_PREFIX}format); `cablesense dataset` writes one"
         )
-    if version != FORMAT:
-        raise DatasetError(f"{path}: format {version!r}; this version reads format {FORMAT!r}")
+    if version != _FORMAT:
+        raise DatasetError(f"{path}: format {version!r}; this version reads format {_FORMAT!r}")
     for key in ("arm_identity", "arm", "cables", "joints", "protocol", "seed"):
         if key not in found:
-            raise DatasetError(f"{path}: lacks metadata {PREFIX}{key}; generate it again")
+            raise DatasetError(f"{path}: lacks metadata {_PREFIX}{key}; generate it again")
     try:
-        arm = parse_arm(found["arm"], source=f"{path}, {PREFIX}arm")
+        arm = parse_arm(found["arm"], source=f"{path}, {_PREFIX}arm")
     except ArmFileError as error:
         raise DatasetError(str(error)) from error
-    if arm.identity != found["arm_identity"]:
-        raise DatasetError(
-            f"{path}: says arm {found['arm_identity']}, but describes {arm.identity}; "
-            "the metadata was altered, generate the dataset again"
-        )
-    for key, right in (("cables", arm.cable_names), ("joints", arm.joint_names)):
-        if found[key] != json.dumps(right):
+    for key, right in _arm_metadata(arm).items():
+        if found[key] != right:
             raise DatasetError(
-                f"{path}: {PREFIX}{key} = {found[key]}; arm {arm.identity} has {json.dumps(right)}"
+                f"{path}: {_PREFIX}{key} = {found[key]}, but the arm it describes has {right}; "
+                "the metadata was altered, generate the dataset again"
             )
     try:
-        options = json.loads(found["protocol"])
-        protocol = protocol_from_options(options)
+        protocol = protocol_from_options(json.loads(found["protocol"]))
         seed = int(found["seed"])
     except (ValueError, TypeError, RecursionError, DatasetError) as error:
-        raise DatasetError(f"{path}: {PREFIX}protocol or {PREFIX}seed: {error}") from error
+        raise DatasetError(f"{path}: {_PREFIX}protocol or {_PREFIX}seed: {error}") from error
     return arm, protocol, seed
 
 
-def _check_columns(path: Path, found: pa.Schema, layout: list[Column]) -> None:
+def _arm_metadata(arm: Arm) -> dict[str, str]:
+    """What the metadata repeat of the arm: its name and hash, the order of the columns."""
+    return {
+        "arm_identity": arm.identity,
+        "cables": json.dumps(arm.cable_names),
+        "joints": json.dumps(arm.joint_names),
+    }
+
+
+def _require_columns(path: Path, found: pa.Schema, layout: list[_Column]) -> None:
     names = [c.name for c in layout]
     missing = [name for name in names if name not in found.names]
     if missing:
@@ -216,26 +206,24 @@ def _check_columns(path: Path, found: pa.Schema, layout: list[Column]) -> None:
     if unknown or len(found.names) != len(names):
         extra = unknown[0] if unknown else "one twice"
         raise DatasetError(f"{path}: unknown column {extra!r}; valid: {', '.join(names)}")
-    for column in layout:
-        field = found.field(column.name)
-        if field.type != column.type:
+    for right in (column.field for column in layout):
+        (kind, unit), (right_kind, right_unit) = (
+            (f.type, (f.metadata or {}).get(b"unit", b"no unit").decode(errors="replace"))
+            for f in (found.field(right.name), right)
+        )
+        if (kind, unit) != (right_kind, right_unit):
             raise DatasetError(
-                f"{path}: column {column.name!r} holds {field.type}, and must hold {column.type}"
-            )
-        unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
-        if unit != column.unit:
-            raise DatasetError(
-                f"{path}: column {column.name!r} is in {unit or 'no unit'!r}, "
-                f"and must be in {column.unit!r}"
+                f"{path}: column {right.name!r} holds {kind} in {unit!r}, and must hold "
+                f"{right_kind} in {right_unit!r}"
             )
 
 
-def _column_values(path: Path, table: pa.Table, column: Column) -> np.ndarray:
+def _column_values(path: Path, table: pa.Table, column: _Column) -> np.ndarray:
     chunked = table.column(column.name)
     if chunked.null_count:
         raise DatasetError(f"{path}: column {column.name!r} has {chunked.null_count} empty values")
     values = np.array(chunked.to_numpy())
-    if column.type == pa.float64():
+    if column.field.type == pa.float64():
         _refuse(path, column.name, values, ~np.isfinite(values), "must be a finite number")
     return values
 
@@ -253,89 +241,22 @@ def _expand_single(path: Path, arrays: dict[str, np.ndarray], count: int) -> Non
     arrays["contacts"] = contacts
 
 
-def _check_labels(path: Path, arrays: dict[str, np.ndarray], protocol: Protocol) -> None:
-    contacts, magnitude, angle = (
-        arrays[name] for name in ("contacts", "magnitudes_n", "angles_deg")
-    )
-    low, high = protocol.force_low_n, protocol.force_high_n
-    outside = contacts & ((magnitude < low) | (magnitude > high))
-    _refuse(path, "magnitude", magnitude, outside, f"must be from {low:g} to {high:g} N")
-    idle = ~contacts & ((magnitude != 0.0) | (angle != 0.0))
-    _refuse(path, "magnitude", magnitude, idle, "magnitude and angle must be 0 without contact")
-    turned = (angle < 0.0) | (angle >= 360.0)
-    _refuse(path, "angle", angle, turned, "must be from 0 to below 360 degrees")
-
-
 def _refuse(path: Path, name: str, values: np.ndarray, bad: np.ndarray, right: str) -> None:
     if bad.any():
         place = tuple(int(i) for i in np.argwhere(bad)[0])
         raise DatasetError(f"{path}: {name!r} in row {place[0]} is {values[place]}: {right}")
 
 
-_ROWS_PER_GROUP = 32 * CHUNK_SAMPLES
-
-
 def write_dataset(path: str | Path, dataset: Dataset, command: str = "") -> None:
-    """Write a dataset; see `write_parts`."""
-    head = (dataset.arm, dataset.protocol, dataset.seed)
-    write_parts(path, dataset.parts(CHUNK_SAMPLES), *head, command)
+    """Write a dataset to a file that appears under its name when it is whole.
 
-
-def write_parts(
-    path: str | Path,
-    parts: Iterable[Dataset],
-    arm: Arm,
-    protocol: Protocol,
-    seed: int,
-    command: str = "",
-) -> None:
-    """Write the parts of one run as they come, in memory of a few dozen chunks.
-
-    The file appears under its name when it is whole, replacing one that was there; on any failure
-    nothing remains. `command` is recorded as the command that makes the dataset.
+    `command` is recorded as the command that makes the dataset.
 
     Raises:
-        DatasetError: the file cannot be written, or a part is of another run. Errors of `parts`
-            pass through.
+        DatasetError: the file cannot be written.
     """
-    layout = columns(arm, protocol)
-    described = schema(arm, protocol, seed, command)
-    with (
-        written_whole(path, DatasetError) as beside,
-        pq.ParquetWriter(
-            beside, described, compression="zstd", write_page_checksum=True
-        ) as writer,
-    ):
-        for group in _groups(parts):
-            if (group.arm, group.protocol, group.seed) != (arm, protocol, seed):
-                raise DatasetError(
-                    f"{path}: a part is of another run ({group.arm.identity}, seed {group.seed})"
-                )
-            table = pa.table([_values(group, c) for c in layout], schema=described)
-            writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
-
-
-def _groups(parts: Iterable[Dataset]) -> Iterator[Dataset]:
-    """Parts joined to row groups of one size, whatever the size of the parts."""
-    held: list[Dataset] = []
-    rows = 0
-    for part in parts:
-        held.append(part)
-        rows += len(part)
-        if rows >= _ROWS_PER_GROUP:
-            joined = Dataset.concatenate(held)
-            yield joined.select(slice(0, _ROWS_PER_GROUP))
-            held = [joined.select(slice(_ROWS_PER_GROUP, None))]
-            rows = len(held[0])
-    if rows:
-        yield Dataset.concatenate(held)
-
-
-def _values(dataset: Dataset, column: Column) -> pa.Array:
-    values = getattr(dataset, column.array)
-    if column.place is not None:
-        values = np.ascontiguousarray(values[:, column.place])
-    return pa.array(values, type=column.type)
+    run = dataset.arm, dataset.protocol, dataset.seed
+    deque(_written(path, dataset.parts(_ROWS_PER_GROUP), *run, command), maxlen=0)
 
 
 def produce_dataset(
@@ -349,20 +270,66 @@ def produce_dataset(
     dask_scheduler: str | None = None,
     show_progress: bool = False,
 ) -> Summary:
-    """Write the dataset that arm, protocol and seed determine, and say what it holds.
+    """Write the dataset that arm, protocol and seed determine, in memory of a few dozen chunks.
 
     Raises:
-        DatasetError: as `generate` and `write_parts`; nothing is written then.
+        DatasetError: as `generate` and `write_dataset`; nothing is written then.
     """
-    parts = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
-    summaries: list[Summary] = []
+    chunks = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
     with progress_bar(protocol.samples, shown=show_progress) as advance:
 
-        def watched() -> Iterator[Dataset]:
-            for part in parts:
-                yield part
-                summaries.append(summarise(part))
-                advance(len(part))
+        def counted() -> Iterator[Dataset]:
+            for chunk in chunks:
+                yield chunk
+                advance(len(chunk))
 
-        write_parts(path, watched(), arm, protocol, seed, command)
-    return combine(summaries)
+        drawn = counted()
+        groups = iter(lambda: list(islice(drawn, _ROWS_PER_GROUP // CHUNK_SAMPLES)), [])
+        parts = map(Dataset.concatenate, groups)
+        return summarise(_written(path, parts, arm, protocol, seed, command))
+
+
+def _written(
+    path: str | Path,
+    groups: Iterable[Dataset],
+    arm: Arm,
+    protocol: Protocol,
+    seed: int,
+    command: str,
+) -> Iterator[Dataset]:
+    """Write the parts of one run, a row group each, and hand them on; on any failure no file.
+
+    Raises:
+        DatasetError: the file cannot be written. Errors of `groups` pass through.
+    """
+    layout, repeated = _columns(arm, protocol), _arm_metadata(arm)
+    metadata = {
+        "format": _FORMAT,
+        "arm_identity": repeated.pop("arm_identity"),
+        "arm": yaml.safe_dump(arm.model_dump(), sort_keys=False),
+        **repeated,
+        "protocol": json.dumps(protocol.options(), sort_keys=True),
+        "seed": str(seed),
+        "version": package_version(),
+        "command": command,
+    }
+    schema = pa.schema(
+        [column.field for column in layout],
+        metadata={_PREFIX + key: text for key, text in metadata.items()},
+    )
+    with (
+        written_whole(path, DatasetError) as beside,
+        pq.ParquetWriter(beside, schema, compression="zstd", write_page_checksum=True) as writer,
+    ):
+        for group in groups:
+            values = [
+                pa.array(
+                    getattr(group, c.array)[:, c.place].copy()
+                    if c.place is not None
+                    else getattr(group, c.array),
+                    type=c.field.type,
+                )
+                for c in layout
+            ]
+            writer.write_table(pa.table(values, schema=schema), row_group_size=_ROWS_PER_GROUP)
+            yield group

@@ -8,8 +8,7 @@ arm is history-dependent.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +18,15 @@ from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
-from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
-from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.effects.registry import EffectEntry, amended, transmissions
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import read_tensions_n
-from cablesense_training.data.dataset import contact_forces_n
+from cablesense_training.data.dataset import RunRows, contact_forces_n
+from cablesense_training.data.history import sensed_along_n, solved_rows, tensions_along_n
 from cablesense_training.data.motion_protocol import (
     STEP_S,
     CommandedMotion,
-    ContactTrajectory,
     MotionProtocol,
     drawn_before,
     drawn_contacts,
@@ -38,7 +36,7 @@ from cablesense_training.errors import DatasetError
 
 
 @dataclass(frozen=True, eq=False)
-class Sequences:
+class Sequences(RunRows):
     """S sequences of T ticks of an arm with N segments and M cables.
 
     Attributes:
@@ -53,9 +51,7 @@ class Sequences:
         magnitude_n: (S, T) force; 0 where nothing touches.
     """
 
-    arm: Arm
     protocol: MotionProtocol
-    seed: int
     before_rad: Array
     tension_difference_n: Array
     joint_command_rad: Array
@@ -68,97 +64,11 @@ class Sequences:
     def __len__(self) -> int:
         return len(self.segment)
 
-    @property
-    def ticks(self) -> int:
-        """Samples in a sequence."""
-        return int(self.segment.shape[1])
 
-    @property
-    def moving(self) -> NDArray[np.bool_]:
-        """(S, T) whether the set-point moves."""
-        return np.asarray((self.joint_speed_rad_s != 0.0).any(axis=-1))
-
-    def select(self, rows: Any) -> Sequences:
-        """Some of the sequences, in the order given."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ARRAY_NAMES})
-
-    @classmethod
-    def concatenate(cls, parts: list[Sequences]) -> Sequences:
-        """Parts of one run, in order.
-
-        Raises:
-            DatasetError: no parts.
-        """
-        if not parts:
-            raise DatasetError("no sequences: every one of them lay beyond the arm")
-        arrays: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAY_NAMES
-        }
-        return replace(parts[0], **arrays)
-
-
-ARRAY_NAMES = tuple(f.name for f in fields(Sequences) if f.name not in ("arm", "protocol", "seed"))
-"""Names of the arrays that have one row per sequence."""
-
-
-def _tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
-    """(T, M) tensions of a memoryless arm under loads (T, N, 3), at rest at the start."""
-    dynamics = ArmDynamics(arm, STEP_S)
-    dynamics.reset(motion.angle_rad[0])
-    found = np.empty((len(forces_n), arm.cable_count))
-    for tick, loads in enumerate(forces_n):
-        for segment, force in enumerate(loads, start=1):
-            dynamics.load(segment, force)
-        for angles in motion.fine_rad[tick]:
-            dynamics.command(angles)
-            dynamics.advance(STEP_S)
-        found[tick] = dynamics.tensions_n
-    return found
-
-
-def _quasi_static_tensions_n(
-    arm: Arm, before_rad: Array, command_rad: Array, forces_n: Array, tick_s: float
-) -> Array:
-    """(S, T, M) tensions of history-dependent arms, side by side, under loads (S, T, N, 3).
-
-    Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
-    sequences in which an arm finds no rest.
-    """
-    before = before_rad.shape[1]
-    path = np.concatenate([before_rad, command_rad], axis=1).swapaxes(0, 1)
-    loads = np.pad(forces_n, ((0, 0), (before, 0), (0, 0), (0, 0))).swapaxes(0, 1)
-    found = np.full((*path.shape[:2], arm.cable_count), np.nan)
-    rows = np.arange(path.shape[1])
-    while rows.size:
-        try:
-            found[:, rows] = _along_path_n(arm, path[:, rows], loads[:, rows], tick_s)
-        except EquilibriumError as error:
-            if not error.failed.size:
-                raise
-            rows = np.delete(rows, error.failed)
-            continue
-        break
-    return found[before:].swapaxes(0, 1)
-
-
-def _along_path_n(arm: Arm, path_rad: Array, loads_n: Array, tick_s: float) -> Array:
-    entries, nominal = entries_of(arm), mechanism_of(arm)
-    count = path_rad.shape[1]
-    quasi_static = QuasiStaticArm([amended(nominal, entries)] * count, [entries] * count)
-    acting = actuations([entries] * count)
-    found = np.empty((len(path_rad), count, arm.cable_count))
-    for tick, command in enumerate(path_rad):
-        held = held_lengths_m(nominal, command)
-        for actuation in acting:
-            held = actuation.step(tick * tick_s, held)
-        found[tick] = quasi_static.step(tick * tick_s, held, loads_n[tick])
-    return found
-
-
-SHARE_STARTED_LATE = 0.4
+_SHARE_STARTED_LATE = 0.4
 """Sequences whose estimator was started just before the tare, when the arm had moved already."""
 
-BLOCK_SEQUENCES = 32
+_BLOCK_SEQUENCES = 32
 """Sequences that one worker draws at a time; each block has a random stream of its own."""
 
 
@@ -177,8 +87,8 @@ def draw_sequences(
     Raises:
         DatasetError: none is left.
     """
-    full, rest = divmod(protocol.sequences, BLOCK_SEQUENCES)
-    counts = [BLOCK_SEQUENCES] * full + [rest] * (rest > 0)
+    full, rest = divmod(protocol.sequences, _BLOCK_SEQUENCES)
+    counts = [_BLOCK_SEQUENCES] * full + [rest] * (rest > 0)
     parts: list[Sequences] = []
     with WorkerPool(min(workers, len(counts)), arm, protocol, seed, refusal=DatasetError) as pool:
         results = pool.map(_draw_block, range(len(counts)), counts)
@@ -186,7 +96,10 @@ def draw_sequences(
             parts.append(part)
             if on_done is not None:
                 on_done(count)
-    return Sequences.concatenate([part for part in parts if len(part)])
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        raise DatasetError("no sequences: every one of them lay beyond the arm")
+    return Sequences.concatenate(parts)
 
 
 def _draw_block(
@@ -198,19 +111,16 @@ def _draw_block(
     motions = [drawn_motion(protocol, arm.joint_count, rng) for _ in range(count)]
     contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
     command = np.stack([motion.angle_rad for motion in motions])
-    forces = np.stack(
-        [
-            _forces_n(nominal, pose, contact)
-            for pose, contact in zip(command, contacts, strict=True)
-        ]
-    )
+    segment, angle, magnitude = (np.stack(parts) for parts in zip(*contacts, strict=True))
+    forces = _forces_n(nominal, command, segment, angle, magnitude)
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if transmissions([entries]):
-        true = _quasi_static_tensions_n(arm, before, command, forces, protocol.tick_s)
+        true = _quasi_static_tensions_n(nominal, entries, before, command, forces, protocol.tick_s)
     else:
         moved = zip(motions, forces, strict=True)
         true = np.stack([_tensions_in_time_n(arm, motion, loads) for motion, loads in moved])
-    sensed = _sensed_n(arm, true, protocol.tick_s)
+    time_s = np.arange(protocol.ticks, dtype=float) * protocol.tick_s
+    sensed = sensed_along_n(entries, time_s, true.swapaxes(0, 1)).swapaxes(0, 1)
     reading, tare = sensed, sensed[:, :1]
     if protocol.noise:
         reading = read_tensions_n(sensed, arm.sensors, rng)
@@ -218,8 +128,7 @@ def _draw_block(
         tare = read_tensions_n(repeated, arm.sensors, rng).mean(axis=1, keepdims=True)
     held = held_lengths_m(nominal, command)
     predicted = solve_equilibrium(amended(nominal, entries), command, held_m=held).tensions_n
-    whole = np.isfinite(true).all(axis=(1, 2))
-    late = rng.random(count) < SHARE_STARTED_LATE
+    late = rng.random(count) < _SHARE_STARTED_LATE
     return Sequences(
         arm=arm,
         protocol=protocol,
@@ -229,25 +138,64 @@ def _draw_block(
         joint_command_rad=command,
         joint_speed_rad_s=np.stack([motion.speed_rad_s for motion in motions]),
         joint_acceleration_rad_s2=np.stack([m.acceleration_rad_s2 for m in motions]),
-        segment=np.stack([contact.segment for contact in contacts]),
-        angle_deg=np.stack([contact.angle_deg for contact in contacts]),
-        magnitude_n=np.stack([contact.magnitude_n for contact in contacts]),
-    ).select(whole)
+        segment=segment,
+        angle_deg=angle,
+        magnitude_n=magnitude,
+    ).select(np.isfinite(true).all(axis=(1, 2)))
 
 
-def _forces_n(mechanism: Mechanism, command_rad: Array, contact: ContactTrajectory) -> Array:
-    """(T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
-    here = contact.segment[:, None] == np.arange(1, mechanism.segment_count + 1)
-    angles = np.where(here, contact.angle_deg[:, None], 0.0)
-    magnitudes = np.where(here, contact.magnitude_n[:, None], 0.0)
-    return contact_forces_n(mechanism, command_rad, angles, magnitudes)
+def _forces_n(
+    mechanism: Mechanism,
+    command_rad: Array,
+    segment: NDArray[np.int64],
+    angle_deg: Array,
+    magnitude_n: Array,
+) -> Array:
+    """(S, T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
+    here = segment[..., None] == np.arange(1, mechanism.segment_count + 1)
+    rows = here.reshape(-1, mechanism.segment_count)
+    angles, magnitudes = (
+        np.where(rows, values.reshape(-1, 1), 0.0) for values in (angle_deg, magnitude_n)
+    )
+    poses = command_rad.reshape(len(rows), -1)
+    return contact_forces_n(mechanism, poses, angles, magnitudes).reshape(*here.shape, 3)
 
 
-def _sensed_n(arm: Arm, true_n: Array, tick_s: float) -> Array:
-    """What sensors that lag, drift or mix their channels make of tensions (S, T, M)."""
-    entries = entries_of(arm)
-    sensed = true_n
-    for sensing in sensings([entries] * len(true_n)):
-        ticks = [sensing.step(t * tick_s, sensed[:, t]) for t in range(sensed.shape[1])]
-        sensed = np.stack(ticks, axis=1)
-    return sensed
+def _tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:
+    """(T, M) tensions of a memoryless arm under loads (T, N, 3), at rest at the start."""
+    dynamics = ArmDynamics(arm, STEP_S)
+    dynamics.reset(motion.angle_rad[0])
+    found = np.empty((len(forces_n), arm.cable_count))
+    for tick, loads in enumerate(forces_n):
+        for segment, force in enumerate(loads, start=1):
+            dynamics.load(segment, force)
+        for angles in motion.fine_rad[tick]:
+            dynamics.command(angles)
+            dynamics.advance(STEP_S)
+        found[tick] = dynamics.tensions_n
+    return found
+
+
+def _quasi_static_tensions_n(
+    nominal: Mechanism,
+    entries: list[EffectEntry],
+    before_rad: Array,
+    command_rad: Array,
+    forces_n: Array,
+    tick_s: float,
+) -> Array:
+    """(S, T, M) tensions of history-dependent arms, side by side, under loads (S, T, N, 3).
+
+    Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
+    sequences in which an arm finds no rest.
+    """
+    before = before_rad.shape[1]
+    path = np.concatenate([before_rad, command_rad], axis=1).swapaxes(0, 1)
+    loads = np.pad(forces_n, ((0, 0), (before, 0), (0, 0), (0, 0))).swapaxes(0, 1)
+    time_s, ticks = np.arange(len(path), dtype=float) * tick_s, range(len(path))
+
+    def tensions_n(rows: NDArray[np.int64]) -> Array:
+        return tensions_along_n(nominal, entries, time_s, path[:, rows], loads[:, rows], ticks)
+
+    shape = (*path.shape[:2], nominal.cable_count)
+    return solved_rows(shape, path.shape[1], tensions_n)[before:].swapaxes(0, 1)

@@ -83,7 +83,7 @@ def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMet
 
 def unsettled(sequences: Sequences) -> NDArray[np.bool_]:
     """(S, T) whether the set-point moves, or did within the last `SETTLED_S`."""
-    moving = sequences.moving
+    moving = (sequences.joint_speed_rad_s != 0.0).any(axis=-1)
     ticks = max(1, round(SETTLED_S / sequences.protocol.tick_s))
     padded = np.pad(moving, ((0, 0), (ticks - 1, 0)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, ticks, axis=1)
