@@ -6,10 +6,8 @@ PYTHON ?= $(shell for python in python3 python3.12 python3.11; do \
 ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
-# The tests of a file stay together: they share fixtures, and ROS nodes in the worker's own domain.
-PARALLEL := --numprocesses auto --dist loadfile
-# What waits for real nodes and frames in real time runs one test after the other; exit 5: none was selected.
-ALONE := tests/ros tests/online/test_can_driver.py
+# tests/conftest.py groups them: the tests of a file share fixtures, those of real nodes follow one another.
+PARALLEL := --numprocesses auto --dist loadgroup
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # An editable installation is made again when a requirement, an entry point or a package has changed.
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
@@ -26,8 +24,7 @@ demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless'
 test: setup build/mypy/cablesense_training  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore=%) $(ARGS) || [ $$? = 5 ] || failed=1; \
-	$(BIN)/python -m pytest $(ALONE) $(ARGS) || [ $$? = 5 ] || failed=1; \
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS) || failed=1; \
 	exit $$failed
 
 test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow
