@@ -1,12 +1,11 @@
-"""An arm as the plant sees it: numbers of an arm file, body, friction and creep as arrays.
+"""An arm as the plant sees it: numbers of an arm file, and a body with friction as arrays.
 
 The arm file is read here and nowhere else, without the simulator's description of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,9 @@ from cablesense_base.plain_yaml import parse_plain_mapping
 Ints = NDArray[np.int64]
 
 _MAX_FILE_BYTES = 200_000
+
+_NONE: Any = np.float64(0.0)
+"""Of every cable or joint."""
 
 
 class PlantError(CableSenseError):
@@ -101,10 +103,15 @@ def _nominal(text: Any) -> Nominal:
     angle = cables["angle_deg"]
     segment, cable = np.divmod(np.arange(count * per_segment), per_segment)
     angles = angle["first"] + angle["per_segment"] * segment + angle["per_cable"] * cable
-    lengths = ("length_m", "mass_kg", "plate_offset_m", "contact_m")
-    numbers = {name: float(segments[name]) for name in lengths}
-    numbers |= {name: float(cables[name]) for name in ("stiffness_n_m", "pretension_n", "run_m")}
-    numbers |= {name: float(sensors[name]) for name in ("rate_hz", "noise_std_n", "step_n")}
+    numbers = {
+        name: float(part[name])
+        for part, names in (
+            (segments, ("length_m", "mass_kg", "plate_offset_m", "contact_m")),
+            (cables, ("stiffness_n_m", "pretension_n", "run_m")),
+            (sensors, ("rate_hz", "noise_std_n", "step_n")),
+        )
+        for name in names
+    }
     return Nominal(
         gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
         segment_count=count,
@@ -142,13 +149,6 @@ class TipSpring:
     normal: tuple[float, float, float] | None = None
 
 
-class Onset(StrEnum):
-    """How friction builds up before it slides."""
-
-    SHARP = "sharp"
-    ROUNDED = "rounded"
-
-
 @dataclass(frozen=True)
 class Body:
     """J universal joints in a chain, M cables through holes, point masses, springs.
@@ -171,12 +171,12 @@ class Body:
         tip_at_m: (3,) the arm's end in the last frame.
         stiffness_n_m: (M,) at the pretension.
         pretension_n: (M,) straight and weightless.
-        exponent: the tension grows with this power of the stretch; 1 is a linear cable.
+        driven: (N,) the commanded joints, among the J.
         spring_nm_rad: (J, 2) joints' springs, neutral at straight.
         hardening_nm_rad3: (J, 2) their cubic part.
         cogging_nm: (J, 2) amplitude of a torque periodic in the angle.
         cogging_per_turn: its periods a turn.
-        driven: (N,) the commanded joints, among the J.
+        exponent: the tension grows with this power of the stretch; 1 is a linear cable.
     """
 
     gravity_m_s2: Array
@@ -193,12 +193,12 @@ class Body:
     tip_at_m: Array
     stiffness_n_m: Array
     pretension_n: Array
-    spring_nm_rad: Array
-    hardening_nm_rad3: Array
-    cogging_nm: Array
     driven: Ints
-    exponent: float = 1.0
+    spring_nm_rad: Array = _NONE
+    hardening_nm_rad3: Array = _NONE
+    cogging_nm: Array = _NONE
     cogging_per_turn: float = 60.0
+    exponent: float = 1.0
     cable_contacts: tuple[CableContact, ...] = ()
     tip_springs: tuple[TipSpring, ...] = ()
 
@@ -213,59 +213,6 @@ class Body:
         return len(self.pretension_n)
 
 
-@dataclass(frozen=True)
-class Friction:
-    """Friction of M cables and J joints.
-
-    Attributes:
-        coefficient: (M,) of each cable on its guides.
-        joint_nm: (J, 2) torque of the joints' friction while they turn.
-        pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
-        reach_m: sliding over which the cables' friction builds up.
-        spread: whether cables stretch all along, or at their run alone.
-        joint_reach_rad: angle over which the joints' friction builds up.
-        breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
-        speed_rad_s: over which that decays.
-    """
-
-    coefficient: Array
-    joint_nm: Array
-    pulley_rad: float = 0.0
-    onset: Onset = Onset.SHARP
-    reach_m: float = 5e-6
-    spread: bool = False
-    joint_onset: Onset = Onset.SHARP
-    joint_reach_rad: float = 2e-4
-    breakaway: float = 1.0
-    speed_rad_s: float = 0.02
-
-
-@dataclass(frozen=True)
-class Creep:
-    """Kelvin-Voigt elements in series with the cables, K of them.
-
-    Attributes:
-        compliance_m_n: (K, M) each one's lengthening when it has settled.
-        time_s: (K,) in which it does.
-        settled: share of the lengthening under the first tension that came before the arm was
-            tensioned; 1 leaves a rest constant, 0 is a new cable.
-    """
-
-    compliance_m_n: Array
-    time_s: Array
-    settled: float
-
-
-def no_friction(body: Body) -> Friction:
-    """Joints and cables that slide freely."""
-    return Friction(np.zeros(body.cable_count), np.zeros((body.joint_count, 2)))
-
-
-def no_creep(body: Body) -> Creep:
-    """Cables without creep."""
-    return Creep(np.zeros((1, body.cable_count)), np.ones(1), 1.0)
-
-
 def rigid_body(nominal: Nominal) -> Body:
     """The arm as drawn, one joint a segment."""
     n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
@@ -273,7 +220,7 @@ def rigid_body(nominal: Nominal) -> Body:
     holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1) * nominal.radius_m
     before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
     before[..., 0], after[..., 0] = -offset, offset
-    on_axis, joints, free = np.array([1.0, 0.0, 0.0]), np.arange(n), np.zeros((n, 2))
+    on_axis, joints = np.array([1.0, 0.0, 0.0]), np.arange(n)
     return Body(
         gravity_m_s2=nominal.gravity_m_s2,
         spacing_m=np.array([offset] + [nominal.length_m] * (n - 1)),
@@ -289,8 +236,50 @@ def rigid_body(nominal: Nominal) -> Body:
         tip_at_m=nominal.length_m * on_axis,
         stiffness_n_m=np.full(m, nominal.stiffness_n_m),
         pretension_n=np.full(m, nominal.pretension_n),
-        spring_nm_rad=free,
-        hardening_nm_rad3=free,
-        cogging_nm=free,
         driven=joints,
     )
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of M cables and J joints, by default none.
+
+    It is sharp or `rounded`, see `quasi_static.friction_state`.
+
+    Attributes:
+        coefficient: (M,) of each cable on its guides.
+        joint_nm: (J, 2) torque of the joints' friction while they turn.
+        pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
+        reach_m: sliding over which the cables' friction builds up.
+        spread: whether cables stretch all along, or at their run alone.
+        joint_reach_rad: angle over which the joints' friction builds up.
+        breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
+        speed_rad_s: over which that decays.
+    """
+
+    coefficient: Array = _NONE
+    joint_nm: Array = _NONE
+    pulley_rad: float = 0.0
+    rounded: bool = False
+    reach_m: float = 5e-6
+    spread: bool = False
+    joint_rounded: bool = False
+    joint_reach_rad: float = 2e-4
+    breakaway: float = 1.0
+    speed_rad_s: float = 0.02
+
+
+@dataclass(frozen=True)
+class Creep:
+    """Kelvin-Voigt elements in series with the cables, K of them; by default one that is rigid.
+
+    Attributes:
+        compliance_m_n: (K, M) each one's lengthening when it has settled.
+        time_s: (K,) in which it does.
+        settled: share of the lengthening under the first tension that came before the arm was
+            tensioned; 1 leaves a rest constant, 0 is a new cable.
+    """
+
+    compliance_m_n: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    time_s: Array = field(default_factory=lambda: np.ones(1))
+    settled: float = 1.0

@@ -150,22 +150,11 @@ def _pushed_aside(free: Spans, contact: CableContact, angles_rad: Array) -> Span
     return Spans(length, slope, curve, free.bend_rad)
 
 
-class Torques(NamedTuple):
-    """Generalised forces of everything but cables and friction, B rows.
+def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tuple[Array, Array]:
+    """Generalised forces of all but cables and friction: N·m (B, 2J), and slopes (B, 2J, 2J).
 
-    Attributes:
-        torque_nm: (B, 2J) on the joint angles.
-        slope_nm_rad: (B, 2J, 2J) its derivative.
-    """
-
-    torque_nm: Array
-    slope_nm_rad: Array
-
-
-def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> Torques:
-    """Of weights, loads (B, N, 3) at the contact points, springs and surroundings.
-
-    At joint angles (B, 2J), of which `turning` are the `turns`.
+    Those of weights, loads (B, N, 3) at the contact points, springs and surroundings, at joint
+    angles (B, 2J), of which `turning` are the `turns`.
     """
     placed = frames(body, angles_rad, turning)
     joint = np.concatenate([body.mass_joint, body.contact_joint])
@@ -182,7 +171,7 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> To
     stiffness = -linear - 3.0 * cubic * angles_rad**2 - per * height * np.cos(per * angles_rad)
     diagonal = np.arange(angles_rad.shape[1])
     slope[:, diagonal, diagonal] += stiffness
-    return Torques(torque + back, slope)
+    return torque + back, slope
 
 
 def _constant_forces(

@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Body, PlantError
-from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
+from cablesense_gap.plant.body import Body, Ints, PlantError
+from cablesense_gap.plant.geometry import Spans, cable_lengths_m, spans, torques, turns
 
 _ENOUGH_NM = 1e-9
 _MOST_STEPS, _LOAD_STEPS = 150, 13
@@ -36,22 +35,45 @@ def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
     return angles.reshape(len(command_rad), -1)
 
 
+def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
+    """Rests of rows (R, 2N), (R, M), (R, N, 3) in their order.
+
+    Raises:
+        PlantError: rows without rest.
+    """
+    loaded = (loads_n != 0.0).any(axis=(1, 2))
+    loaded[0] = False
+    angles = commanded_angles_rad(body, command_rad)
+    tensions = np.empty_like(paid_out_m)
+    free = np.flatnonzero(~loaded)
+    angles[free], tensions[free] = find_rest(body, angles[free], paid_out_m[free], loads_n[free])
+    changed = (np.diff(loads_n, axis=0) != 0.0).any(axis=(1, 2))
+    changed = np.append(True, changed | (np.diff(paid_out_m, axis=0) != 0.0).any(axis=1))
+    rows = np.flatnonzero(loaded & ~np.roll(loaded, 1))
+    while len(rows):
+        new, same = rows[changed[rows]], rows[~changed[rows]]
+        angles[same], tensions[same] = angles[same - 1], tensions[same - 1]
+        if len(new):
+            found = find_rest(body, angles[new - 1], paid_out_m[new], loads_n[new])
+            angles[new], tensions[new] = found
+        rows = rows + 1
+        rows = rows[rows < len(loaded)]
+        rows = rows[loaded[rows]]
+    return Rest(angles, tensions)
+
+
 def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
     """Rest of rows near their starts (B, 2J).
 
-    Args:
-        body: the arm.
-        start_rad: (B, 2J) initial guess.
-        paid_out_m: (B, M) cable length that the actuators give, less that of the straight arm.
-        loads_n: (B, N, 3) base-frame forces at the contact points.
+    The actuators give cable lengths `paid_out_m` (B, M), less those of the straight arm; the
+    forces `loads_n` (B, N, 3) act at the contact points, in base axes.
 
     Raises:
         PlantError: rows without rest.
     """
     angles, tensions, lost = _search(body, start_rad, paid_out_m, loads_n)
     if len(lost):  # loads put on little by little, each from the rest under the last
-        paid, loads = paid_out_m[lost], loads_n[lost]
-        start = start_rad[lost]
+        paid, loads, start = paid_out_m[lost], loads_n[lost], start_rad[lost]
         for share in np.linspace(0.0, 1.0, _LOAD_STEPS):
             start, tension, still = _search(body, start, paid, share * loads)
             if len(still):
@@ -86,7 +108,7 @@ def require_room(body: Body, angles_rad: Array) -> None:
 
 def _search(
     body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array
-) -> tuple[Array, Array, NDArray[np.int64]]:
+) -> tuple[Array, Array, Ints]:
     """Angles, tensions, and the rows that found no rest."""
     angles = np.array(start_rad, dtype=float)
     wanted = paid_out_m + cable_lengths_m(body, np.zeros((1, angles.shape[1])))
@@ -106,8 +128,7 @@ def _search(
         more = np.maximum(_LEAST_DAMPING, 4.0 * damping[rows])
         less = np.where(damping[rows] > _LEAST_DAMPING, 0.25 * damping[rows], 0.0)
         damping[rows] = np.where(accepted, less, more)
-    rows = np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
-    return angles, tensions, rows
+    return angles, tensions, np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
 
 
 def newton_step_rad(torque_nm: Array, slope_nm_rad: Array, damping: Array) -> Array:
@@ -136,23 +157,16 @@ def tension_law(body: Body, stretch_m: Array) -> tuple[Array, Array]:
     return body.pretension_n * base**n * taut, slope * taut
 
 
-def cable_torques(
-    slope_m_rad: Array, curve_m_rad2: Array, tension_n: Array
+def with_cable_torques(
+    across: Spans, tension_n: Array, torque_nm: Array, slope_nm_rad: Array
 ) -> tuple[Array, Array]:
-    """Torques (B, 2J) of span tensions (B, J, M), and their blocks (B, J, 3) by the curves."""
-    torque = -(slope_m_rad @ tension_n[..., None])[..., 0]
-    blocks = -(curve_m_rad2 @ tension_n[..., None])[..., 0]
-    return torque.reshape(len(torque), -1), blocks
-
-
-def add_blocks(matrix: Array, blocks: Array) -> Array:
-    """Add (B, J, 3) symmetric blocks pp, py, yy to the diagonal of (B, 2J, 2J), in place."""
-    p = np.arange(0, matrix.shape[-1], 2)
-    matrix[:, p, p] += blocks[..., 0]
-    matrix[:, p, p + 1] += blocks[..., 1]
-    matrix[:, p + 1, p] += blocks[..., 1]
-    matrix[:, p + 1, p + 1] += blocks[..., 2]
-    return matrix
+    """Torques (B, 2J) and slopes (B, 2J, 2J) with those of constant span tensions (B, J, M)."""
+    cables = -(across.slope_m_rad @ tension_n[..., None])[..., 0]
+    blocks = -(across.curve_m_rad2 @ tension_n[..., None])[..., 0]
+    p = np.arange(0, torque_nm.shape[-1], 2)
+    for row, column, block in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        slope_nm_rad[:, p + row, p + column] += blocks[..., block]
+    return cables.reshape(torque_nm.shape) + torque_nm, slope_nm_rad
 
 
 def _residual(
@@ -161,37 +175,8 @@ def _residual(
     turning = turns(body, angles)
     across = spans(body, angles, turning)
     tension, stiffness = tension_law(body, across.length_m.sum(-2) - wanted_m)
-    rows, joints = len(angles), body.joint_count
-    slopes = across.slope_m_rad.reshape(rows, 2 * joints, -1)
+    torque, matrix = torques(body, angles, turning, loads_n)
+    slopes = across.slope_m_rad.reshape(*angles.shape, -1)
+    matrix = matrix - (slopes * stiffness[:, None, :]) @ np.swapaxes(slopes, 1, 2)
     shared = np.broadcast_to(tension[:, None, :], across.length_m.shape)
-    torque, blocks = cable_torques(across.slope_m_rad, across.curve_m_rad2, shared)
-    outer = torques(body, angles, turning, loads_n)
-    matrix = outer.slope_nm_rad - (slopes * stiffness[:, None, :]) @ np.swapaxes(slopes, 1, 2)
-    return torque + outer.torque_nm, add_blocks(matrix, blocks), tension
-
-
-def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
-    """Rests of rows (R, 2N), (R, M), (R, N, 3) in their order.
-
-    Raises:
-        PlantError: rows without rest.
-    """
-    loaded = (loads_n != 0.0).any(axis=(1, 2))
-    loaded[0] = False
-    angles = commanded_angles_rad(body, command_rad)
-    tensions = np.empty_like(paid_out_m)
-    free = np.flatnonzero(~loaded)
-    angles[free], tensions[free] = find_rest(body, angles[free], paid_out_m[free], loads_n[free])
-    changed = (np.diff(loads_n, axis=0) != 0.0).any(axis=(1, 2))
-    changed = np.append(True, changed | (np.diff(paid_out_m, axis=0) != 0.0).any(axis=1))
-    rows = np.flatnonzero(loaded & ~np.roll(loaded, 1))
-    while len(rows):
-        new, same = rows[changed[rows]], rows[~changed[rows]]
-        angles[same], tensions[same] = angles[same - 1], tensions[same - 1]
-        if len(new):
-            found = find_rest(body, angles[new - 1], paid_out_m[new], loads_n[new])
-            angles[new], tensions[new] = found
-        rows = rows + 1
-        rows = rows[rows < len(loaded)]
-        rows = rows[loaded[rows]]
-    return Rest(angles, tensions)
+    return *with_cable_torques(across, shared, torque, matrix), tension

@@ -5,22 +5,22 @@ A set of cases becomes files: recordings as CSV, what is hidden in them as a tab
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields
 from math import ceil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from cablesense_base.arrays import Array
 from cablesense_base.files import written_whole
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.plant.arm import UNKNOWN, Change, RealArm, ideal_arm, with_tolerances
+from cablesense_gap.plant.arm import RealArm, ideal_arm, with_tolerances
 from cablesense_gap.plant.body import Nominal, PlantError
+from cablesense_gap.plant.change import UNKNOWN, Change
 from cablesense_gap.plant.listed import LISTED
 from cablesense_gap.plant.protocol import Schedule, draw_history, draw_schedule
 from cablesense_gap.plant.sensing import read_n
@@ -67,16 +67,13 @@ def withhold(
             _write_recording(folder / f"{recorded.answer.recording}.csv", recorded)
             answers.append(recorded.answer)
             yield recorded.answer
-    names = [field.name for field in fields(Answer)]
-    rows = (
-        [f"{value:.4f}" if isinstance(value, float) else str(value) for value in astuple(answer)]
-        for answer in answers
-    )
-    _write_table(answers_file, names, rows)
+    table = pd.DataFrame(answers, columns=[field.name for field in fields(Answer)])
+    with _written(answers_file) as beside:
+        table.to_csv(beside, index=False, float_format="%.4f", lineterminator="\n")
 
 
 def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
-    """Kinds of `count` cases for `draw_case`, in random order.
+    """Kinds of `count` cases for `record_case`, in random order.
 
     At least a fifth hide nothing and a fifth something that no verdict has a name for; an eighth
     hides two effects, the rest one. Effects come in turn, so that none comes twice before all
@@ -100,7 +97,7 @@ def make_case(nominal: Nominal, seed: int, index: int, kind: str) -> CaseRecordi
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         try:
-            return record_case(draw_case(rng, index, nominal, kind))
+            return record_case(rng, index, nominal, kind)
         except PlantError:
             if attempt == _REDRAWS - 1:
                 raise
@@ -122,54 +119,23 @@ def _write_recording(path: Path, recorded: CaseRecording) -> None:
     """One row a sample, columns named with their units."""
     done, tensions_n = recorded.schedule, recorded.tensions_n
     angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
-    parts: tuple[tuple[list[str], NDArray[Any], int], ...] = (
-        (["time_s"], done.time_s[:, None], 2),
-        (["trial"], done.trial[:, None], 0),
-        ([f"q{i + 1}_cmd_rad" for i in range(angles)], done.command_rad, 6),
-        (["load_segment"], done.load_segment[:, None], 0),
-        (["load_x_n", "load_y_n", "load_z_n"], done.load_n, 3),
-        ([f"tension_{i + 1}_n" for i in range(cables)], tensions_n, 4),
-    )
-    header = [name for names, _, _ in parts for name in names]
-    columns = [
-        [f"{value:.{decimals}f}" for value in column]
-        for _, values, decimals in parts
-        for column in (np.round(values, decimals) + 0.0).T.tolist()  # no -0.00
-    ]
-    _write_table(path, header, zip(*columns, strict=True))
+    header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
+    header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
+    decimals = [2, 0, *[6] * angles, 0, *[3] * 3, *[4] * cables]
+    table = np.column_stack([*done, tensions_n])
+    for column, places in zip(table.T, decimals, strict=True):
+        column[:] = np.round(column, places) + 0.0  # no -0.00
+    formats = [f"%.{places}f" for places in decimals]
+    with _written(path) as beside:
+        np.savetxt(beside, table, formats, ",", header=",".join(header), comments="")
 
 
-def _write_table(path: Path, header: list[str], rows: Iterable[Sequence[str]]) -> None:
+def _written(path: Path) -> AbstractContextManager[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PlantError(f"{path}: cannot be written ({error.strerror or error})") from error
-    with (
-        written_whole(path, PlantError) as beside,
-        beside.open("w", encoding="utf-8", newline="") as file,
-    ):
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
-
-
-@dataclass(frozen=True)
-class Case:
-    """All of a recording but its noise.
-
-    Attributes:
-        name: of the recording.
-        plain_arm: the arm with manufacturing tolerances alone.
-        changes: what is hidden, and of which size.
-        noise_seed: of the sensors' noise.
-    """
-
-    name: str
-    schedule: Schedule
-    history: Schedule
-    plain_arm: RealArm
-    changes: tuple[tuple[Change, float], ...]
-    noise_seed: int
+    return written_whole(path, PlantError)
 
 
 @dataclass(frozen=True)
@@ -209,8 +175,10 @@ class CaseRecording:
     answer: Answer
 
 
-def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str) -> Case:
-    """Draw an arm, what is hidden in it and what is done to it.
+def record_case(
+    rng: np.random.Generator, index: int, nominal: Nominal, kind: str
+) -> CaseRecording:
+    """Draw an arm, what is hidden in it and what is done to it, and record that.
 
     Args:
         rng: all of the case comes from it.
@@ -220,7 +188,7 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
             inside it joined by `+`.
 
     Raises:
-        PlantError: a kind that is none of those.
+        PlantError: a kind that is none of those, or an arm that finds no rest in some row.
     """
     draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
     names = [] if kind == NONE else kind.split("+")
@@ -232,7 +200,7 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
             f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
             "several of the list joined by +"
         )
-    schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
+    done = draw_schedule(nominal, rng), draw_history(nominal, rng)
     plain_arm = with_tolerances(ideal_arm(nominal), rng)
     changes = []
     for name in sorted(names):
@@ -241,13 +209,40 @@ def draw_case(rng: np.random.Generator, index: int, nominal: Nominal, kind: str)
             plain = len(names) > 1 or change.effect == UNKNOWN
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
-            size = size_for(change, plain_arm, wanted_n, schedule, history)
+            size = size_for(change, plain_arm, wanted_n, *done)
             visible_n = _VISIBLE_FLOORS * nominal.floor_n
-            if not plain or _alone_n(change, size, plain_arm, schedule, history) >= visible_n:
+            if not plain or _alone_n(change, size, plain_arm, *done) >= visible_n:
                 break
         changes.append((change, size))
-    seed = int(rng.integers(2**63))
-    return Case(f"case_{index:03d}", schedule, history, plain_arm, tuple(changes), seed)
+    noise_rng = np.random.default_rng(int(rng.integers(2**63)))
+    arm = plain_arm
+    for change, size in changes:
+        arm = change.apply(arm, size)
+    signals, plain_n = arm.signals_n(*done), plain_arm.signals_n(*done)
+    gap = gap_n(signals, plain_n)
+    each = [gap]
+    if len(changes) > 1:
+        each = [_alone_n(change, size, plain_arm, *done) for change, size in changes]
+    sizes = [
+        {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
+        | {key: float(f"{value:.6g}") for key, value in change.details.items()}
+        for change, size in changes
+    ]
+    found = {tuple(place.split("_")) for change, _ in changes for place in change.where}
+    places = sorted((kind, int(number)) for kind, number in found)
+    answer = Answer(
+        recording=f"case_{index:03d}",
+        effects="+".join(sorted(change.effect for change, _ in changes)) or NONE,
+        where=" ".join(f"{kind}_{number}" for kind, number in places),
+        form=" + ".join(change.form for change, _ in changes),
+        sizes=json.dumps(sizes),
+        gap_n=gap,
+        gap_over_floor=gap / nominal.floor_n,
+        scatter_gap_n=gap_n(plain_n, ideal_arm(nominal).signals_n(*done)),
+        each_gap_n=" ".join(f"{value:.4f}" for value in each),
+    )
+    readings = read_n(signals, nominal.noise_std_n, nominal.step_n, noise_rng)
+    return CaseRecording(done[0], readings, answer)
 
 
 def size_for(
@@ -289,43 +284,6 @@ def gap_n(first_n: Array, second_n: Array) -> float:
     return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
 
 
-def record_case(case: Case) -> CaseRecording:
-    """Record a case.
-
-    Raises:
-        PlantError: its arm finds no rest in some row.
-    """
-    nominal, did = case.plain_arm.nominal, (case.schedule, case.history)
-    arm = case.plain_arm
-    for change, size in case.changes:
-        arm = change.apply(arm, size)
-    signals, plain = arm.signals_n(*did), case.plain_arm.signals_n(*did)
-    gap = gap_n(signals, plain)
-    each = [gap]
-    if len(case.changes) > 1:
-        each = [_alone_n(change, size, case.plain_arm, *did) for change, size in case.changes]
-    changes = [change for change, _ in case.changes]
-    sizes = [
-        {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
-        | {key: float(f"{value:.6g}") for key, value in change.details.items()}
-        for change, size in case.changes
-    ]
-    answer = Answer(
-        recording=case.name,
-        effects="+".join(sorted(change.effect for change in changes)) or NONE,
-        where=_places(changes),
-        form=" + ".join(change.form for change in changes),
-        sizes=json.dumps(sizes),
-        gap_n=gap,
-        gap_over_floor=gap / nominal.floor_n,
-        scatter_gap_n=gap_n(plain, ideal_arm(nominal).signals_n(*did)),
-        each_gap_n=" ".join(f"{value:.4f}" for value in each),
-    )
-    rng = np.random.default_rng(case.noise_seed)
-    readings = read_n(signals, nominal.noise_std_n, nominal.step_n, rng)
-    return CaseRecording(case.schedule, readings, answer)
-
-
 def _alone_n(
     change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
 ) -> float:
@@ -338,11 +296,3 @@ def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
     """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
     history_dependent = change.apply(arm, change.least).history_dependent
     return schedule.rows(slice(None, None, _STRIDE)) if history_dependent else schedule
-
-
-def _places(changes: list[Change]) -> str:
-    """Every place once, cables before joints before segments, each by number."""
-    found = {place for change in changes for place in change.where}
-    kind_and_number = (place.split("_") for place in found)
-    ordered = sorted((kind, int(number)) for kind, number in kind_and_number)
-    return " ".join(f"{kind}_{number}" for kind, number in ordered)

@@ -1,6 +1,7 @@
 """What the plant's actuators, sensors and manufacturing tolerances change."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,18 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plant_arm import NOMINAL
 
-from cablesense_gap.plant.arm import ideal_actuation, ideal_arm, with_tolerances
+from cablesense_gap.plant.arm import Actuation, ideal_arm, with_tolerances
 from cablesense_gap.plant.sensing import (
     Drift,
     DriftShape,
     Dropouts,
     Filter,
     Sensing,
-    ideal_sensing,
     read_n,
 )
 
-IDEAL = ideal_actuation(3)
+IDEAL = Actuation()
 TIME_S = 0.2 * np.arange(40)
 
 
@@ -79,7 +79,7 @@ STEP = np.where(LONG_S < 20.0, 50.0, 80.0)[:, None] * np.ones(3)
 
 
 def sensors(**changes: object) -> Sensing:
-    return replace(ideal_sensing(3, 50.0), **changes)
+    return Sensing(50.0, **changes)
 
 
 def test_ideal_sensors_read_the_tensions() -> None:
@@ -96,8 +96,8 @@ def test_gain_leak_and_offset() -> None:
     np.testing.assert_allclose(found[:, 2], TENSION[:, 2] + 0.11 * TENSION[:, 0])
 
 
-@pytest.mark.parametrize("kind", list(Filter))
-def test_a_lagging_sensor_arrives_and_was_settled_before(kind: Filter) -> None:
+@pytest.mark.parametrize("kind", get_args(Filter))
+def test_a_lagging_sensor_arrives_and_was_settled_before(kind: str) -> None:
     late = sensors(lag_s=np.array([1.0, 0.0, 2.5]), lag_filter=kind).signals_n(STEP, LONG_S)
     np.testing.assert_allclose(late[LONG_S < 19.9], 50.0)
     np.testing.assert_array_equal(late[:, 1], STEP[:, 1])
@@ -107,8 +107,8 @@ def test_a_lagging_sensor_arrives_and_was_settled_before(kind: Filter) -> None:
     assert (np.diff(late, axis=0) >= -1e-9).all()
 
 
-@pytest.mark.parametrize("kind", list(Filter))
-def test_a_ramp_is_followed_late_by_the_lag(kind: Filter) -> None:
+@pytest.mark.parametrize("kind", get_args(Filter))
+def test_a_ramp_is_followed_late_by_the_lag(kind: str) -> None:
     """Whatever the filter, a steady rise lags by its mean delay."""
     ramp = LONG_S[:, None] * np.ones(3)
     late = sensors(lag_s=np.array([1.0, 0.4, 3.0]), lag_filter=kind).signals_n(ramp, LONG_S)
@@ -116,8 +116,8 @@ def test_a_ramp_is_followed_late_by_the_lag(kind: Filter) -> None:
     np.testing.assert_allclose(behind, [1.0, 0.4, 3.0], atol=0.02)
 
 
-@pytest.mark.parametrize("shape", list(DriftShape))
-def test_zeros_drift_within_their_size(shape: DriftShape) -> None:
+@pytest.mark.parametrize("shape", get_args(DriftShape))
+def test_zeros_drift_within_their_size(shape: str) -> None:
     drift = Drift(np.array([1.5, 0.0, -0.5]), shape, 60.0, 0.7, 4)
     zeros = drift.zeros_n(LONG_S)
     assert not zeros[:, 1].any()

@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 import cablesense_gap
 
 TESTS = Path(__file__).parents[1]
@@ -57,6 +59,7 @@ def run(program: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_every_other_part_can_be_imported_without_the_plant() -> None:
     folder = Path(cablesense_gap.__path__[0])
     files = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.py")]

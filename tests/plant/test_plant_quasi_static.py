@@ -12,14 +12,10 @@ from cablesense_gap.plant.body import (
     Body,
     Creep,
     Friction,
-    Onset,
     PlantError,
-    no_creep,
-    no_friction,
 )
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
 from cablesense_gap.plant.quasi_static import (
-    Balances,
     QuasiStaticPath,
     State,
     friction_state,
@@ -47,42 +43,42 @@ def states_along(
 
 def friction(**changes: object) -> Friction:
     cables = {"coefficient": np.full(12, 0.15)} if "joint_nm" not in changes else {}
-    return replace(no_friction(BODY), **cables, **changes)
+    return Friction(**cables, **changes)
 
 
-def felt_n(states: list[State]) -> np.ndarray:
+def sensed_n(states: list[State]) -> np.ndarray:
     return np.array([state.tension_n[0] for state in states])
 
 
 FRICTIONS = [
     friction(),
-    friction(onset=Onset.ROUNDED, reach_m=1e-4),
+    friction(rounded=True, reach_m=1e-4),
     friction(spread=True),
-    friction(onset=Onset.ROUNDED, reach_m=1e-4, spread=True, pulley_rad=1.0),
+    friction(rounded=True, reach_m=1e-4, spread=True, pulley_rad=1.0),
     friction(joint_nm=np.full((4, 2), 0.2)),
-    friction(joint_nm=np.full((4, 2), 0.2), joint_onset=Onset.ROUNDED, joint_reach_rad=1e-3),
+    friction(joint_nm=np.full((4, 2), 0.2), joint_rounded=True, joint_reach_rad=1e-3),
 ]
 
 
 @given(
     moves=st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=12),
-    onset=st.sampled_from(list(Onset)),
+    rounded=st.booleans(),
     start=st.floats(-1.0, 1.0),
 )
 def test_friction_stays_within_its_bounds_and_does_not_depend_on_time(
-    moves: list[float], onset: Onset, start: float
+    moves: list[float], rounded: bool, start: float
 ) -> None:
     state = np.array([start])
     for move in moves:
-        new, slope = friction_state(onset, state, np.array([move]), 0.5)
+        new, slope = friction_state(rounded, state, np.array([move]), 0.5)
         assert abs(new[0]) <= 1.0
         assert slope[0] >= 0.0
         assert (new[0] - state[0]) * move >= -1e-9
-        halves = friction_state(onset, state, np.array([0.5 * move]), 0.5)[0]
-        twice = friction_state(onset, halves, np.array([0.5 * move]), 0.5)[0]
+        halves = friction_state(rounded, state, np.array([0.5 * move]), 0.5)[0]
+        twice = friction_state(rounded, halves, np.array([0.5 * move]), 0.5)[0]
         assert twice[0] == pytest.approx(new[0], abs=1e-12)
         state = new
-    assert friction_state(onset, state, np.zeros(1), 0.5)[0][0] == state[0]
+    assert friction_state(rounded, state, np.zeros(1), 0.5)[0][0] == state[0]
 
 
 def test_without_friction_it_is_the_path_of_rests() -> None:
@@ -91,14 +87,14 @@ def test_without_friction_it_is_the_path_of_rests() -> None:
     load = np.zeros((len(UP_DOWN), 4, 3))
     load[:, 2] = UP_DOWN[:, None] * np.array([0.0, 6.0, -10.0])
     expected = follow_path(BODY, command, paid, load).tensions_n
-    found = felt_n(states_along(no_friction(BODY), no_creep(BODY), UP_DOWN))
+    found = sensed_n(states_along(Friction(), Creep(), UP_DOWN))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("law", FRICTIONS)
 def test_loading_and_unloading_differ_and_the_difference_stays(law: Friction) -> None:
     rest = np.full(20, UP_DOWN[-1])
-    tension = felt_n(states_along(law, no_creep(BODY), np.concatenate([UP_DOWN, rest])))
+    tension = sensed_n(states_along(law, Creep(), np.concatenate([UP_DOWN, rest])))
     loop = np.abs(tension[4] - tension[12]).max()
     assert loop > 0.2
     left = tension[len(UP_DOWN) - 1]
@@ -110,7 +106,7 @@ def test_loading_and_unloading_differ_and_the_difference_stays(law: Friction) ->
 def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: Friction) -> None:
     """Equation: exp(-mu theta) <= T2 / T1 <= exp(mu theta), met with equality while it slides."""
     worst = 0.0
-    for state in states_along(law, no_creep(BODY), UP_DOWN):
+    for state in states_along(law, Creep(), UP_DOWN):
         angles = state.angles_rad[None]
         bends = spans(BODY, angles, turns(BODY, angles), with_bends=True).bend_rad[0]
         wrap = np.concatenate([np.full((1, 12), law.pulley_rad), bends.reshape(8, 12)])
@@ -120,17 +116,17 @@ def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: Fricti
         limit = 0.15 * wrap
         assert (ratio <= limit + 1e-7).all()
         worst = max(worst, (ratio[limit > 1e-3] / limit[limit > 1e-3]).max())
-    assert worst > (0.95 if law.onset is Onset.SHARP else 0.75)
+    assert worst > (0.75 if law.rounded else 0.95)
 
 
 def test_joint_friction_holds_no_more_than_its_torque() -> None:
     law = friction(joint_nm=np.full((4, 2), 0.2))
-    balances = Balances(BODY, no_friction(BODY), RUN_M)
+    path = QuasiStaticPath(BODY, Friction(), Creep(), RUN_M)
     left = []
-    for state in states_along(law, no_creep(BODY), UP_DOWN):
+    for state in states_along(law, Creep(), UP_DOWN):
         paid = (cable_lengths_m(BODY, POSE[None]) - cable_lengths_m(BODY, np.zeros((1, 8))))[0]
-        wanted = balances.straight_m + paid
-        at = balances.at(state, state.angles_rad, state.tension_n, wanted, state.loads_n)
+        wanted = path.straight_m + paid
+        at = path.balance(state, state.angles_rad, state.tension_n, wanted, state.loads_n)
         left.append(np.abs(at.torque_nm))
     assert np.max(left) <= 0.2 + 1e-6
     assert np.max(left) > 0.19
@@ -146,9 +142,9 @@ def test_stretch_is_shared_out_whole() -> None:
 def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([5.0]), 1.0)
     shares = np.concatenate([np.zeros(10), np.ones(150), np.zeros(250)])
-    tension = felt_n(states_along(no_friction(BODY), creep, shares))
+    tension = sensed_n(states_along(Friction(), creep, shares))
     np.testing.assert_allclose(tension[9], tension[0], atol=1e-6)
-    firmly = felt_n(states_along(no_friction(BODY), no_creep(BODY), shares[:12]))
+    firmly = sensed_n(states_along(Friction(), Creep(), shares[:12]))
     np.testing.assert_allclose(tension[10], firmly[10], atol=0.05)
     crept = np.abs(tension[159] - firmly[11]).max()
     assert crept > 0.03
@@ -161,25 +157,23 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
 
 def test_new_cables_lose_tension() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([2.0]), 0.0)
-    tension = felt_n(states_along(no_friction(BODY), creep, np.zeros(100)))
+    tension = sensed_n(states_along(Friction(), creep, np.zeros(100)))
     assert (tension[-1] < tension[0]).mean() > 0.7
     assert tension[-1].sum() < 0.95 * tension[0].sum()
 
 
 @settings(max_examples=4, deadline=None)
-@given(seed=st.integers(0, 10_000), spread=st.booleans(), onset=st.sampled_from(list(Onset)))
-def test_rough_arms_find_rest_too(seed: int, spread: bool, onset: Onset) -> None:
+@given(seed=st.integers(0, 10_000), spread=st.booleans(), rounded=st.booleans())
+def test_rough_arms_find_rest_too(seed: int, spread: bool, rounded: bool) -> None:
     rng = np.random.default_rng(seed)
-    reach = 5e-6 if onset is Onset.SHARP else 1e-4
-    law = friction(onset=onset, reach_m=reach, spread=spread, pulley_rad=1.5)
+    reach = 1e-4 if rounded else 5e-6
+    law = friction(rounded=rounded, reach_m=reach, spread=spread, pulley_rad=1.5)
     rough = replace(law, coefficient=np.full(12, 0.3))
-    states = states_along(
-        rough, no_creep(BODY), rng.uniform(0.0, 1.0, 6), rng.uniform(-0.12, 0.12, 8)
-    )
-    assert np.isfinite(felt_n(states)).all()
+    states = states_along(rough, Creep(), rng.uniform(0.0, 1.0, 6), rng.uniform(-0.12, 0.12, 8))
+    assert np.isfinite(sensed_n(states)).all()
 
 
 def test_hardening_cables_with_friction_are_refused() -> None:
     body: Body = replace(BODY, exponent=1.5)
     with pytest.raises(PlantError, match="harden"):
-        QuasiStaticPath(body, no_friction(body), no_creep(body), RUN_M)
+        QuasiStaticPath(body, Friction(), Creep(), RUN_M)
