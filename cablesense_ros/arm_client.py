@@ -1,20 +1,15 @@
-"""Clients of a running arm: messages, commands and loads; a node beside other work."""
+"""A client of a running arm: takes its messages, sends commands and loads, records moments."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -22,7 +17,6 @@ from cablesense_base.arrays import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.node_process import RefusalLog, of_node, overridable
 from cablesense_sim.arm import Arm
 
@@ -41,32 +35,24 @@ class ArmClient:
         self._node = node
         self._live = live
         self._joint_names = list(arm.joint_names)
-        now = time.monotonic
         inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
-            (JointState, topics.CABLE_TENSIONS, qos.SENSOR, lambda m: live.on_tensions(m, now())),
+            (JointState, topics.CABLE_TENSIONS, qos.SENSOR, _timed(live.on_tensions)),
             (JointState, topics.JOINT_STATES, qos.SENSOR, live.on_joint_states),
             (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
             (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
-            (WrenchStamped, topics.WRENCH, qos.SENSOR, lambda m: live.on_wrench(m, now())),
+            (WrenchStamped, topics.WRENCH, qos.SENSOR, _timed(live.on_wrench)),
             (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR, live.on_probabilities),
-            (
-                DiagnosticArray,
-                topics.DIAGNOSTICS,
-                qos.COMMAND,
-                lambda m: live.on_diagnostics(m, now()),
-            ),
+            (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND, _timed(live.on_diagnostics)),
         )
         refuse = RefusalLog(node)
         for kind, topic, quality, handle in inputs:
-            name = of_node(estimator, topic)
-            node.create_subscription(
-                kind, name, refuse.guarded(name, handle), **overridable(quality)
+            refuse.subscribe(kind, of_node(estimator, topic), quality, handle)
+        self._loads, self._commands = (
+            node.create_publisher(kind, topic, **overridable(qos.COMMAND))
+            for kind, topic in (
+                (WrenchStamped, topics.APPLIED_WRENCH),
+                (JointState, topics.JOINT_COMMANDS),
             )
-        self._loads = node.create_publisher(
-            WrenchStamped, topics.APPLIED_WRENCH, **overridable(qos.COMMAND)
-        )
-        self._commands = node.create_publisher(
-            JointState, topics.JOINT_COMMANDS, **overridable(qos.COMMAND)
         )
 
     @property
@@ -96,31 +82,8 @@ class ArmClient:
             self._loads.publish(message)
 
 
-class Observer:
-    """A node `demo` in this process; its callbacks run in a thread of their own inside `with`."""
-
-    def __init__(self) -> None:
-        prefer_quick_discovery()
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("demo")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        self.lock = threading.Lock()
-        self._thread = threading.Thread(target=self._spin, name="demo observer", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._thread.join(timeout=2.0)
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
+def _timed(handle: Callable[[Any, float], None]) -> Callable[[Any], None]:
+    return lambda message: handle(message, time.monotonic())
 
 
 def record(

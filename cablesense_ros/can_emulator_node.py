@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
 from cablesense_base.errors import CableSenseError
@@ -22,54 +22,16 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.node_process import (
-    ARM,
-    BITRATE,
-    CHANNEL_MAP,
-    DiagnosticsPublisher,
-    NodeParameter,
-    ParameterError,
     RefusalLog,
-    declare_parameters,
-    overridable,
-    parameter_values,
+    publish_diagnostics,
     qos_profile,
     run_node,
 )
-from cablesense_sim.arm import open_arm
+from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_sim.arm import Arm, open_arm
 
-SLCAN_PORT: Final = "slcan_port"
+SLCAN_PORT = "slcan_port"
 """The interface that is none of python-can's: a pseudo-terminal that poses as an adapter."""
-
-CAN_EMULATOR_PARAMETERS: Final = (
-    ARM,
-    CHANNEL_MAP,
-    BITRATE,
-    NodeParameter(
-        "interface",
-        SLCAN_PORT,
-        "slcan_port poses as a serial adapter on a pseudo-terminal; else python-can's name of an "
-        "interface, such as socketcan.",
-    ),
-    NodeParameter(
-        "channel",
-        "/tmp/cablesense_can",
-        "With slcan_port, the path of a link to the terminal; else the interface's channel, such "
-        "as vcan0.",
-    ),
-    NodeParameter(
-        "recording",
-        "",
-        "Recording to play, a .csv or .mcap file; empty: what comes on simulated_tensions.",
-    ),
-    NodeParameter("loop", False, "Play the recording again when it has ended."),
-    NodeParameter(
-        "fault",
-        "",
-        "What goes wrong, such as 'missing_channel cable_5' or bus_off; empty for nothing. May "
-        "change at any time.",
-    ),
-)
-
 
 LISTEN_S = 0.01
 """How often frames of others are taken."""
@@ -83,8 +45,7 @@ class CanEmulatorNode(Node):
 
     def __init__(self) -> None:
         super().__init__("can_emulator")
-        declare_parameters(self, CAN_EMULATOR_PARAMETERS, read_only=False)
-        given = parameter_values(self, CAN_EMULATOR_PARAMETERS)
+        given = declare_parameters(self, parameter_table("can_emulator"), read_only=False)
         if given["loop"] and not given["recording"]:
             raise ParameterError("parameter loop has no effect without recording; leave it false")
         if given["bitrate_bit_s"] and given["interface"] == SLCAN_PORT:
@@ -92,25 +53,13 @@ class CanEmulatorNode(Node):
                 "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets "
                 "it; leave it 0"
             )
-        self._arm = open_arm(given["arm"])
+        arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])
-        channel_map = channel_map.arranged(self._arm.cable_names)
-        self._order = NamedOrder(self._arm.cable_names, "cables")
+        channel_map = channel_map.arranged(arm.cable_names)
+        order = NamedOrder(arm.cable_names, "cables")
         self._refuse = RefusalLog(self, "sample refused, no frames are sent for it")
         self._reported_cycles = 0
-        self._player: RecordingPlayer | None = None
-        self._commands_out: Publisher | None = None
-        if given["recording"]:
-            # imported only here, as a robot may lack what it needs
-            from cablesense_gap.recordings.checks import read_recording
-
-            rows = read_recording(given["recording"], self._arm)
-            self._player = RecordingPlayer(
-                rows.time_s, rows.tensions_n, rows.command_rad, given["loop"]
-            )
-            self._commands_out = self.create_publisher(
-                JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
-            )
+        self._player = _player(given, arm) if given["recording"] else None
         self._emulator = Emulator(channel_map, database, _sink_opener(given))
         try:
             self._emulator.request(given["fault"])
@@ -118,21 +67,24 @@ class CanEmulatorNode(Node):
             self._emulator.close()
             raise
         if self._player is None:
-            take = self._refuse.guarded(
+            self._refuse.subscribe(
+                JointState,
                 topics.SIMULATED_TENSIONS,
-                lambda m: self._emulator.cycle(self._order.pick(m.name, m.effort, "effort")),
+                SENSOR,
+                lambda m: self._emulator.cycle(order.pick(m.name, m.effort, "effort")),
             )
-            self.create_subscription(
-                JointState, topics.SIMULATED_TENSIONS, take, **overridable(SENSOR)
+        else:
+            self._command = JointState(name=list(arm.joint_names))
+            self._commands_out = self.create_publisher(
+                JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
             )
+            self.create_timer(PLAY_S, partial(self._play_due, self._player))
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
-        DiagnosticsPublisher(self, self._statuses, lambda: self._arm.identity)
+        publish_diagnostics(self, self._statuses, lambda: arm.identity)
         self.create_timer(LISTEN_S, self._emulator.listen)
-        if self._player is not None:
-            self.create_timer(PLAY_S, self._play_recording)
         self.get_logger().info(
-            f"arm {self._arm.identity}: map {channel_map.name} as frames on {given['interface']} "
+            f"arm {arm.identity}: map {channel_map.name} as frames on {given['interface']} "
             f"{given['channel']}"
         )
 
@@ -141,15 +93,12 @@ class CanEmulatorNode(Node):
         self._emulator.close()
         super().destroy_node()
 
-    def _play_recording(self) -> None:
-        if self._player is None:
-            return
-        for tensions_n, command_rad in self._player.due(time.monotonic()):
-            if command_rad is not None and self._commands_out is not None:
-                message = JointState(name=list(self._arm.joint_names))
-                message.header.stamp = self.get_clock().now().to_msg()
-                put_joint_angles(message, command_rad)
-                self._commands_out.publish(message)
+    def _play_due(self, player: RecordingPlayer) -> None:
+        for tensions_n, command_rad in player.due(time.monotonic()):
+            if command_rad is not None:
+                self._command.header.stamp = self.get_clock().now().to_msg()
+                put_joint_angles(self._command, command_rad)
+                self._commands_out.publish(self._command)
             self._refuse.guarded("recording", self._emulator.cycle)(tensions_n.tolist())
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -169,8 +118,8 @@ class CanEmulatorNode(Node):
                 self._emulator.request(parameter.value)
             except CableSenseError as error:  # what was pulled cannot be plugged in again
                 self.get_logger().error(f"fault {parameter.value!r}: {error}")
-                continue
-            self.get_logger().info(f"fault: {self._emulator.fault or 'none'}")
+            else:
+                self.get_logger().info(f"fault: {self._emulator.fault or 'none'}")
 
     def _statuses(self) -> list[Status]:
         cycles = self._emulator.cycles
@@ -191,6 +140,14 @@ class CanEmulatorNode(Node):
         return [Status("frames", level, message, values)]
 
 
+def _player(given: dict[str, Any], arm: Arm) -> RecordingPlayer:
+    # imported only here, as a robot may lack what it needs
+    from cablesense_gap.recordings.checks import read_recording
+
+    rows = read_recording(given["recording"], arm)
+    return RecordingPlayer(rows.time_s, rows.tensions_n, rows.command_rad, given["loop"])
+
+
 def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:
     if given["interface"] == SLCAN_PORT:
         return lambda: SlcanPort(given["channel"])
@@ -198,9 +155,7 @@ def _sink_opener(given: dict[str, Any]) -> Callable[[], FrameSink]:
     return lambda: BusSink(interface.open())
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; the process's exit code."""
-    return run_node(CanEmulatorNode, args)
+main = partial(run_node, CanEmulatorNode)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What all nodes share: parameters, endpoints, refusals, the process from start to end, lifecycle.
+"""What all nodes share: endpoints, refusals, the process from start to end, lifecycle.
 
 Endpoints are the contract's topics in rclpy's terms; diagnostics follow REP-107.
 """
@@ -9,32 +9,24 @@ import gc
 import math
 import signal
 import sys
+import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
-from typing import Any, Final
+from typing import Any
 
 import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -44,6 +36,7 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from cablesense_base.errors import CableSenseError
@@ -51,112 +44,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos
 from cablesense_ros.discovery import prefer_quick_discovery
-
-
-class ParameterError(CableSenseError):
-    """A parameter given at start that does not fit: names it and what would be valid."""
-
-
-@dataclass(frozen=True)
-class NodeParameter:
-    """One parameter of a node's table.
-
-    Attributes:
-        name: as in YAML files and `ros2 param`.
-        default: also fixes the type.
-        description: what it does, with its unit.
-        lowest, highest: allowed range of a number.
-    """
-
-    name: str
-    default: bool | int | float | str
-    description: str
-    lowest: float | None = None
-    highest: float | None = None
-
-    def descriptor(self, read_only: bool) -> ParameterDescriptor:
-        """The description that `ros2 param describe` shows."""
-        descriptor = ParameterDescriptor(description=self.description, read_only=read_only)
-        if self.lowest is None or self.highest is None:
-            return descriptor
-        if isinstance(self.default, float):
-            allowed = FloatingPointRange(from_value=self.lowest, to_value=self.highest)
-            descriptor.floating_point_range = [allowed]
-        else:
-            low, high = int(self.lowest), int(self.highest)
-            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
-        return descriptor
-
-    def valid(self) -> str:
-        """What would be right, for errors."""
-        kinds = {
-            bool: "true or false",
-            int: "a whole number",
-            float: "a number with a decimal point",
-        }
-        within = "" if self.lowest is None else f" from {self.lowest:g} to {self.highest:g}"
-        return f"{kinds.get(type(self.default), 'text')}{within}"
-
-
-ARM: Final = NodeParameter("arm", "cdsm", "Arm file: the name of a bundled one, or a path.")
-AUTOSTART: Final = NodeParameter(
-    "autostart", True, "Configure and activate at start, without a lifecycle manager."
-)
-FRAME_PREFIX: Final = NodeParameter(
-    "frame_prefix", "", "Goes before every frame name, as robot_state_publisher's parameter does."
-)
-JOINT_SPEED: Final = NodeParameter(
-    "joint_speed_deg_s",
-    20.0,
-    "Peak speed at which joints approach a command, deg/s; the same for all nodes.",
-    0.1,
-    360.0,
-)
-CHANNEL_MAP: Final = NodeParameter(
-    "map",
-    "twelve_channel_amplifier",
-    "Channel map: the name of a bundled one, or the path of a .yaml file.",
-)
-BITRATE: Final = NodeParameter(
-    "bitrate_bit_s",
-    0,
-    "Bit rate of the bus, bit/s; 0 where the system sets it (socketcan) or there is none.",
-    0,
-    1_000_000,
-)
-
-
-def declare_parameters(node: Node, table: Sequence[NodeParameter], read_only: bool = True) -> None:
-    """Declare all of a table; `read_only` ones keep the value given at start.
-
-    Raises:
-        ParameterError: a value given at start has the wrong type or lies out of range.
-    """
-    for parameter in table:
-        must = f"it must be {parameter.valid()}"
-        descriptor = parameter.descriptor(read_only)
-        try:
-            value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
-        except ParameterException as error:
-            raise ParameterError(f"parameter {parameter.name}: {error}; {must}") from error
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
-    node.add_on_set_parameters_callback(_refuse_not_finite)
-
-
-def parameter_values(node: Node, table: Sequence[NodeParameter]) -> dict[str, Any]:
-    """Present values by name."""
-    return {parameter.name: node.get_parameter(parameter.name).value for parameter in table}
-
-
-def _refuse_not_finite(parameters: list[Parameter]) -> SetParametersResult:
-    """NaN passes rclpy's own check of ranges, as it compares false with both ends."""
-    for parameter in parameters:
-        if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
-            return SetParametersResult(
-                successful=False, reason=f"{parameter.name} must be finite, not {parameter.value}"
-            )
-    return SetParametersResult(successful=True)
+from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
@@ -209,15 +97,14 @@ class RefusalLog:
     """
 
     def __init__(self, node: Node, what: str = "message refused") -> None:
-        self._node = node
-        self._what = what
-        self._logged_s: dict[tuple[str, type], float] = {}
+        self._node, self._what = node, what
+        self._logged_s: dict[tuple[str, object], float] = {}
         self.count = 0
 
     def __call__(self, topic: str, error: CableSenseError) -> None:
         """Count and warn that a message on `topic` was refused for `error`."""
         self.count += 1
-        kind, now_s = (topic, type(error)), time.monotonic()
+        kind, now_s = (topic, getattr(error, "kind", type(error))), time.monotonic()
         if now_s - self._logged_s.get(kind, -math.inf) >= WARN_EVERY_S:
             self._logged_s[kind] = now_s
             self._node.get_logger().warning(f"{topic}: {self._what}: {error}")
@@ -233,6 +120,13 @@ class RefusalLog:
 
         return take
 
+    def subscribe(
+        self, kind: type, topic: str, qos: Qos, handle: Callable[[Any], object]
+    ) -> Subscription:
+        """A subscription of the node, guarded so."""
+        take = self.guarded(topic, handle)
+        return self._node.create_subscription(kind, topic, take, **overridable(qos))
+
 
 _WAKE_S = 0.2
 _RCLError = rclpy_implementation.RCLError
@@ -242,7 +136,7 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     """Run one node until SIGINT, SIGTERM or shutdown; give the process's exit code.
 
     0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
-    cannot start.
+    cannot start. A `ConfiguredNode` is configured and activated where its `autostart` asks for it.
     """
     prefer_quick_discovery()
     wanted_end = Future()
@@ -256,6 +150,8 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     code = 0
     try:
         node = make_node()
+        if isinstance(node, ConfiguredNode):
+            node.autostart()
         gc.collect()
         gc.freeze()  # what is there now stays: a collection that walks it takes milliseconds
         _spin(node, wanted_end)
@@ -314,16 +210,47 @@ def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExec
             rclpy.utilities.try_shutdown()
 
 
+@contextmanager
+def node_in_thread(name: str) -> Iterator[Node]:
+    """A node in a process that has work of its own; its callbacks run in another thread."""
+    end = Future()
+    with spun_node(name) as (node, executor):
+
+        def spin() -> None:
+            while not end.done():
+                executor.spin_until_future_complete(end, timeout_sec=_WAKE_S)
+
+        thread = threading.Thread(target=spin, name=name)
+        thread.start()
+        try:
+            yield node
+        finally:
+            end.set_result(None)
+            thread.join()
+
+
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 class ConfiguredNode(LifecycleNode, ABC):
-    """A lifecycle node with a parameter `autostart`, which its subclass declares."""
+    """A lifecycle node with the parameters of its name in `parameters.yaml`, and diagnostics.
+
+    `_entities` undoes on release what configuring made; `_identity` is that of the arm, while one
+    is loaded.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        declare_parameters(self, parameter_table(name), read_only=False)
+        self._entities = ExitStack()
+        self._active = False
+        self._identity = ""
+        publish_diagnostics(self, self._statuses, lambda: self._identity)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read files and create what the node has; on failure log why and stay unconfigured."""
         try:
-            self._configure()
+            self._configure(parameter_values(self))
         except Exception as error:  # rclpy would drop it in silence
             self._release()
             expected = isinstance(error, CableSenseError)
@@ -331,6 +258,17 @@ class ConfiguredNode(LifecycleNode, ABC):
             self.get_logger().error(f"cannot configure:{reason}")
             return FAILURE
         return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin what the node is for."""
+        result = super().on_activate(state)
+        self._active = True
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop; what was configured stays."""
+        self._active = False
+        return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget what configuring read."""
@@ -349,51 +287,41 @@ class ConfiguredNode(LifecycleNode, ABC):
             self.trigger_activate()
 
     @abstractmethod
-    def _configure(self) -> None:
+    def _configure(self, given: dict[str, Any]) -> None:
         """Read what the parameters name, and create publishers and services.
 
         Raises:
             CableSenseError: a file is missing or invalid.
         """
 
-    @abstractmethod
     def _release(self) -> None:
         """Stop, and undo whatever of `_configure` has been done; harmless when repeated."""
+        self._active = False
+        self._entities.close()
+        self._identity = ""
 
-
-def run_configured_node(make: Callable[[], ConfiguredNode], args: Sequence[str] | None) -> int:
-    """Run such a node, started as `autostart` says; the process's exit code."""
-
-    def make_node() -> ConfiguredNode:
-        node = make()
-        node.autostart()
-        return node
-
-    return run_node(make_node, args)
+    @abstractmethod
+    def _statuses(self) -> list[Status]:
+        """The node's diagnostics at present."""
 
 
 _PERIOD_S = 1.0
 
 
-class DiagnosticsPublisher:
-    """Asks `report` once a second for the node's statuses and publishes them."""
+def publish_diagnostics(
+    node: Node, report: Callable[[], Sequence[Status]], hardware_id: Callable[[], str]
+) -> None:
+    """Publish a node's statuses once a second; `hardware_id` is the arm's identity, or empty."""
+    publisher = node.create_publisher(
+        DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
+    )
 
-    def __init__(
-        self, node: Node, report: Callable[[], Sequence[Status]], hardware_id: Callable[[], str]
-    ) -> None:
-        """`hardware_id` gives the arm's identity, empty while none is loaded."""
-        self._node = node
-        self._report = report
-        self._hardware_id = hardware_id
-        self._publisher = node.create_publisher(
-            DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
-        )
-        node.create_timer(_PERIOD_S, self._publish)
-
-    def _publish(self) -> None:
+    def publish() -> None:
         message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = node.get_clock().now().to_msg()
         message.status = diagnostic_statuses(
-            self._report(), self._node.get_name(), self._hardware_id(), DiagnosticStatus, KeyValue
+            report(), node.get_name(), hardware_id(), DiagnosticStatus, KeyValue
         )
-        self._publisher.publish(message)
+        publisher.publish(message)
+
+    node.create_timer(_PERIOD_S, publish)

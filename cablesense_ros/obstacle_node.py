@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from typing import Final
+from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -25,48 +24,16 @@ from cablesense_online.admittance.wall import (
     wall_beside,
 )
 from cablesense_ros.node_process import (
-    ARM,
-    FRAME_PREFIX,
-    DiagnosticsPublisher,
-    NodeParameter,
-    ParameterError,
     RefusalLog,
-    declare_parameters,
     overridable,
-    parameter_values,
+    publish_diagnostics,
     run_node,
 )
+from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 
-OBSTACLE_PARAMETERS: Final = (
-    ARM,
-    FRAME_PREFIX,
-    NodeParameter("segment", 3, "The segment that the wall presses on.", 1, 1000),
-    NodeParameter(
-        "angle_deg",
-        90.0,
-        "Direction of the push, normal to the segment at first, degrees from its +z to its +y.",
-        -360.0,
-        360.0,
-    ),
-    NodeParameter("stiffness_n_m", 10_000.0, "Of the wall, N/m.", 1.0, 1e7),
-    NodeParameter("damping_n_s_m", 0.0, "Of the wall, N·s/m.", 0.0, 1e5),
-    NodeParameter("clearance_m", 0.005, "How far off the wall begins, m.", 0.0, 1.0),
-    NodeParameter(
-        "depth_m",
-        0.003,
-        "Where the wall stops, m beyond the first contact point; negative is off the arm.",
-        -1.0,
-        0.2,
-    ),
-    NodeParameter("speed_m_s", 0.005, "How fast the wall moves, m/s.", 1e-5, 1.0),
-    NodeParameter(
-        "delay_s", 5.0, "How long the wall waits at first: the estimator's tare.", 0.0, 3600.0
-    ),
-)
-
-LIVE_PARAMETERS: Final = ("depth_m", "speed_m_s")
+LIVE_PARAMETERS = ("depth_m", "speed_m_s")
 LONGEST_PAUSE_S = 0.1
 """A pause longer than this between two `joint_states` does not move the wall on."""
 
@@ -76,8 +43,7 @@ class ObstacleNode(Node):
 
     def __init__(self) -> None:
         super().__init__("obstacle")
-        declare_parameters(self, OBSTACLE_PARAMETERS, read_only=False)
-        self._given = parameter_values(self, OBSTACLE_PARAMETERS)
+        self._given = declare_parameters(self, parameter_table("obstacle"), read_only=False)
         arm = open_arm(self._given["arm"])
         self._mechanism = mechanism_of(arm)
         self._segment = self._given["segment"]
@@ -95,10 +61,9 @@ class ObstacleNode(Node):
         self._loads_out = self.create_publisher(
             WrenchStamped, topics.APPLIED_WRENCH, **overridable(PUBLISHER)
         )
-        take = RefusalLog(self).guarded(topics.JOINT_STATES, self._on_joint_states)
-        self.create_subscription(JointState, topics.JOINT_STATES, take, **overridable(COMMAND))
+        RefusalLog(self).subscribe(JointState, topics.JOINT_STATES, COMMAND, self._on_joint_states)
         self.add_post_set_parameters_callback(self._on_parameters)
-        DiagnosticsPublisher(self, self._statuses, lambda: arm.identity)
+        publish_diagnostics(self, self._statuses, lambda: arm.identity)
         self.get_logger().info(
             f"arm {arm.identity}: a wall of {self._given['stiffness_n_m']:g} N/m beside segment "
             f"{self._segment}"
@@ -114,25 +79,18 @@ class ObstacleNode(Node):
         elapsed_s, self._latest_s = min(now_s - self._latest_s, LONGEST_PAUSE_S), now_s
         angles = self._joint_order.arrange(message.name, message.position, "position")
         if self._pressing is None:
-            self._pressing = self._wall_at(angles)
+            angle, stiffness, damping = (
+                self._given[name] for name in ("angle_deg", "stiffness_n_m", "damping_n_s_m")
+            )
+            wall = wall_beside(self._mechanism, angles, self._segment, angle, stiffness, damping)
+            compliance = compliance_m_n(self._mechanism, angles, self._segment, wall.normal)
+            self._pressing = WallPressing(wall, compliance)
             self._since_s = now_s
         point = contact_point_m(self._mechanism, angles, self._segment)
         advance_m = self._approach.advance_m
         if now_s - self._since_s >= self._given["delay_s"]:
             advance_m = self._approach.towards(self._given["depth_m"], elapsed_s)
         self._press(self._pressing.update(point, advance_m, elapsed_s))
-
-    def _wall_at(self, angles_rad: np.ndarray) -> WallPressing:
-        wall = wall_beside(
-            self._mechanism,
-            angles_rad,
-            self._segment,
-            self._given["angle_deg"],
-            self._given["stiffness_n_m"],
-            self._given["damping_n_s_m"],
-        )
-        compliance = compliance_m_n(self._mechanism, angles_rad, self._segment, wall.normal)
-        return WallPressing(wall, compliance)
 
     def _press(self, force_n: np.ndarray) -> None:
         self._load.header.stamp = self.get_clock().now().to_msg()
@@ -157,9 +115,7 @@ class ObstacleNode(Node):
         return [Status("wall", Level.OK, message, values)]
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; the process's exit code."""
-    return run_node(ObstacleNode, args)
+main = partial(run_node, ObstacleNode)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any, Final
+from functools import partial
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -18,34 +18,11 @@ from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions, Push
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.node_process import (
-    ARM,
-    FRAME_PREFIX,
-    JOINT_SPEED,
-    NodeParameter,
-    declare_parameters,
     of_node,
-    parameter_values,
     run_node,
 )
+from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
-
-PAGE_PARAMETERS: Final = (
-    ARM,
-    FRAME_PREFIX,
-    JOINT_SPEED,
-    NodeParameter(
-        "host", "127.0.0.1", "Address to serve on; 0.0.0.0 lets other machines see and push."
-    ),
-    NodeParameter("port", 8080, "Port to serve on; when busy, the next free one.", 1, 65535),
-    NodeParameter("rate_hz", 25.0, "How often the scene is drawn, Hz.", 1.0, 60.0),
-    NodeParameter("estimator", "estimator", "Name of the estimator node to show."),
-    NodeParameter("controls", True, "Whether a person may push, move and tare from the page."),
-    NodeParameter(
-        "home_at_start",
-        False,
-        "Command the straight pose once arm and estimator receive, so that they agree on it.",
-    ),
-)
 
 
 class PageNode(Node):
@@ -53,33 +30,28 @@ class PageNode(Node):
 
     def __init__(self) -> None:
         super().__init__("page")
-        declare_parameters(self, PAGE_PARAMETERS)
-        values = parameter_values(self, PAGE_PARAMETERS)
-        arm = open_arm(values["arm"])
-        self._home_due = values["home_at_start"]
+        given = declare_parameters(self, parameter_table("page"))
+        arm, host, port = open_arm(given["arm"]), given["host"], given["port"]
+        estimator = given["estimator"]
+        self._home_due = given["home_at_start"]
         self._home_rad = np.zeros(arm.joint_count)
         self._live = LiveArm(
             arm,
-            joint_speed_rad_s=float(np.deg2rad(values["joint_speed_deg_s"])),
-            frame_prefix=values["frame_prefix"],
-            estimator=values["estimator"],
+            joint_speed_rad_s=given["joint_speed_rad_s"],
+            frame_prefix=given["frame_prefix"],
+            estimator=estimator,
         )
-        self._client = ArmClient(self, arm, self._live, values["estimator"])
-        self._tare = self.create_client(Trigger, of_node(values["estimator"], topics.TARE))
+        self._client = ArmClient(self, arm, self._live, estimator)
+        self._tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
         actions = Actions(self._push, self._client.command, self._ask_for_tare)
-        self._page = Page(
-            arm, actions if values["controls"] else None, host=values["host"], port=values["port"]
-        )
-        if self._page.port != values["port"]:
-            self.get_logger().warning(
-                f"port {values['port']} is busy; serving on {self._page.port} instead"
-            )
-        warning = exposure_warning(values["host"], self._page.port, values["controls"])
-        if warning:
+        self._page = Page(arm, actions if given["controls"] else None, host=host, port=port)
+        if self._page.port != port:
+            self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
+        if warning := exposure_warning(host, self._page.port, given["controls"]):
             self.get_logger().warning(warning)
         self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
         print(f"page: {self._page.url}", flush=True)
-        self.create_timer(1.0 / values["rate_hz"], self._draw)
+        self.create_timer(1.0 / given["rate_hz"], self._draw)
 
     def destroy_node(self) -> None:
         """Closes the page, too."""
@@ -111,9 +83,7 @@ class PageNode(Node):
             self._page.notify("Tared" if answer.success else "Not tared", answer.message)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; the process's exit code."""
-    return run_node(PageNode, args)
+main = partial(run_node, PageNode)
 
 
 if __name__ == "__main__":

@@ -137,10 +137,6 @@ class Process:
         end = f" ({' | '.join(line.strip() for line in lines)})" if lines else ""
         raise ProcessError(f"{self.name} ended {how}{end}")
 
-    def line(self, start: str) -> str | None:
-        """The first line of the log that begins with `start`; none so far."""
-        return next((line for line in self.log.splitlines() if line.startswith(start)), None)
-
     def wait(self, within_s: float = GRACE_S) -> int:
         """Its exit code, once it has ended by itself.
 
@@ -210,12 +206,19 @@ class Processes:
                 log.unlink(missing_ok=True)
                 self._children[name] = Process(name, command, log, self._environment)
         except BaseException:
-            self._end()
+            self.__exit__()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
+        with _no_interrupts():
+            for child in reversed(self._children.values()):
+                child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
+            deadline_s = time.monotonic() + self._grace_s
+            for child in self:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.wait(max(0.0, deadline_s - time.monotonic()))
+                child.kill()
 
     def __getitem__(self, name: str) -> Process:
         return self._children[name]
@@ -234,8 +237,12 @@ class Processes:
         Raises:
             ProcessError: a child ended, or no such line came in time.
         """
-        otherwise = f"{name} was not ready within {within_s:g} s"
-        line = self.wait_until(lambda: self[name].line(start), within_s, otherwise)
+
+        def found() -> str | None:
+            lines = self[name].log.splitlines()
+            return next((line for line in lines if line.startswith(start)), None)
+
+        line = self.wait_until(found, within_s, f"{name} was not ready")
         return line.removeprefix(start).strip()
 
     def wait_until(
@@ -246,7 +253,7 @@ class Processes:
         Raises:
             ProcessError: a child ended, or nothing was found in time: `otherwise`.
         """
-        text = f"{otherwise}; logs are in {self._log_dir}"
+        text = f"{otherwise} within {within_s:g} s; logs are in {self._log_dir}"
         return wait_until(found, within_s, text, self.check)
 
     def run_until_one_ends(self) -> None:
@@ -254,16 +261,6 @@ class Processes:
         while True:
             self.check()
             time.sleep(_POLL_S)
-
-    def _end(self) -> None:
-        with _no_interrupts():
-            for child in reversed(self._children.values()):
-                child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
-            deadline_s = time.monotonic() + self._grace_s
-            for child in self:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    child.wait(max(0.0, deadline_s - time.monotonic()))
-                child.kill()
 
 
 @contextlib.contextmanager
@@ -281,7 +278,7 @@ def _no_interrupts() -> Iterator[None]:
 def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:
     if sys.platform != "linux":
         return None
-    libc = ctypes.CDLL(None)
+    libc = ctypes.CDLL(None)  # not after the fork, where loading may lock up
 
     def arrange() -> None:
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
-import rclpy
-import rclpy.utilities
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -29,134 +21,10 @@ from cablesense_msgs_py.qos import CONTRACT, INPUTS, resolved
 from cablesense_msgs_py.serialized import restamped, stamp_ns
 from cablesense_online.recorded_run import RecordedRun, Step
 from cablesense_online.replay import Comparison, replayed_steps
-from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, EstimatorState, EventKind
-from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.node_process import message_class, qos_profile
+from cablesense_online.state import LIVE_SETTINGS, EstimatorState, EventKind
+from cablesense_ros.node_process import message_class, node_in_thread, qos_profile
 
 PATIENCE_S = 10.0
-_POLL_S = 0.0005
-
-
-class LiveEstimator:
-    """A running estimator, as a replay uses it; another thread spins the node.
-
-    Attributes:
-        answers: serialized wrenches by their stamps, until the player removes them.
-    """
-
-    def __init__(self, node: Node, namespace: str) -> None:
-        self._node = node
-        self._namespace = namespace
-        self.answers: dict[int, bytes] = {}
-        self._out: dict[str, Publisher] = {
-            topic: node.create_publisher(
-                message_class(INPUTS[topic].kind), self._name(topic), qos_profile(qos.offered)
-            )
-            for topic, qos in INPUTS.items()
-        }
-        self._wrenches = node.create_subscription(
-            WrenchStamped,
-            self._name(topics.WRENCH),
-            self._on_answer,
-            qos_profile(CONTRACT[topics.WRENCH].heard),
-            raw=True,
-        )
-        self._parameters = node.create_client(GetParameters, self._name("~/get_parameters"))
-        self._set_parameters = node.create_client(SetParameters, self._name("~/set_parameters"))
-        self._clients: dict[str, Client] = {
-            name: node.create_client(Trigger, self._name(name))
-            for name in (topics.TARE, topics.TARE_UNDO)
-        }
-
-    def wait_until_there(self) -> None:
-        """Until an estimator subscribes and publishes.
-
-        Raises:
-            RecordingError: none is there within `PATIENCE_S`.
-        """
-        tensions = self._out[topics.CABLE_TENSIONS]
-        commands = self._out[topics.JOINT_COMMANDS]
-        wrench = self._name(topics.WRENCH)
-        there = self._until(
-            lambda: bool(
-                tensions.get_subscription_count()
-                and commands.get_subscription_count()
-                and self._node.count_publishers(wrench)
-            ),
-            PATIENCE_S,
-        )
-        if not there:
-            raise RecordingError(
-                f"no estimator takes {self._name(topics.CABLE_TENSIONS)} and publishes {wrench}; "
-                "start one, in this ROS_DOMAIN_ID and namespace"
-            )
-
-    def publish(self, topic: str, raw: bytes) -> None:
-        """One serialized message on an input topic."""
-        self._out[topic].publish(raw)
-
-    def command(self, names: Sequence[str], angles_rad: Sequence[float]) -> None:
-        """A command, which the estimator has dealt with when this returns."""
-        self._out[topics.JOINT_COMMANDS].publish(
-            JointState(name=list(names), position=list(angles_rad))
-        )
-        # the middleware's acknowledgement takes seconds; a question that comes behind the command
-        # is answered behind it
-        answer = self._parameters.call_async(GetParameters.Request())
-        self._until(answer.done, PATIENCE_S)
-
-    def call(self, service: str) -> None:
-        """`~/tare` or `~/tare_undo`, done when this returns.
-
-        Raises:
-            RecordingError: the estimator refuses, or does not answer.
-        """
-        response = self._answer(self._clients[service], Trigger.Request(), service)
-        if not response.success:
-            raise RecordingError(
-                f"{self._name(service)} refuses what it took when recorded: {response.message}; "
-                "was the estimator started afresh?"
-            )
-
-    def adjust(self, settings: EstimationSettings) -> None:
-        """Set the parameters that may change while it runs.
-
-        Raises:
-            RecordingError: the estimator refuses one, or does not answer.
-        """
-        wanted = [Parameter(name, value=getattr(settings, name)) for name in LIVE_SETTINGS]
-        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in wanted])
-        response = self._answer(self._set_parameters, request, "~/set_parameters")
-        refused = [result.reason for result in response.results if not result.successful]
-        if refused:
-            raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
-
-    def wait_for(self, stamp: int, patience_s: float = 1.0) -> bool:
-        """Until the answer with a stamp is here; whether it is."""
-        return self._until(lambda: stamp in self.answers, patience_s)
-
-    def _answer(self, client: Client, request: Any, service: str) -> Any:
-        future = client.call_async(request)
-        if not self._until(future.done, PATIENCE_S) or future.result() is None:
-            raise RecordingError(f"{self._name(service)} does not answer")
-        return future.result()
-
-    def _on_answer(self, raw: bytes) -> None:
-        self.answers[stamp_ns(raw)] = raw
-
-    def _name(self, topic: str) -> str:
-        return resolved(topic, self._namespace)
-
-    @staticmethod
-    def _until(condition: Callable[[], bool], patience_s: float) -> bool:
-        end_s = time.monotonic() + patience_s
-        while not condition():
-            if time.monotonic() > end_s:
-                return False
-            time.sleep(_POLL_S)
-        return True
-
-
 LONGEST_AGE_NS = 10_000_000
 """Samples keep the age that they had when recorded, up to this: a recorder's clock may be off."""
 
@@ -166,8 +34,9 @@ STALE_AFTER_S = 10.0
 MOST_OPEN = 200
 """Samples on the way to an answer; the estimator keeps 500 in its queue."""
 
+_ANSWER_S = 1.0
 _SETTLE_S = 0.5
-_WAKE_S = 0.2
+_POLL_S = 0.0005
 _SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
 _REPEATED = {EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
 
@@ -191,49 +60,136 @@ def replay_through_node(
     Raises:
         RecordingError: no estimator listens, or it refuses a tare that is in the recording.
     """
-    with _spinning_node() as node:
+    with node_in_thread("replay") as node:
         live = LiveEstimator(node, namespace)
         live.wait_until_there()
         time.sleep(_SETTLE_S)  # until the estimator has discovered this node as well
         return _Player(run, rate, live, report).play()
 
 
-@contextmanager
-def _spinning_node() -> Iterator[Node]:
-    prefer_quick_discovery()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("replay")
-    executor, end = EventsExecutor(), Future()
-    executor.add_node(node)
+class LiveEstimator:
+    """A running estimator, as a replay uses it; another thread spins the node.
 
-    def spin() -> None:
-        while not end.done():
-            executor.spin_until_future_complete(end, timeout_sec=_WAKE_S)
+    Attributes:
+        answers: serialized wrenches by their stamps, until the player removes them.
+    """
 
-    thread = threading.Thread(target=spin, name="answers")
-    thread.start()
-    try:
-        yield node
-    finally:
-        end.set_result(None)
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        with suppress(RuntimeError):
-            rclpy.utilities.try_shutdown()
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self._namespace = namespace
+        self.answers: dict[int, bytes] = {}
+        self._out = {
+            topic: node.create_publisher(
+                message_class(INPUTS[topic].kind), self._name(topic), qos_profile(qos.offered)
+            )
+            for topic, qos in INPUTS.items()
+        }
+        node.create_subscription(
+            WrenchStamped,
+            self._name(topics.WRENCH),
+            lambda raw: self.answers.update({stamp_ns(raw): raw}),
+            qos_profile(CONTRACT[topics.WRENCH].heard),
+            raw=True,
+        )
+        self._clients: dict[str, Client] = {
+            name: node.create_client(kind, self._name(name))
+            for name, kind in (
+                ("~/get_parameters", GetParameters),
+                ("~/set_parameters", SetParameters),
+                (topics.TARE, Trigger),
+                (topics.TARE_UNDO, Trigger),
+            )
+        }
+
+    def wait_until_there(self) -> None:
+        """Until an estimator subscribes and publishes.
+
+        Raises:
+            RecordingError: none is there within `PATIENCE_S`.
+        """
+        inputs = [self._out[topic] for topic in (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)]
+        wrench = self._name(topics.WRENCH)
+
+        def there() -> bool:
+            taken = all(publisher.get_subscription_count() for publisher in inputs)
+            return taken and bool(self._node.count_publishers(wrench))
+
+        if not _until(there, PATIENCE_S):
+            raise RecordingError(
+                f"no estimator takes {self._name(topics.CABLE_TENSIONS)} and publishes {wrench}; "
+                "start one, in this ROS_DOMAIN_ID and namespace"
+            )
+
+    def publish(self, topic: str, raw: bytes) -> None:
+        """One serialized message on an input topic."""
+        self._out[topic].publish(raw)
+
+    def command(self, names: Sequence[str], angles_rad: Sequence[float]) -> None:
+        """A command, which the estimator has dealt with when this returns."""
+        self._out[topics.JOINT_COMMANDS].publish(
+            JointState(name=list(names), position=list(angles_rad))
+        )
+        # the middleware's acknowledgement takes seconds; a question that comes behind the command
+        # is answered behind it
+        answer = self._clients["~/get_parameters"].call_async(GetParameters.Request())
+        _until(answer.done, PATIENCE_S)
+
+    def call(self, service: str) -> None:
+        """`~/tare` or `~/tare_undo`, done when this returns.
+
+        Raises:
+            RecordingError: the estimator refuses, or does not answer.
+        """
+        response = self._answer(service, Trigger.Request())
+        if not response.success:
+            raise RecordingError(
+                f"{self._name(service)} refuses what it took when recorded: {response.message}; "
+                "was the estimator started afresh?"
+            )
+
+    def adjust(self, settings: Any) -> None:
+        """Set the parameters that may change while it runs, from attributes of their names.
+
+        Raises:
+            RecordingError: the estimator refuses one, or does not answer.
+        """
+        wanted = [Parameter(name, value=getattr(settings, name)) for name in LIVE_SETTINGS]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in wanted])
+        response = self._answer("~/set_parameters", request)
+        refused = [result.reason for result in response.results if not result.successful]
+        if refused:
+            raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
+
+    def wait_for(self, stamp: int) -> None:
+        """Until the answer with a stamp is here, or is late."""
+        _until(lambda: stamp in self.answers, _ANSWER_S)
+
+    def _answer(self, service: str, request: Any) -> Any:
+        future = self._clients[service].call_async(request)
+        if not _until(future.done, PATIENCE_S) or future.result() is None:
+            raise RecordingError(f"{self._name(service)} does not answer")
+        return future.result()
+
+    def _name(self, topic: str) -> str:
+        return resolved(topic, self._namespace)
 
 
-class _Open(NamedTuple):
-    """A sample that was sent and is not compared yet: its number, its stamps and its answer."""
-
-    number: int
-    stamp_ns: int
-    recorded_ns: int
-    recorded: bytes
+def _until(condition: Callable[[], bool], patience_s: float) -> bool:
+    end_s = time.monotonic() + patience_s
+    while not condition():
+        if time.monotonic() > end_s:
+            return False
+        time.sleep(_POLL_S)
+    return True
 
 
 class _Player:
-    """Walks through the recording once."""
+    """Walks through the recording once.
+
+    `_open` are samples that were sent and are not compared yet: number, sample, recorded answer.
+    """
+
+    _first: Step
 
     def __init__(
         self, run: RecordedRun, rate: float, live: LiveEstimator, report: Callable[[str], object]
@@ -241,36 +197,32 @@ class _Player:
         self._run, self._rate, self._live, self._report = run, rate, live, report
         self._comparison = Comparison()
         self._others = deque(run.other_inputs)
-        self._open: deque[_Open] = deque()
-        self._begun = self._sent = False
-        self._first_log_ns = self._first_stamp_ns = 0
+        self._open: deque[tuple[int, Step, bytes]] = deque()
         self._start_s, self._start_ns = 0.0, 0
 
     def play(self) -> Comparison:
         """Publish and compare everything."""
-        counts = self._comparison
-        for states, step in replayed_steps(self._run, counts):
-            if not self._begun:
-                self._begin(step)
-            self._pace(step.log_ns)
+        for sent, (states, sample) in enumerate(replayed_steps(self._run, self._comparison)):
+            if not sent:
+                self._begin(sample)
+            self._pace(sample.log_ns)
             for state in states:
-                self._repeat(state)
-            stamp_ns = self._shifted(step.stamp_ns)
-            self._sent = True
-            self._live.publish(topics.CABLE_TENSIONS, restamped(step.sample, stamp_ns))
-            if step.answer is not None:
-                self._open.append(_Open(counts.samples, stamp_ns, step.stamp_ns, step.answer))
+                self._repeat(state, begun=sent > 0)
+            stamp = self._shifted(sample)
+            self._live.publish(topics.CABLE_TENSIONS, restamped(sample.sample, stamp))
+            if sample.answer is not None:
+                self._open.append((self._comparison.samples, sample, sample.answer))
             if len(self._open) > MOST_OPEN:
-                self._live.wait_for(self._open[0].stamp_ns)
+                self._live.wait_for(self._shifted(self._open[0][1]))
             self._compare()
         self._await_answers()
         self._compare(to_the_end=True)
         if self._run.states:
             self._live.adjust(self._run.states[-1].settings)
-        return counts
+        return self._comparison
 
-    def _begin(self, step: Step) -> None:
-        self._begun = True
+    def _begin(self, first: Step) -> None:
+        self._first = first
         states = self._run.states
         if states:
             self._adjust(states[0])
@@ -284,8 +236,7 @@ class _Player:
             self._report(
                 "no ~/journal in the recording: commands go as they came, tares not at all"
             )
-        self._first_log_ns, self._first_stamp_ns = step.log_ns, step.stamp_ns
-        age_ns = min(max(step.log_ns - step.stamp_ns, 0), LONGEST_AGE_NS)
+        age_ns = min(max(first.log_ns - first.stamp_ns, 0), LONGEST_AGE_NS)
         self._start_s, self._start_ns = time.monotonic(), time.time_ns() - age_ns
 
     def _adjust(self, state: EstimatorState) -> None:
@@ -301,16 +252,15 @@ class _Player:
         self._sleep_until(log_ns)
 
     def _sleep_until(self, log_ns: int) -> None:
-        due_s = self._start_s + (log_ns - self._first_log_ns) * 1e-9 / self._rate
-        wait_s = due_s - time.monotonic()
-        if wait_s > 0.0:
-            time.sleep(wait_s)
+        due_s = self._start_s + (log_ns - self._first.log_ns) * 1e-9 / self._rate
+        time.sleep(max(0.0, due_s - time.monotonic()))
 
-    def _shifted(self, stamp_ns: int) -> int:
-        since_ns = stamp_ns - self._first_stamp_ns
+    def _shifted(self, sample: Step) -> int:
+        """Its stamp as it is sent, ns."""
+        since_ns = sample.stamp_ns - self._first.stamp_ns
         return self._start_ns + (since_ns if self._rate == 1.0 else round(since_ns / self._rate))
 
-    def _repeat(self, state: EstimatorState) -> None:
+    def _repeat(self, state: EstimatorState, begun: bool) -> None:
         """Between the sample before and the next one, as when recorded."""
         if any(event.kind in _REPEATED for event in state.events):
             self._await_answers()
@@ -321,23 +271,23 @@ class _Player:
                 self._live.call(_SERVICES[event.kind])
             elif event.kind is EventKind.SETTINGS:
                 self._adjust(state)
-            elif event.kind is EventKind.START and self._sent:
+            elif event.kind is EventKind.START and begun:
                 self._report(
                     "the recorded estimator was started anew here; the one that runs is not"
                 )
 
     def _await_answers(self) -> None:
         if self._open:
-            self._live.wait_for(self._open[-1].stamp_ns)
+            self._live.wait_for(self._shifted(self._open[-1][1]))
 
     def _compare(self, to_the_end: bool = False) -> None:
         answers = self._live.answers
-        while self._open and (
-            to_the_end
-            or self._open[0].stamp_ns in answers
-            or len(self._open) > MOST_OPEN  # it was waited for in vain
-        ):
-            number, stamp_ns, recorded_ns, recorded = self._open.popleft()
-            answer = answers.pop(stamp_ns, None)
-            replayed = None if answer is None else restamped(answer, recorded_ns)
+        while self._open:
+            number, sample, recorded = self._open[0]
+            answer = answers.pop(self._shifted(sample), None)
+            # with more than MOST_OPEN the first was waited for in vain
+            if answer is None and not to_the_end and len(self._open) <= MOST_OPEN:
+                break
+            self._open.popleft()
+            replayed = None if answer is None else restamped(answer, sample.stamp_ns)
             self._comparison.compare(number, recorded, replayed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,19 +36,14 @@ from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segme
 from cablesense_sim.mechanism import Mechanism
 
 _GROUND, _INK, _DIM, _GRID = "#14171d", "#e8ebf0", "#9aa3b2", "#2c323c"
+_PLATE = "#7e8a9c"
 _STYLE: Any = {
-    "figure.facecolor": _GROUND,
-    "axes.facecolor": _GROUND,
-    "savefig.facecolor": _GROUND,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _GRID,
-    "xtick.color": _DIM,
-    "ytick.color": _DIM,
-    "grid.color": _GRID,
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), _GROUND),
+    **dict.fromkeys(("text.color", "axes.labelcolor"), _INK),
+    **dict.fromkeys(("axes.edgecolor", "grid.color"), _GRID),
+    **dict.fromkeys(("xtick.color", "ytick.color"), _DIM),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
 }
 _DPI = 110
 _HEAD_M = 0.034
@@ -79,33 +75,21 @@ def draw_pushes(
     path: Path, mechanism: Mechanism, record: PushRecord, results: Sequence[PushResult]
 ) -> None:
     """Draw the arm at its hardest push, and true and estimated contacts over time."""
-    with _picture(path, (14.0, 8.0)) as figure:
-        grid = figure.add_gridspec(
-            3,
-            2,
-            width_ratios=(1.3, 1),
-            left=0.0,
-            right=0.985,
-            top=0.885,
-            bottom=0.075,
-            hspace=0.32,
-        )
-        moment = _hardest_moment(record, results)
-        _draw_arm(figure, grid[:, 0], mechanism, record.snapshots[moment])
-        _draw_time(figure, grid[:, 1], record, mechanism.segment_count, record.times_s[moment])
-        figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
-        figure.text(0.03, 0.912, _caption(results), size=10.5, color=_DIM)
-
-
-def _caption(results: Sequence[PushResult]) -> str:
     found = summary(results)
-    line = f"{found['segment_right']} of {found['pushes']} pushes on the right segment"
-    if found["direction_mae_deg"] is None:
-        return line
-    return (
-        f"{line}; mean error {found['direction_mae_deg']:.2f}° in direction, "
-        f"{found['magnitude_mae_n']:.2f} N in magnitude"
-    )
+    caption = f"{found['segment_right']} of {found['pushes']} pushes on the right segment"
+    if found["direction_mae_deg"] is not None:
+        caption += (
+            f"; mean error {found['direction_mae_deg']:.2f}° in direction, "
+            f"{found['magnitude_mae_n']:.2f} N in magnitude"
+        )
+    edges = {"left": 0.0, "right": 0.985, "top": 0.885, "bottom": 0.075}
+    with _picture(path, (14.0, 8.0)) as figure:
+        grid = figure.add_gridspec(1, 2, width_ratios=(1.3, 1), **edges)
+        moment = _hardest_moment(record, results)
+        _draw_arm(figure, grid[0], mechanism, record.snapshots[moment])
+        _draw_time(figure, grid[1], record, mechanism.segment_count, record.times_s[moment])
+        figure.text(0.03, 0.945, "CableSense: force from cable tensions", size=16, weight="bold")
+        figure.text(0.03, 0.912, caption, size=10.5, color=_DIM)
 
 
 def _hardest_moment(record: PushRecord, results: Sequence[PushResult]) -> int:
@@ -141,7 +125,9 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
         if contact is not None:
             point = points[contact.segment - 1] + aside_m * rotations[contact.segment - 1][:, 0]
             _draw_arrow(axes, point, contact, css(rgb))
-            axes.plot([], [], [], color=css(rgb), lw=4, label=_label(kind, contact))
+            force = f"{contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
+            label = f"{kind}: segment {contact.segment}, {force}"
+            axes.plot([], [], [], color=css(rgb), lw=4, label=label)
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.93), frameon=False, fontsize=11)
     _frame(axes, mechanism)
     stops = tension_rgb(np.linspace(0.0, scale_n, 64), scale_n) / 255.0
@@ -155,11 +141,6 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
     bar.outline.set_visible(False)
 
 
-def _label(kind: str, contact: Contact) -> str:
-    force = f"{contact.magnitude_n:.1f} N at {contact.angle_deg:.1f}°"
-    return f"{kind}: segment {contact.segment}, {force}"
-
-
 def _draw_plates(axes: Any, mechanism: Mechanism, joints: Array, rotations: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -171,11 +152,9 @@ def _draw_plates(axes: Any, mechanism: Mechanism, joints: Array, rotations: Arra
         rotation = rotations[segment - 1] if segment else np.eye(3)
         for x in plate_positions_m(mechanism, segment):
             rim = origin + (ring + np.array([x, 0.0, 0.0])) @ rotation.T
-            axes.add_collection3d(
-                Poly3DCollection(
-                    [rim], facecolor="#7e8a9c2e", edgecolor="#7e8a9c", lw=0.8, zorder=2
-                )
-            )
+            plate = Poly3DCollection([rim], facecolor=f"{_PLATE}2e", edgecolor=_PLATE, lw=0.8)
+            plate.set_zorder(2)
+            axes.add_collection3d(plate)
         if segment:
             tip = origin + rotation @ [mechanism.segment_length_m[segment - 1], 0.0, 0.0]
             axes.plot(*np.stack([origin, tip], -1), color="#5a667a", lw=6, zorder=3)
@@ -183,20 +162,17 @@ def _draw_plates(axes: Any, mechanism: Mechanism, joints: Array, rotations: Arra
 
 
 def _draw_arrow(axes: Any, point: Array, contact: Contact, colour: str) -> None:
+    """A shaft, and a zigzag between a cone's rim and its tip, so dense that it looks solid."""
     tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
-    neck = tip + min(_HEAD_M, float(np.linalg.norm(tail - tip))) * unit(tail - tip)
+    along = unit(tip - tail)
+    length = min(_HEAD_M, float(np.linalg.norm(tail - tip)))
+    neck = tip - length * along
     axes.plot(*np.stack([tail, neck], -1), color=colour, lw=3.6, zorder=6)
-    axes.plot(*_cone(neck, tip), color=colour, lw=1.2, zorder=6)
-
-
-def _cone(base: Array, tip: Array) -> Array:
-    """A zigzag (3, 2K) between a cone's rim and its tip, so dense that it looks solid."""
-    along = unit(tip - base)
     side = unit(np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0]))
     turn = np.linspace(0.0, 2 * np.pi, 40)[:, None]
-    radius = 0.3 * np.linalg.norm(tip - base)
-    rim = base + radius * (np.cos(turn) * side + np.sin(turn) * np.cross(along, side))
-    return np.stack([rim, np.broadcast_to(tip, rim.shape)], 1).reshape(-1, 3).T
+    rim = neck + 0.3 * length * (np.cos(turn) * side + np.sin(turn) * np.cross(along, side))
+    cone = np.stack([rim, np.broadcast_to(tip, rim.shape)], 1).reshape(-1, 3)
+    axes.plot(*cone.T, color=colour, lw=1.2, zorder=6)
 
 
 def _frame(axes: Any, mechanism: Mechanism) -> None:
@@ -212,14 +188,8 @@ def _frame(axes: Any, mechanism: Mechanism) -> None:
     for name, way in zip("xyz", 0.1 * np.eye(3), strict=True):
         axes.quiver(*corner, *way, color=_DIM, lw=1.2, arrow_length_ratio=0.15)
         axes.text(*(corner + 1.18 * way), name, color=_DIM, ha="center", va="center")
-    axes.text(
-        *(corner + np.array([0.05, -0.03, -0.02])),
-        "0.1 m",
-        color=_DIM,
-        size=9,
-        ha="center",
-        va="top",
-    )
+    below = corner + np.array([0.05, -0.03, -0.02])
+    axes.text(*below, "0.1 m", color=_DIM, size=9, ha="center", va="top")
 
 
 def _draw_time(
@@ -237,10 +207,13 @@ def _draw_time(
         (estimate, ESTIMATE_RGB, "estimated", 1.6),
     ):
         style = {"color": css(rgb), "lw": width, "solid_capstyle": "butt", "label": kind}
-        newtons = [contact.magnitude_n if contact else 0.0 for contact in contacts]
-        force.plot(record.times_s, newtons, **style)
-        angle.plot(record.times_s, [c.angle_deg if c else np.nan for c in contacts], **style)
-        segment.plot(record.times_s, [c.segment if c else 0 for c in contacts], **style)
+        for axes, name, none in (
+            (force, "magnitude_n", 0.0),
+            (angle, "angle_deg", np.nan),
+            (segment, "segment", 0),
+        ):
+            values = [getattr(contact, name) if contact else none for contact in contacts]
+            axes.plot(record.times_s, values, **style)
     force.set_ylabel("force, N")
     force.set_ylim(bottom=0.0)
     force.legend(loc="upper right", frameon=False, ncols=2, bbox_to_anchor=(1.0, 1.16))
@@ -265,6 +238,10 @@ def _draw_time(
 def draw_wall(path: Path, record: WallRecord) -> None:
     """Draw forces and commanded angles over time, and what could be known of contacts."""
     segment = pressed_segment(record.commands_rad.shape[1] // 2)
+    text = (
+        f"an elastic wall presses on segment {segment} and leaves at {record.leaves_s:.0f} s; its "
+        "force is estimated from the cables alone"
+    )
     with _picture(path, (12.0, 6.6)) as figure:
         forces, phases, angles = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 0.22, 2.0))
         figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.085, hspace=0.12)
@@ -272,37 +249,18 @@ def draw_wall(path: Path, record: WallRecord) -> None:
         _draw_phases(figure, phases, record)
         _draw_angles(angles, record)
         figure.text(0.07, 0.945, "CableSense: the arm yields to a contact", size=15, weight="bold")
-        figure.text(
-            0.07,
-            0.908,
-            f"an elastic wall presses on segment {segment} and leaves at "
-            f"{record.leaves_s:.0f} s; its force is estimated from the cables alone",
-            color=_DIM,
-        )
+        figure.text(0.07, 0.908, text, color=_DIM)
 
 
 def _draw_forces(axes: Any, record: WallRecord) -> None:
     times = record.times_s
-    axes.plot(
-        times,
-        record.unyielding_n,
-        color=_DIM,
-        lw=1.4,
-        ls="--",
-        label="without controller (computed)",
-    )
+    computed = {"color": _DIM, "lw": 1.4, "ls": "--", "label": "without controller (computed)"}
+    axes.plot(times, record.unyielding_n, **computed)
     axes.plot(times, record.true_n, color=css(TRUE_RGB), lw=2.2, label="true force of the wall")
-    touched = np.array([sight is ContactState.CONTACT for sight in record.sights])
-    felt = np.where(touched & (record.estimated_n > 0.0), record.estimated_n, np.nan)
-    axes.plot(
-        times,
-        felt,
-        color=css(ESTIMATE_RGB),
-        lw=0,
-        marker="o",
-        ms=3.2,
-        label="estimated, while it can",
-    )
+    in_contact = np.array([state is ContactState.CONTACT for state in record.contact_states])
+    estimated = np.where(in_contact & (record.estimated_n > 0.0), record.estimated_n, np.nan)
+    dots = {"lw": 0, "marker": "o", "ms": 3.2, "label": "estimated, while it can be"}
+    axes.plot(times, estimated, color=css(ESTIMATE_RGB), **dots)
     axes.axhline(DEADBAND_N, color=_INK, lw=0.8, ls=":", label=f"deadband, {DEADBAND_N:g} N")
     axes.set(ylabel="force, N", ylim=(-0.5, None), xlim=(0.0, times[-1]))
     axes.grid(axis="y", lw=0.6)
@@ -312,37 +270,30 @@ def _draw_forces(axes: Any, record: WallRecord) -> None:
 def _draw_phases(figure: Any, axes: Any, record: WallRecord) -> None:
     from matplotlib.patches import Patch
 
-    edges = [*record.times_s, record.times_s[-1]]
-    for k, sight in enumerate(record.sights):
-        axes.axvspan(edges[k], edges[k + 1], color=_PHASES[sight][0], lw=0)
+    for (start_s, end_s), state in zip(
+        pairwise([*record.times_s, record.times_s[-1]]), record.contact_states, strict=True
+    ):
+        axes.axvspan(start_s, end_s, color=_PHASES[state][0], lw=0)
     axes.set(yticks=[], ylim=(0, 1))
     axes.spines[:].set_visible(False)
     axes.tick_params(bottom=False)
-    seen = [sight for sight in _PHASES if sight in record.sights]
+    shown = [phase for state, phase in _PHASES.items() if state in record.contact_states]
     figure.legend(
-        handles=[Patch(color=_PHASES[s][0], label=_PHASES[s][1]) for s in seen],
+        handles=[Patch(color=colour, label=label) for colour, label in shown],
         loc="upper right",
         bbox_to_anchor=(0.985, 0.985),
-        ncols=len(seen),
+        ncols=len(shown),
         frameon=False,
     )
 
 
 def _draw_angles(axes: Any, record: WallRecord) -> None:
     degrees = np.rad2deg(record.commands_rad)
-    for joint in range(degrees.shape[1] // 2):
-        colour = css(segment_rgb(joint + 1))
-        axes.step(
-            record.times_s, degrees[:, 2 * joint], where="post", color=colour, lw=1.4, ls="--"
-        )
-        axes.step(
-            record.times_s,
-            degrees[:, 2 * joint + 1],
-            where="post",
-            color=colour,
-            lw=1.8,
-            label=f"joint {joint + 1}",
-        )
+    for joint in range(1, degrees.shape[1] // 2 + 1):
+        pitch, yaw = degrees[:, 2 * joint - 2], degrees[:, 2 * joint - 1]
+        style = {"where": "post", "color": css(segment_rgb(joint))}
+        axes.step(record.times_s, pitch, lw=1.4, ls="--", **style)
+        axes.step(record.times_s, yaw, lw=1.8, label=f"joint {joint}", **style)
     axes.set(xlabel="time, s", ylabel="commanded angle, °\n(yaw; pitch dashed)")
     axes.grid(axis="y", lw=0.6)
     axes.legend(loc="upper right", frameon=False, ncols=4)

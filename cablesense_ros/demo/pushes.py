@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,8 +16,7 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot, angle_error_deg
-from cablesense_ros.arm_client import ArmClient, Observer, record
-from cablesense_sim.arm import Arm
+from cablesense_ros.arm_client import ArmClient, record
 
 PUSH_S = 3.0
 """How long each push is held; the pause before it is as long as what is left of its share."""
@@ -94,19 +94,6 @@ def make_script(segment_count: int, duration_s: float, seed: int) -> list[Script
     return script
 
 
-class PushObserver(Observer):
-    """Pushes and commands the arm, and watches arm and estimator."""
-
-    def __init__(self, arm: Arm) -> None:
-        super().__init__()
-        self.live = LiveArm(arm, joint_speed_rad_s=JOINT_SPEED_RAD_S)
-        self.client = ArmClient(self.node, arm, self.live, "estimator")
-
-    def snapshot(self) -> Snapshot:
-        """What is known now."""
-        return self.live.snapshot(time.monotonic())
-
-
 @dataclass(frozen=True)
 class PushRecord:
     """K moments.
@@ -126,45 +113,40 @@ class PushRecord:
 
 
 def play_script(
-    observer: PushObserver,
+    client: ArmClient,
+    live: LiveArm,
     script: Sequence[ScriptedPush],
     check: Callable[[], object],
-    progress: Callable[[float], object],
+    progress: Callable[..., object],
 ) -> PushRecord:
     """Play the script in real time.
 
     Args:
-        observer: pushes and watches.
+        client: pushes and commands the arm.
+        live: what is known of it.
         script: what to do when.
         check: called at every step; raises to end the play.
-        progress: takes the seconds since the start.
+        progress: takes the seconds since the start, as `completed`.
     """
-    todo = _events(observer.client, script)
+    due: deque[tuple[float, Callable[[], None]]] = deque()
+    pose = np.zeros_like(script[0].command_rad)
+    for push in script:
+        if not np.array_equal(push.command_rad, pose):
+            pose = push.command_rad
+            due.append((push.move_s, partial(client.command, pose)))
+        press = partial(client.push, push.segment, push.angle_deg, push.magnitude_n)
+        due.append((push.start_s, press))
+        due.append((push.end_s, partial(client.push, push.segment, 0.0, 0.0)))
 
     def moment(now_s: float) -> Snapshot:
-        while todo and todo[0][0] <= now_s:
-            todo.pop(0)[1]()
-        progress(now_s)
-        return observer.snapshot()
+        while due and due[0][0] <= now_s:
+            due.popleft()[1]()
+        progress(completed=now_s)
+        return live.snapshot(time.monotonic())
 
     times, snapshots = record(moment, script[-1].end_s, check)
-    observer.client.push(script[-1].segment, 0.0, 0.0)
+    client.push(script[-1].segment, 0.0, 0.0)
     return PushRecord(times, snapshots)
-
-
-def _events(
-    client: ArmClient, script: Sequence[ScriptedPush]
-) -> list[tuple[float, Callable[[], None]]]:
-    events: list[tuple[float, Callable[[], None]]] = []
-    before = np.zeros_like(script[0].command_rad)
-    for push in script:
-        if not np.array_equal(push.command_rad, before):
-            events.append((push.move_s, partial(client.command, push.command_rad)))
-            before = push.command_rad
-        press = partial(client.push, push.segment, push.angle_deg, push.magnitude_n)
-        events.append((push.start_s, press))
-        events.append((push.end_s, partial(client.push, push.segment, 0.0, 0.0)))
-    return sorted(events, key=lambda event: event[0])
 
 
 @dataclass(frozen=True)
@@ -203,26 +185,23 @@ class PushResult:
 
 def push_results(script: Sequence[ScriptedPush], record: PushRecord) -> list[PushResult]:
     """The result of every push."""
-    estimated = record.estimated
     results = []
     for push in script:
-        steady = (record.times_s >= push.start_s + SETTLING_S) & (
-            record.times_s < push.end_s - 0.1
-        )
-        at = np.flatnonzero(steady & estimated).tolist()
+        since, until = push.start_s + SETTLING_S, push.end_s - 0.1
+        steady = (record.times_s >= since) & (record.times_s < until)
+        at = np.flatnonzero(steady & record.estimated).tolist()
         contacts = [record.snapshots[i].estimate for i in at]
         results.append(PushResult(push, _median(contacts), len(at)))
     return results
 
 
 def _median(contacts: Sequence[Contact | None]) -> Contact | None:
+    """Of those on the segment that most are on; None where most are of no contact."""
     segments = [contact.segment if contact else 0 for contact in contacts]
-    if not segments:
-        return None
-    usual = max(set(segments), key=segments.count)
-    same = [contact for contact in contacts if contact is not None and contact.segment == usual]
+    usual = max(set(segments), key=segments.count, default=0)
     if usual == 0:
         return None
+    same = [contact for contact in contacts if contact is not None and contact.segment == usual]
     angles = np.deg2rad([contact.angle_deg for contact in same])
     angle = np.rad2deg(np.arctan2(np.median(np.sin(angles)), np.median(np.cos(angles)))) % 360.0
     force = np.median([contact.force_base_n for contact in same], axis=0)
@@ -244,12 +223,16 @@ def summary(results: Sequence[PushResult]) -> dict[str, Any]:
 
 def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
     """Everything that the table shows, as plain values."""
+
+    def plain(contact: ScriptedPush | Contact) -> dict[str, float]:
+        return {name: getattr(contact, name) for name in ("segment", "angle_deg", "magnitude_n")}
+
     return {
         "summary": summary(results),
         "pushes": [
             {
-                "true": _plain(r.push),
-                "estimated": None if r.estimate is None else _plain(r.estimate),
+                "true": plain(r.push),
+                "estimated": plain(r.estimate) if r.estimate else None,
                 "samples": r.sample_count,
             }
             for r in results
@@ -257,49 +240,37 @@ def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
     }
 
 
-def _plain(push: ScriptedPush | Contact) -> dict[str, float]:
-    return {"segment": push.segment, "angle_deg": push.angle_deg, "magnitude_n": push.magnitude_n}
-
-
 def results_table(results: Sequence[PushResult]) -> Table:
     """One row for each push, mean errors in the footer."""
-    found = summary(results)
-    direction, force = found["direction_mae_deg"], found["magnitude_mae_n"]
+    mean = summary(results)
+    right = f"{mean['segment_right']} of {mean['pushes']} right"
     table = Table(title="True against estimated", show_footer=True, title_justify="left")
     table.add_column("pose", footer="mean")
-    table.add_column("true segment,\ndirection, force", justify="right", no_wrap=True)
-    right = f"{found['segment_right']} of {found['pushes']} right"
-    table.add_column(
-        "estimated segment,\ndirection, force", justify="right", no_wrap=True, footer=right
-    )
-    table.add_column("direction\nerror", justify="right", footer=_number(direction, "°"))
-    table.add_column("force\nerror", justify="right", footer=_number(force, " N"))
-    for result in results:
-        table.add_row(*_row(result))
+    for name, footer in (("true", ""), ("estimated", right)):
+        table.add_column(
+            f"{name} segment,\ndirection, force", footer, justify="right", no_wrap=True
+        )
+    for name, value, unit in (
+        ("direction", mean["direction_mae_deg"], "°"),
+        ("force", mean["magnitude_mae_n"], " N"),
+    ):
+        table.add_column(f"{name}\nerror", justify="right", footer=_number(value, ".2f", unit))
+    for r in results:
+        missing = "no contact" if r.sample_count else "no estimate"
+        found = _contact(r.estimate) if r.estimate else missing
+        table.add_row(
+            "bent" if r.push.command_rad.any() else "straight",
+            _contact(r.push),
+            f"[{'green' if r.segment_right else 'red'}]{found}[/]",
+            _number(r.angle_error_deg, ".2f", "°"),
+            _number(r.magnitude_error_n, "+.2f", " N"),
+        )
     return table
 
 
-def _row(result: PushResult) -> tuple[str, ...]:
-    push, estimate = result.push, result.estimate
-    mark = "green" if result.segment_right else "red"
-    if estimate is not None:
-        found = _contact(estimate.segment, estimate.angle_deg, estimate.magnitude_n)
-    else:
-        found = "no contact" if result.sample_count else "no estimate"
-    return (
-        "bent" if push.command_rad.any() else "straight",
-        _contact(push.segment, push.angle_deg, push.magnitude_n),
-        f"[{mark}]{found}[/]",
-        _number(result.angle_error_deg, "°"),
-        _number(result.magnitude_error_n, " N", signed=True),
-    )
+def _contact(contact: ScriptedPush | Contact) -> str:
+    return f"{contact.segment} {contact.angle_deg:6.1f}° {contact.magnitude_n:6.1f} N"
 
 
-def _contact(segment: int, angle_deg: float, magnitude_n: float) -> str:
-    return f"{segment} {angle_deg:6.1f}° {magnitude_n:6.1f} N"
-
-
-def _number(value: float | None, unit: str, signed: bool = False) -> str:
-    if value is None:
-        return "–"
-    return f"{value:+.2f}{unit}" if signed else f"{value:.2f}{unit}"
+def _number(value: float | None, form: str, unit: str) -> str:
+    return "–" if value is None else f"{value:{form}}{unit}"

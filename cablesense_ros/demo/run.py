@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +85,9 @@ def run_live(options: DemoOptions) -> None:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
     _check_files(options)
-    commands = node_commands(options, live=True)
-    with _ended_by_signals(), _started(options, commands) as processes:
-        print(f"Starting {_listed([*commands])} …", flush=True)
+    with _ended_by_signals(), _nodes(options, live=True) as processes:
+        *names, last = (process.name for process in processes)
+        print(f"Starting {', '.join(names)} and {last} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
         busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
         from cablesense_online.page.page import exposure_warning
@@ -97,25 +99,6 @@ def run_live(options: DemoOptions) -> None:
         processes.run_until_one_ends()
 
 
-@dataclass(frozen=True)
-class _Report:
-    """What a headless demo gives.
-
-    Attributes:
-        metrics: by the keys of the JSON report.
-        shown: the same for people.
-        draw: writes the picture.
-        picture: its file's name.
-        failure: why the demo has failed; empty where it has not.
-    """
-
-    metrics: dict[str, Any]
-    shown: Table | str
-    draw: Callable[[Path], None]
-    picture: str
-    failure: str = ""
-
-
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
     """Play a script of pushes, or a wall against the controller; print a report, draw a picture.
 
@@ -124,75 +107,89 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     """
     arm = _check_files(options)
     os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
-    play = _play_pushes if options.controller is Controller.NONE else _play_wall
+    pushed = options.controller is Controller.NONE
+    picture = options.out / ("demo.png" if pushed else "admittance.png")
     console = Console(stderr=as_json)
     with _ended_by_signals():
-        report = play(arm, options, duration_s, console)
-        picture = options.out / report.picture
+        play = _play_pushes if pushed else _play_wall
+        metrics, shown, draw = play(arm, options, duration_s, console)
         with console.status("Drawing the picture …"):
-            report.draw(picture)
+            draw(picture)
     if as_json:
-        found = {"arm": arm.identity, **report.metrics, "picture": str(picture)}
+        found = {"arm": arm.identity, **metrics, "picture": str(picture)}
         print(json.dumps(found, indent=2))
     else:
-        console.print(report.shown)
+        console.print(shown)
         console.print(f"picture: {picture}", soft_wrap=True)
-    if report.failure:
-        raise DemoError(report.failure)
+    pushes = metrics.get("pushes", ())
+    if silent := sum(not push["samples"] for push in pushes):
+        raise DemoError(
+            f"no estimate came during {silent} of {len(pushes)} pushes; logs are in {options.out}"
+        )
 
 
-def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
+_Played = tuple[dict[str, Any], Table | str, Callable[[Path], None]]
+"""Metrics by the keys of the JSON report, the same for people, and what draws the picture."""
+
+
+def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Played:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     from cablesense_msgs_py.messages import Level
+    from cablesense_online.page.live_arm import LiveArm
+    from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo import pushes
     from cablesense_ros.demo.pictures import draw_pushes
+    from cablesense_ros.node_process import node_in_thread
 
     script = pushes.make_script(arm.segment_count, duration_s, options.seed)
-    commands = node_commands(options, live=False)
-    with _started(options, commands) as processes, pushes.PushObserver(arm) as observer:
-        wait = _waits(processes)
+    live = LiveArm(arm, joint_speed_rad_s=pushes.JOINT_SPEED_RAD_S)
+
+    def estimated() -> bool:
+        return live.snapshot(time.monotonic()).status.level is not Level.STALE
+
+    with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
+        client = ArmClient(node, arm, live, "estimator")
         with console.status("Starting the simulated arm and the estimator …"):
-            wait(lambda: observer.client.connected, "simulator and estimator did not come up")
-            observer.client.command(script[0].command_rad)
-            fresh = "no estimate came"
-            wait(lambda: observer.snapshot().status.level is not Level.STALE, fresh)
-            wait(lambda: observer.live.content_with("tare"), "the estimator took no tare")
-        with _progress_bar(console, script[-1].end_s) as progress:
-            record = pushes.play_script(observer, script, processes.check, progress)
+            wait = partial(processes.wait_until, within_s=_START_S)
+            wait(lambda: client.connected, otherwise="simulator and estimator did not come up")
+            client.command(script[0].command_rad)
+            wait(estimated, otherwise="no estimate came")
+            wait(lambda: live.content_with("tare"), otherwise="the estimator took no tare")
+        done = TextColumn("{task.completed:.0f} of {task.total:.0f} s")
+        columns = TextColumn("pushing the arm"), BarColumn(), done, TimeRemainingColumn()
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("", total=script[-1].end_s)
+            progress = partial(bar.update, task)
+            record = pushes.play_script(client, live, script, processes.check, progress)
     results = pushes.push_results(script, record)
-    silent = sum(1 for result in results if not result.sample_count)
-    failure = f"no estimate came during {silent} of {len(results)} pushes; logs are in "
-    return _Report(
-        pushes.metrics(results),
-        pushes.results_table(results),
-        lambda path: draw_pushes(path, observer.live.mechanism, record, results),
-        "demo.png",
-        f"{failure}{options.out}" if silent else "",
-    )
+    draw = partial(draw_pushes, mechanism=live.mechanism, record=record, results=results)
+    return pushes.metrics(results), pushes.results_table(results), draw
 
 
-def _play_wall(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Report:
+def _play_wall(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Played:
     from cablesense_ros.demo import wall
     from cablesense_ros.demo.pictures import draw_wall
+    from cablesense_ros.node_process import node_in_thread
 
     segment = wall.pressed_segment(arm.segment_count)
     stiffness_n_m = wall.unyielding_stiffness_n_m(arm)
-    commands = node_commands(options, live=False)
-    with _started(options, commands) as processes, wall.WallObserver(arm) as observer:
+    with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
+        observer = wall.WallObserver(node, arm)
         with console.status("Starting the simulated arm, the estimator and the controller …"):
-            untrusted = "the controller did not trust the estimator"
-            _waits(processes)(lambda: observer.ready, untrusted)
+            processes.wait_until(
+                lambda: observer.ready, _START_S, "the controller did not trust the estimator"
+            )
         with console.status(f"A wall presses on segment {segment} …"):
             record = wall.play_wall(observer, stiffness_n_m, duration_s, processes.check)
     metrics = record.metrics()
-    return _Report(
-        metrics,
+    text = (
         f"The wall would hold segment {segment} with {metrics['without_controller_n']:.1f} N. The "
         f"arm met {metrics['peak_n']:.1f} N and brought them down to "
         f"{metrics['settled_n']:.1f} N in {metrics['settling_s']:.1f} s and "
-        f"{metrics['steps']} steps.",
-        lambda path: draw_wall(path, record),
-        "admittance.png",
+        f"{metrics['steps']} steps."
     )
+    return metrics, text, partial(draw_wall, record=record)
 
 
 def _check_files(options: DemoOptions) -> Arm:
@@ -222,16 +219,25 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
         options: of the demo.
         live: with the page; the wall comes by itself and stays.
     """
-    commands = _source_commands(options)
-    estimator = {"arm": options.arm, "model": options.model}
-    commands["estimator"] = node_command("estimator", estimator)
+    arm: dict[str, object] = {"arm": options.arm}
+    simulation = arm | {"seed": options.seed}
+    if options.source is Source.SIM:
+        commands = {"sim": node_command("sim", simulation)}
+    else:
+        amplifier = arm | {"map": _MAP, "channel": options.out.resolve() / "can_adapter"}
+        adapter = {"interface": "slcan", "bitrate_bit_s": _BITRATE_BIT_S}
+        remaps = {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}
+        commands = {
+            "can_emulator": node_command("can_emulator", amplifier),
+            "can_driver": node_command("can_driver", amplifier | adapter),
+            "sim": node_command("sim", simulation, remaps),
+        }
+    commands["estimator"] = node_command("estimator", arm | {"model": options.model})
     controlled = options.controller is Controller.ADMITTANCE
     if controlled:
         from cablesense_ros.demo import wall
 
-        controller = {"arm": options.arm, "deadband_n": wall.DEADBAND_N}
         obstacle = {
-            "arm": options.arm,
             "segment": wall.pressed_segment(open_arm(options.arm).segment_count),
             "stiffness_n_m": wall.STIFFNESS_N_M,
             "clearance_m": -wall.CLEAR_M,
@@ -239,44 +245,18 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
             "depth_m": wall.PRESS_M if live else wall.CLEAR_M,
             "delay_s": _LIVE_WALL_DELAY_S if live else 0.0,
         }
+        controller = arm | {"deadband_n": wall.DEADBAND_N}
         commands["admittance"] = node_command("admittance", controller)
-        commands["obstacle"] = node_command("obstacle", obstacle)
+        commands["obstacle"] = node_command("obstacle", arm | obstacle)
     if live:
-        page = {"arm": options.arm, "host": options.host, "port": options.port}
         # with a controller no command: it would take the pose of another's for its new home
-        commands["page"] = node_command("page", page | {"home_at_start": not controlled})
+        page = {"host": options.host, "port": options.port, "home_at_start": not controlled}
+        commands["page"] = node_command("page", arm | page)
     return commands
 
 
-def _source_commands(options: DemoOptions) -> Commands:
-    """The nodes that publish `cable_tensions`: the sim, or it and an emulated amplifier."""
-    simulation: dict[str, object] = {"arm": options.arm, "seed": options.seed}
-    if options.source is Source.SIM:
-        return {"sim": node_command("sim", simulation)}
-    link = options.out.resolve() / "can_adapter"
-    amplifier: dict[str, object] = {"arm": options.arm, "map": _MAP, "channel": link}
-    adapter = {"interface": "slcan", "bitrate_bit_s": _BITRATE_BIT_S}
-    remaps = {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}
-    return {
-        "can_emulator": node_command("can_emulator", amplifier),
-        "can_driver": node_command("can_driver", amplifier | adapter),
-        "sim": node_command("sim", simulation, remaps),
-    }
-
-
-def _started(options: DemoOptions, commands: Commands) -> Processes:
-    return Processes(commands, options.out / "logs", own_graph())
-
-
-def _waits(processes: Processes) -> Callable[[Callable[[], bool], str], object]:
-    def wait(true: Callable[[], bool], otherwise: str) -> object:
-        return processes.wait_until(true, _START_S, f"{otherwise} within {_START_S:g} s")
-
-    return wait
-
-
-def _listed(names: list[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+def _nodes(options: DemoOptions, live: bool) -> Processes:
+    return Processes(node_commands(options, live), options.out / "logs", own_graph())
 
 
 @contextmanager
@@ -295,18 +275,3 @@ def _ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def _progress_bar(console: Console, length_s: float) -> Iterator[Callable[[float], None]]:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("pushing the arm"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=length_s)
-        yield lambda now_s: bar.update(task, completed=now_s)

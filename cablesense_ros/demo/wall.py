@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.topics import Frames
@@ -28,8 +28,8 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.wall import Approach, compliance_m_n
-from cablesense_ros.arm_client import Observer, record
-from cablesense_ros.node_process import of_node, qos_profile
+from cablesense_ros.arm_client import record
+from cablesense_ros.node_process import RefusalLog, of_node
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 
@@ -59,7 +59,7 @@ class WallRecord:
         unyielding_n: (K,) what the wall would press with, had the arm not been commanded away.
         estimated_n: (K,) the estimator's.
         commands_rad: (K, 2N) commands in force.
-        sights: (K,) what could be known of contacts.
+        contact_states: (K,) what could be known of contacts.
         leaves_s: when the wall began to retreat.
     """
 
@@ -68,7 +68,7 @@ class WallRecord:
     unyielding_n: Array
     estimated_n: Array
     commands_rad: Array
-    sights: tuple[ContactState, ...]
+    contact_states: tuple[ContactState, ...]
     leaves_s: float
 
     def metrics(self) -> dict[str, Any]:
@@ -95,19 +95,18 @@ class WallRecord:
 
 
 class Moment(NamedTuple):
-    """What is seen at once: true and estimated force, command (2N,) and sight."""
+    """True and estimated force, command (2N,) and contact state at one time."""
 
     true_n: float
     estimated_n: float
     command_rad: Array
-    sight: ContactState
+    contact_state: ContactState
 
 
-class WallObserver(Observer):
-    """Watches wall, estimator and controller."""
+class WallObserver:
+    """Watches wall, estimator and controller by a node that another thread spins."""
 
-    def __init__(self, arm: Arm) -> None:
-        super().__init__()
+    def __init__(self, node: Node, arm: Arm) -> None:
         self._frames = Frames(arm.segment_count)
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._command = np.zeros(arm.joint_count)
@@ -116,6 +115,8 @@ class WallObserver(Observer):
         )
         self._true_n = self._estimated_n = 0.0
         self._control = ""
+        self._lock = threading.Lock()
+        refuse = RefusalLog(node)
         for kind, topic, handle in (
             (WrenchStamped, topics.APPLIED_WRENCH, self._on_load),
             (JointState, topics.JOINT_COMMANDS, self._on_command),
@@ -123,9 +124,8 @@ class WallObserver(Observer):
             (Float64MultiArray, topics.CONTACT_PROBABILITIES, self._on_probabilities),
             (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics),
         ):
-            name = of_node("estimator", topic)
-            self.node.create_subscription(kind, name, handle, qos_profile(qos.COMMAND))
-        self._wall = self.node.create_client(SetParameters, "obstacle/set_parameters")
+            refuse.subscribe(kind, of_node("estimator", topic), qos.COMMAND, handle)
+        self._wall = node.create_client(SetParameters, "obstacle/set_parameters")
 
     @property
     def ready(self) -> bool:
@@ -134,33 +134,31 @@ class WallObserver(Observer):
 
     def move_wall(self, depth_m: float) -> None:
         """Set where the wall stops."""
-        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=depth_m)
-        request = SetParameters.Request(parameters=[Parameter(name="depth_m", value=value)])
-        self._wall.call_async(request)
+        wanted = [Parameter("depth_m", value=depth_m).to_parameter_msg()]
+        self._wall.call_async(SetParameters.Request(parameters=wanted))
 
     def moment(self) -> Moment:
-        """What is seen now."""
-        with self.lock:
-            sight = self._watch.update(time.monotonic())
-            return Moment(self._true_n, self._estimated_n, self._command, sight)
+        """The present."""
+        with self._lock:
+            state = self._watch.update(time.monotonic())
+            return Moment(self._true_n, self._estimated_n, self._command, state)
 
     def _on_load(self, message: WrenchStamped) -> None:
-        with suppress(CableSenseError):
-            self._true_n = float(np.linalg.norm(read_load(message, self._frames).force_base_n))
+        self._true_n = float(np.linalg.norm(read_load(message, self._frames).force_base_n))
 
     def _on_command(self, message: JointState) -> None:
-        with suppress(CableSenseError), self.lock:
+        with self._lock:
             self._command = joint_command_rad(message, self._joints)
             self._watch.commanded(self._command, time.monotonic())
 
     def _on_wrench(self, message: WrenchStamped) -> None:
-        with suppress(CableSenseError), self.lock:
-            felt = read_wrench(message, self._frames)
-            self._estimated_n = float(np.linalg.norm(felt.force_n))
-            self._watch.received_wrench(bool(felt.segment), 0.0, time.monotonic())
+        wrench = read_wrench(message, self._frames)
+        with self._lock:
+            self._estimated_n = float(np.linalg.norm(wrench.force_n))
+            self._watch.received_wrench(bool(wrench.segment), 0.0, time.monotonic())
 
     def _on_probabilities(self, _: Float64MultiArray) -> None:
-        with self.lock:
+        with self._lock:
             self._watch.received_probabilities(time.monotonic())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -205,12 +203,13 @@ def play_wall(
 
     times, seen = record(moment, duration_s, check)
     unyielding, moments = zip(*seen, strict=True)
+    true, estimated, commands, states = zip(*moments, strict=True)
     return WallRecord(
-        times_s=times,
-        true_n=np.array([moment.true_n for moment in moments]),
-        unyielding_n=np.array(unyielding),
-        estimated_n=np.array([moment.estimated_n for moment in moments]),
-        commands_rad=np.array([moment.command_rad for moment in moments]),
-        sights=tuple(moment.sight for moment in moments),
-        leaves_s=leaves_s,
+        times,
+        np.array(true),
+        np.array(unyielding),
+        np.array(estimated),
+        np.array(commands),
+        states,
+        leaves_s,
     )

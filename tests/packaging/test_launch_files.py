@@ -143,19 +143,9 @@ def test_the_controller_comes_with_the_estimator_and_a_wall(describe):
 def test_node_settings_name_parameters_that_exist(file):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
-    from cablesense_ros.admittance_node import ADMITTANCE_PARAMETERS
-    from cablesense_ros.can_driver_node import CAN_DRIVER_PARAMETERS
-    from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS
-    from cablesense_ros.obstacle_node import OBSTACLE_PARAMETERS
-    from cablesense_ros.sim_node import SIM_PARAMETERS
+    from cablesense_ros.parameters import parameter_table
 
-    table = {
-        "sim.yaml": SIM_PARAMETERS,
-        "estimator.yaml": ESTIMATOR_PARAMETERS,
-        "can_driver.yaml": CAN_DRIVER_PARAMETERS,
-        "admittance.yaml": ADMITTANCE_PARAMETERS,
-        "obstacle.yaml": OBSTACLE_PARAMETERS,
-    }[file]
+    table = parameter_table(file.removesuffix(".yaml"))
     known = {parameter.name: parameter.default for parameter in table}
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
     (node,) = content.values()

@@ -15,9 +15,9 @@ def record(settling_s=3.0):
     decay = 2.0 + 28.0 * np.exp(-(times - 1.0) * np.log(28.0) / settling_s)
     commands = np.zeros((len(times), 8))
     commands[(times >= 2.0) & (times < 15.0), 3] = 0.01
-    sights = tuple(ContactState.CONTACT if at else ContactState.FREE for at in pressed)
+    states = tuple(ContactState.CONTACT if at else ContactState.FREE for at in pressed)
     true = np.where(pressed, decay, 0.0)
-    return WallRecord(times, true, np.where(pressed, 30.0, 0.0), true, commands, sights, 10.0)
+    return WallRecord(times, true, np.where(pressed, 30.0, 0.0), true, commands, states, 10.0)
 
 
 def test_metrics_are_those_of_the_contact():

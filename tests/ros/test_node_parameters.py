@@ -10,22 +10,21 @@ from rclpy.utilities import try_shutdown
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import LIVE_SETTINGS
-from cablesense_ros.estimator_node import ESTIMATOR_PARAMETERS
-from cablesense_ros.node_process import (
+from cablesense_ros.node_process import RefusalLog
+from cablesense_ros.parameters import (
     NodeParameter,
     ParameterError,
-    RefusalLog,
     declare_parameters,
-    parameter_values,
+    parameter_table,
 )
-from cablesense_ros.sim_node import SIM_PARAMETERS
 
 rclpy = pytest.importorskip("rclpy")
 
 
 pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
-RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", 1.0, 100.0)
+RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", (1.0, 100.0))
+NODES = ["sim", "estimator", "can_driver", "can_emulator", "admittance", "obstacle", "page"]
 
 
 @pytest.fixture
@@ -46,12 +45,19 @@ def make_node():
 
 def test_a_parameter_shows_its_description_and_range(make_node):
     node = make_node()
-    declare_parameters(node, [RATE])
+    assert declare_parameters(node, [RATE])["rate_hz"] == 10.0
     descriptor = node.describe_parameter("rate_hz")
     assert descriptor.description == "A rate, Hz."
     assert descriptor.floating_point_range[0].to_value == 100.0
     assert descriptor.read_only
-    assert parameter_values(node, [RATE]) == {"rate_hz": 10.0}
+
+
+def test_values_in_degrees_are_given_in_radians_as_well(make_node):
+    speed = NodeParameter("joint_speed_deg_s", 180.0, "Speed, deg/s.")
+    given = declare_parameters(make_node(), [speed, NodeParameter("degree", 2.0, "None.")])
+    assert given["joint_speed_deg_s"] == 180.0
+    assert given["joint_speed_rad_s"] == pytest.approx(math.pi)
+    assert "radree" not in given
 
 
 @pytest.mark.parametrize("value", [0.5, 1e9, math.nan, math.inf, 50, "fast", True])
@@ -69,18 +75,18 @@ def test_a_wrong_value_later_is_refused(make_node, value):
     assert node.get_parameter("rate_hz").value == 10.0
 
 
-@pytest.mark.parametrize("table", [SIM_PARAMETERS, ESTIMATOR_PARAMETERS])
-def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(table):
-    for parameter in table:
+@pytest.mark.parametrize("node", NODES)
+def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(node):
+    for parameter in parameter_table(node):
         assert parameter.description.endswith(".")
         if type(parameter.default) in (int, float):
-            assert parameter.lowest is not None
-            assert parameter.highest is not None
-            assert parameter.lowest <= parameter.default <= parameter.highest
+            low, high = parameter.bounds
+            assert low <= parameter.default <= high
+            assert type(low) is type(high) is type(parameter.default)
 
 
-def test_what_may_change_while_running_is_declared():
-    assert set(LIVE_SETTINGS) <= {parameter.name for parameter in ESTIMATOR_PARAMETERS}
+def test_parameters_that_may_change_while_running_are_declared():
+    assert set(LIVE_SETTINGS) <= {parameter.name for parameter in parameter_table("estimator")}
 
 
 def test_a_refusal_of_one_kind_does_not_hide_another_in_the_same_second():

@@ -131,7 +131,7 @@ def test_children_die_with_their_parent(tmp_path, number, code):
 
 def test_one_process_is_killed_started_again_and_stopped(tmp_path):
     with Process("a", python(SLEEPER), tmp_path / "a.log") as process:
-        wait_until(lambda: process.line("up"), 10.0, "not up")
+        wait_until(lambda: "up" in process.log, 10.0, "not up")
         process.kill()
         assert not process.alive
         with pytest.raises(ProcessError, match=r"a ended by signal SIGKILL \(up\)"):
@@ -145,7 +145,7 @@ def test_one_process_is_killed_started_again_and_stopped(tmp_path):
 def test_a_stubborn_process_is_killed_in_the_end(tmp_path):
     code = STUBBORN.replace("SIGTERM", "SIGINT")
     process = Process("a", python(code), tmp_path / "a.log")
-    wait_until(lambda: process.line("up"), 10.0, "not up")
+    wait_until(lambda: "up" in process.log, 10.0, "not up")
     assert process.stop(grace_s=0.2) == -signal.SIGKILL
 
 

@@ -1,0 +1,116 @@
+"""The nodes' parameters: declared, described and bounded as `parameters.yaml` has them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import yaml
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from cablesense_base.errors import CableSenseError
+
+
+class ParameterError(CableSenseError):
+    """A parameter given at start that does not fit: names it and what would be valid."""
+
+
+@dataclass(frozen=True)
+class NodeParameter:
+    """One parameter of a node, as `parameters.yaml` has it.
+
+    Attributes:
+        name: as in YAML files and `ros2 param`.
+        default: also fixes the type.
+        description: what it does, with its unit.
+        bounds: least and greatest value of a number.
+    """
+
+    name: str
+    default: bool | int | float | str
+    description: str
+    bounds: Sequence[float] = ()
+
+    def descriptor(self, read_only: bool) -> ParameterDescriptor:
+        """The description that `ros2 param describe` shows."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=read_only)
+        if self.bounds:
+            low, high = self.bounds
+            if isinstance(self.default, float):
+                allowed = FloatingPointRange(from_value=low, to_value=high)
+                descriptor.floating_point_range = [allowed]
+            else:
+                descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        return descriptor
+
+    def valid(self) -> str:
+        """What would be right, for errors."""
+        kinds = {
+            bool: "true or false",
+            int: "a whole number",
+            float: "a number with a decimal point",
+        }
+        within = " from {:g} to {:g}".format(*self.bounds) if self.bounds else ""
+        return f"{kinds.get(type(self.default), 'text')}{within}"
+
+
+def parameter_table(node: str) -> list[NodeParameter]:
+    """The parameters of a node such as `sim`."""
+    text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
+    tables = yaml.safe_load(text)
+    return [
+        NodeParameter(name, **(tables["shared"][name] if entry == "shared" else entry))
+        for name, entry in tables[node].items()
+    ]
+
+
+def declare_parameters(
+    node: Node, table: Iterable[NodeParameter], read_only: bool = True
+) -> dict[str, Any]:
+    """Declare all of a table, give their values; `read_only` ones keep the value given at start.
+
+    Raises:
+        ParameterError: a value given at start has the wrong type or lies out of range.
+    """
+    for parameter in table:
+        must = f"it must be {parameter.valid()}"
+        descriptor = parameter.descriptor(read_only)
+        try:
+            value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
+        except ParameterException as error:
+            raise ParameterError(f"parameter {parameter.name}: {error}; {must}") from error
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
+    node.add_on_set_parameters_callback(_refuse_not_finite)
+    return parameter_values(node)
+
+
+def parameter_values(node: Node) -> dict[str, Any]:
+    """Present values by name; those in degrees, `…_deg…`, also in radians, as `…_rad…`."""
+    given = {name: one.value for name, one in node.get_parameters_by_prefix("").items()}
+    degrees = {name: value for name, value in given.items() if re.search(r"_deg(_|$)", name)}
+    return given | {
+        name.replace("_deg", "_rad"): math.radians(value) for name, value in degrees.items()
+    }
+
+
+def _refuse_not_finite(parameters: list[Parameter]) -> SetParametersResult:
+    """NaN passes rclpy's own check of ranges, as it compares false with both ends."""
+    for parameter in parameters:
+        if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
+            return SetParametersResult(
+                successful=False, reason=f"{parameter.name} must be finite, not {parameter.value}"
+            )
+    return SetParametersResult(successful=True)
