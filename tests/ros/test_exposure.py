@@ -112,5 +112,5 @@ def test_the_page_says_when_it_is_open_to_the_network(tmp_path):
     pytest.importorskip("rclpy")
     command = node_command("page", {"port": 18090, "host": "0.0.0.0"})
     with Process("page", command, tmp_path / "log", own_graph()) as node:
-        wait_until(lambda: node.line("page: "), 30.0, "no page", node.check)
+        wait_until(lambda: "page: " in node.log, 30.0, "no page", node.check)
         assert node.log.count("without a password") == 1
