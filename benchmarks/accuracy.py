@@ -35,10 +35,11 @@ from cablesense_training.evaluation.comparison import (
     multi_protocol,
 )
 from cablesense_training.evaluation.table2 import evaluate_table2
-from cablesense_training.fit import fit
+from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.model_training import single_contact_answer
+from cablesense_training.networks import SingleContactNetwork
 from cablesense_training.recipes import build_network, recipe_for
 
 TEST_SEED = 20_260_001
@@ -105,6 +106,8 @@ def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[st
     for name in names:
         print(f"  training {name} …", file=sys.stderr, flush=True)
         recipe, network = recipe_for(name), build_network(name, setting.arm, TRAIN_SEED)
+        assert isinstance(network, SingleContactNetwork)
+        assert isinstance(recipe.settings, FitSettings)
         history = fit(network, training.select(slice(recipe.samples)), recipe.settings)
         answer = single_contact_answer(network.double(), test)
         metrics = evaluate_answer(answer, test).metrics

@@ -14,6 +14,7 @@ import json
 import os
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import harness
 import numpy as np
@@ -92,25 +93,25 @@ def _calibration(offsets: np.ndarray) -> ProbabilityCalibration:
 
 
 def _probabilities(
-    case: dict, calibration: ProbabilityCalibration
+    case: dict[str, Any], calibration: ProbabilityCalibration
 ) -> dict[tuple[str, ...], float]:
     effects = [tuple(e) or ("none",) for e in case["effects"]]
     counts = np.array([0 if e == ("none",) else len(e) for e in effects])
-    numbers = (np.array(case[name]) for name in ("sizes", "strains"))
+    left, sizes, strains = (np.array(case[name]) for name in ("left", "sizes", "strains"))
     weights = log_weights(
-        np.array(case["left"]), counts, *numbers, case["tolerances"], case["floor"], calibration
+        left, counts, sizes, strains, case["tolerances"], case["floor"], calibration
     )
     shares = np.exp(weights - weights.max())
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
 
 
 def _most_probable(
-    case: dict, calibration: ProbabilityCalibration
+    case: dict[str, Any], calibration: ProbabilityCalibration
 ) -> tuple[tuple[str, ...], float]:
     return max(_probabilities(case, calibration).items(), key=lambda item: item[1])
 
 
-def _cost(offsets: np.ndarray, cases: list) -> float:
+def _cost(offsets: np.ndarray, cases: list[tuple[dict[str, Any], tuple[str, ...]]]) -> float:
     calibration = _calibration(offsets)
     if min(calibration.power, calibration.size, calibration.tolerance_chi2) < 0.0:
         return 1e6

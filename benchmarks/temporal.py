@@ -19,6 +19,7 @@ import harness
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from cablesense_base.arrays import Array
 from cablesense_base.progress import progress_bar
@@ -101,7 +102,7 @@ def main() -> None:
         figure.savefig(harness.write_result("temporal.md", text).with_suffix(".png"), dpi=150)
 
 
-def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: plt.Axes) -> dict[str, Any]:
+def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict[str, Any]:
     sequences = _drawn(case.arm, protocol, SEED, workers)
     long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
@@ -162,7 +163,7 @@ def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
     return np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
 
 
-def _draw(axis: plt.Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
+def _draw(axis: Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
     chosen = unsettled(sequences) & (sequences.segment > 0)
     error = np.sort(_force_error_n(answer, sequences)[chosen])
     axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
