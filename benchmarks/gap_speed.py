@@ -13,8 +13,8 @@ Rows where the arm has more than one place to rest count in neither.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import csv
+import importlib
 import os
 import subprocess
 import sys
