@@ -18,14 +18,14 @@ import itertools
 import json
 import sys
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import harness
-from fuzz_watched import Result, Target, run_watched
+from fuzz_watched import FINDING_KINDS, Result, Target, run_watched
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -37,30 +37,9 @@ BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
 _LIBRARIES = ("onnx", "onnxruntime", "cantools", "PyYAML", "pydantic", "pyarrow", "pandas")
 
 
-def main() -> int:
-    """Fuzz, print, and write; 1 where anything was found."""
-    targets = _targets()
-    options = _options([target.name for target in targets])
-    chosen = [target for target in targets if not options.only or target.name in options.only]
-    started_s = time.monotonic()
-    results = _run_all(chosen, options)
-    if LIVE in options.only or not (options.only or options.quick):
-        from fuzz_messages import fuzz_live_node
-
-        results[LIVE] = fuzz_live_node(options.seed, options.live_messages)
-    report = _report(chosen, results, options, time.monotonic() - started_s)
-    if options.write:
-        harness.write_result(RESULT.name, report)
-    print(json.dumps(report if options.json else report["in all"], indent=1))
-    for result in results.values():
-        for finding in result.findings:
-            print(finding, file=sys.stderr)
-    return 0 if all(result.clean for result in results.values()) else 1
-
-
-def _targets() -> list[Target]:
-    """All readers of what comes from outside: name, unit, maker, items, those of a quick run."""
-    import fuzz_files as files  # not in the children, which import this file too
+def targets() -> list[Target]:
+    """All readers of what comes from outside."""
+    from fuzz_files import FILE_TARGETS  # not in the children, which import this file too
     from fuzz_frames import make_frames
     from fuzz_messages import make_commands, make_messages
 
@@ -68,16 +47,29 @@ def _targets() -> list[Target]:
         Target("frames", "CAN frames", make_frames, 4_000, 12),
         Target("messages", "messages", make_messages, 1_050, 3),
         Target("commands", "messages", make_commands, 400, 3),
-        Target("arms", "files", files.make_arms, 3_000, 12),
-        Target("models", "files", files.make_models, 3_000, 12, limit_s=20.0),
-        Target("csv", "files", files.make_csv, 1_500, 8),
-        Target("mcap", "files", files.make_mcap, 2_000, 8),
-        Target("parquet", "files", files.make_parquet, 1_500, 8),
-        Target("dbc", "files", files.make_dbc, 2_000, 8),
-        Target("maps", "files", files.make_maps, 1_000, 8),
-        Target("calibrations", "files", files.make_calibrations, 1_000, 8),
-        Target("states", "files", files.make_states, 1_000, 8),
+        *FILE_TARGETS,
     ]
+
+
+def main() -> int:
+    """Fuzz, print, and write; 1 where anything was found."""
+    units = {target.name: target.unit for target in targets()} | {LIVE: "messages"}
+    options = _options(list(units))
+    chosen = [target for target in targets() if not options.only or target.name in options.only]
+    started_s = time.monotonic()
+    results = _run_all(chosen, options)
+    if LIVE in options.only or not (options.only or options.quick):
+        from fuzz_messages import fuzz_live_node
+
+        results[LIVE] = fuzz_live_node(options.seed, options.live_messages)
+    report = _report(units, results, options, time.monotonic() - started_s)
+    if options.write:
+        harness.write_result(RESULT.name, report)
+    print(json.dumps(report if options.json else report["in all"], indent=1))
+    for result in results.values():
+        for finding in result.findings:
+            print(finding, file=sys.stderr)
+    return 0 if all(result.clean for result in results.values()) else 1
 
 
 def _options(names: list[str]) -> argparse.Namespace:
@@ -90,8 +82,7 @@ def _options(names: list[str]) -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="print every count")
     options = parser.parse_args()
     options.only = [name for name in options.only.split(",") if name]
-    unknown = set(options.only) - {*names, LIVE}
-    if unknown:
+    if unknown := set(options.only) - set(names):
         parser.error(f"no target {', '.join(sorted(unknown))}")
     if options.quick and options.write:
         parser.error("a quick run is not written")
@@ -100,26 +91,22 @@ def _options(names: list[str]) -> argparse.Namespace:
 
 def _run_all(chosen: list[Target], options: argparse.Namespace) -> dict[str, Result]:
     results = {target.name: Result() for target in chosen}
-    columns = (
-        TextColumn("{task.description:>14}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
+    shares = 1 if options.quick else SHARES
+    columns = (TextColumn("{task.description:>14}"), BarColumn(), MofNCompleteColumn())
     console = Console(stderr=True)
     with (
-        Progress(*columns, console=console, disable=not sys.stderr.isatty()) as progress,
+        Progress(
+            *columns, TimeRemainingColumn(), console=console, disable=not sys.stderr.isatty()
+        ) as progress,
         ThreadPoolExecutor(options.workers) as workers,
     ):
         running = []
         for target in chosen:
             count = target.quick_items if options.quick else target.items
-            task = progress.add_task(target.name, total=count)
-            shares = 1 if options.quick else SHARES
+            on_item = partial(progress.advance, progress.add_task(target.name, total=count))
             cuts = [count * i // shares for i in range(shares + 1)]
             for first, end in itertools.pairwise(cuts):
-                advance: Callable[[int], None] = lambda n, task=task: progress.advance(task, n)  # noqa: E731
-                share = workers.submit(run_watched, target, options.seed, first, end, advance)
+                share = workers.submit(run_watched, target, options.seed, first, end, on_item)
                 running.append((target.name, share))
         for name, share in running:
             results[name].add(share.result())
@@ -127,9 +114,8 @@ def _run_all(chosen: list[Target], options: argparse.Namespace) -> dict[str, Res
 
 
 def _report(
-    chosen: list[Target], results: dict[str, Result], options: argparse.Namespace, run_s: float
+    units: dict[str, str], results: dict[str, Result], options: argparse.Namespace, run_s: float
 ) -> dict[str, Any]:
-    units = {target.name: target.unit for target in chosen} | {LIVE: "messages"}
     made = datetime.now(UTC).isoformat(timespec="seconds")
     by_target = {
         name: {"unit": units[name], "seed": options.seed, "made": made, **asdict(result)}
@@ -140,15 +126,12 @@ def _report(
     inputs = dict.fromkeys(BARS, 0)
     for target in by_target.values():
         inputs[target["unit"]] += target["inputs"]
-    kinds = ("crashes", "hangs", "memory", "escaped", "false_answers")
+    found = {kind: sum(one[kind] for one in by_target.values()) for kind in FINDING_KINDS}
     return {
         **harness.origin(*_LIBRARIES),
         "run_s": round(run_s, 1),
         "bars": BARS,
-        "in all": {
-            **inputs,
-            **{kind: sum(one[kind] for one in by_target.values()) for kind in kinds},
-        },
+        "in all": {**inputs, **found},
         "targets": by_target,
     }
 

@@ -12,6 +12,7 @@ import math
 import random
 import struct
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import can
 from fuzz_mutation import mutated_bytes
@@ -26,6 +27,7 @@ from cablesense_online.can.tension_reader import SCATTER_OF_READING_S, TensionRe
 CYCLES = 60
 START_S = 1.7e9
 _STAMPS = (0.0, -1.0, math.nan, math.inf, 1e300, 5.0, 1e-3)
+_FD_SIZES = (0, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 class _Amplifier:
@@ -38,21 +40,19 @@ class _Amplifier:
 
     def cycle(self, rng: random.Random, number: int, start_s: float) -> list[can.Message]:
         """Frames of a cycle of the real amplifier with random tensions."""
-        step_s = 1e-4
         if self.packed:
-            frames = [_frame(0x120, bytes([number % 256]), start_s)]
-            for group in range(3):
+            contents = [(0x120, bytes([number % 256]))]
+            for id_ in range(0x121, 0x124):
                 raws = [rng.randint(-400, 30_000) for _ in range(4)]
-                stamp_s = start_s + step_s * (group + 1)
-                frames.append(_frame(0x121 + group, struct.pack("<4h", *raws), stamp_s))
-            return frames
+                contents.append((id_, struct.pack("<4h", *raws)))
+        else:
+            raws = [rng.randint(-40_000, 4_900_000) for _ in range(12)]
+            contents = [(0x181 + k, struct.pack("<iB", raw, 0)) for k, raw in enumerate(raws)]
         return [
-            _frame(
-                0x180 + node,
-                struct.pack("<iB", rng.randint(-40_000, 4_900_000), 0),
-                start_s + step_s * (node - 1),
+            can.Message(
+                arbitration_id=id_, is_extended_id=False, data=data, timestamp=start_s + k * 1e-4
             )
-            for node in range(1, 13)
+            for k, (id_, data) in enumerate(contents)
         ]
 
     def opens(self, frame: can.Message) -> bool:
@@ -78,7 +78,8 @@ class _Amplifier:
             if low < tension_n < high:
                 cable = self.map.channels[self.map.cable_names[channel]]
                 message, data = self.ids[frame.arbitration_id], bytes(frame.data)
-                value = float(message.decode(data, decode_choices=False)[cable.signal])
+                decoded: Any = message.decode(data, decode_choices=False)
+                value = float(decoded[cable.signal])
                 if not math.isclose(cable.tension_n(value), tension_n, rel_tol=1e-9, abs_tol=1e-9):
                     raise FalseAnswerError(f"cantools reads {value} where {tension_n} N are sent")
                 yield channel, tension_n
@@ -88,10 +89,6 @@ def _plain(frame: can.Message) -> bool:
     return not (
         frame.is_error_frame or frame.is_remote_frame or frame.is_fd or frame.is_extended_id
     )
-
-
-def _frame(number: int, data: bytes, stamp_s: float) -> can.Message:
-    return can.Message(arbitration_id=number, is_extended_id=False, data=data, timestamp=stamp_s)
 
 
 class _Witness:
@@ -167,17 +164,15 @@ Timed = tuple[can.Message, float]
 
 
 def _stream(rng: random.Random, amplifier: _Amplifier) -> list[can.Message]:
-    frames: list[can.Message] = []
-    for number in range(CYCLES):
-        frames += amplifier.cycle(rng, number, START_S + number * amplifier.map.cycle_time_s)
-    return frames
+    period_s = amplifier.map.cycle_time_s
+    cycles = (amplifier.cycle(rng, n, START_S + n * period_s) for n in range(CYCLES))
+    return [frame for cycle in cycles for frame in cycle]
 
 
 def _timed(frames: Sequence[can.Message], amplifier: _Amplifier) -> Iterator[Timed]:
     """As they would arrive, a tenth of a millisecond after their stamps, never flooding."""
     gap_s = amplifier.map.cycle_time_s / (4 if amplifier.packed else 12)
-    for frame in frames:
-        yield frame, gap_s
+    return ((frame, gap_s) for frame in frames)
 
 
 def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
@@ -185,20 +180,16 @@ def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
     frames = _stream(rng, amplifier)
     for _ in range(rng.randint(1, 40)):
         at = rng.randrange(len(frames))
-        action = rng.randrange(5)
-        if action == 0:
-            del frames[at : at + rng.choice((1, 1, 2, 7))]
-        elif action == 1:
-            frames.insert(at, frames[at])
-        elif action == 2:
-            other = min(len(frames) - 1, at + rng.choice((1, 1, 3)))
-            frames[at], frames[other] = frames[other], frames[at]
-        elif action == 3:
-            frames.insert(rng.randrange(len(frames)), frames[at])
-        else:
-            block = frames[at : at + 12]
-            rng.shuffle(block)
-            frames[at : at + 12] = block
+        match rng.randrange(4):
+            case 0:
+                del frames[at : at + rng.choice((1, 1, 2, 7))]
+            case 1:
+                frames.insert(at, frames[at])
+            case 2:
+                frames.insert(rng.randrange(len(frames)), frames[at])
+            case _:
+                block = frames[at : at + rng.choice((2, 2, 4, 12))]
+                frames[at : at + len(block)] = rng.sample(block, len(block))
         if len(frames) < 20:
             break
     return _timed(frames, amplifier)
@@ -206,70 +197,53 @@ def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
 
 def _changed(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
     """Bits, lengths, ids and kinds of frames turned."""
-    frames = _stream(rng, amplifier)
     share = rng.choice((0.01, 0.1, 0.5))
-    for at, frame in enumerate(frames):
-        if rng.random() < share:
-            frames[at] = _changed_frame(rng, frame)
-    return _timed(frames, amplifier)
+    frames = (
+        _changed_frame(rng, frame) if rng.random() < share else frame
+        for frame in _stream(rng, amplifier)
+    )
+    return _timed(list(frames), amplifier)
 
 
 def _changed_frame(rng: random.Random, frame: can.Message) -> can.Message:
-    data, more = bytes(frame.data), {}
-    number, stamp_s, extended = frame.arbitration_id, frame.timestamp, False
-    action = rng.randrange(8)
-    if action <= 1:
-        turned = bytearray(data)
-        turned[rng.randrange(len(turned))] ^= 1 << rng.randrange(8)
-        data = bytes(turned)
-    elif action == 2:
-        data = mutated_bytes(rng, data)[: rng.choice((8, 8, 64))]
-        more["is_fd"] = len(data) > 8
-    elif action == 3:
-        data = data[: rng.randrange(len(data))]
-    elif action == 4:
-        number = rng.choice((number ^ (1 << rng.randrange(11)), rng.randrange(2**11)))
-    elif action == 5:
-        extended = True
-    elif action == 6:
-        kind = rng.choice(("is_remote_frame", "is_error_frame", "is_fd"))
-        more[kind] = True
-        data = b"" if kind == "is_remote_frame" else data
-    else:
-        stamp_s = rng.choice((*_STAMPS, stamp_s + rng.uniform(-0.01, 0.01)))
-    if more.get("is_fd"):
-        size = next(size for size in (0, 8, 12, 16, 20, 24, 32, 48, 64) if size >= len(data))
-        data = data.ljust(size, b"\x00")
-    return can.Message(
-        arbitration_id=number, is_extended_id=extended, data=data, timestamp=stamp_s, **more
-    )
+    data, number = bytes(frame.data), frame.arbitration_id
+    changed: dict[str, Any] = {"is_extended_id": False, "timestamp": frame.timestamp}
+    match rng.randrange(7):
+        case 0 | 1:
+            data = mutated_bytes(rng, data)[: rng.choice((8, 8, 64))]
+        case 2:
+            data = data[: rng.randrange(len(data))]
+        case 3:
+            number = rng.choice((number ^ (1 << rng.randrange(11)), rng.randrange(2**11)))
+        case 4:
+            changed["is_extended_id"] = True
+        case 5:
+            changed[rng.choice(("is_remote_frame", "is_error_frame", "is_fd"))] = True
+        case _:
+            stamps_s = (*_STAMPS, frame.timestamp + rng.uniform(-0.01, 0.01))
+            changed["timestamp"] = rng.choice(stamps_s)
+    if len(data) > 8 or "is_fd" in changed:
+        changed["is_fd"] = True
+        data = data.ljust(next(size for size in _FD_SIZES if size >= len(data)), b"\x00")
+    if "is_remote_frame" in changed:
+        data = b""
+    return can.Message(arbitration_id=number, data=data, **changed)
 
 
 def _random(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
     """Frames of random bytes, most of them with ids of the map."""
-    known = list(amplifier.ids)
     for number in range(400):
         extended = rng.random() < 0.1
-        id_ = (
-            rng.choice(known)
-            if rng.random() < 0.8
-            else rng.randrange(2**29 if extended else 2**11)
+        other = rng.randrange(2**29 if extended else 2**11)
+        near_s = START_S + number * 1e-4 + rng.uniform(-1e-3, 1e-3)
+        frame = can.Message(
+            arbitration_id=rng.choice(list(amplifier.ids)) if rng.random() < 0.8 else other,
+            is_extended_id=extended,
+            is_error_frame=rng.random() < 0.02,
+            data=rng.randbytes(rng.choice((0, 1, 2, 5, 5, 8, 8, 8))),
+            timestamp=rng.choice(_STAMPS) if rng.random() < 0.05 else near_s,
         )
-        data = rng.randbytes(rng.choice((0, 1, 2, 5, 5, 8, 8, 8)))
-        stamp_s = START_S + number * 1e-4 + rng.uniform(-1e-3, 1e-3)
-        if rng.random() < 0.05:
-            stamp_s = rng.choice(_STAMPS)
-        yield (
-            can.Message(
-                arbitration_id=id_,
-                is_extended_id=extended,
-                is_error_frame=rng.random() < 0.02,
-                is_remote_frame=False,
-                data=data,
-                timestamp=stamp_s,
-            ),
-            rng.choice((1e-6, 2.5e-4, 2.5e-4, 0.01)),
-        )
+        yield frame, rng.choice((1e-6, 2.5e-4, 2.5e-4, 0.01))
 
 
 def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:

@@ -1,14 +1,13 @@
 """A fuzzed target in child processes that may crash, hang or grow; each finding names its item.
 
-A target is a function from an item's number to its outcome. The child notes the item's number in
-shared memory, and the parent checks twenty times a second: a child that ends by a signal, stays
-at one item too long or takes too much memory is a finding of that item, and another child goes on
-behind it.
+A target takes items by their numbers. The child reports each item when it is done, and the parent
+checks twenty times a second: a child that ends by itself, stays at one item too long or takes too
+much memory is a finding of that item, and another child goes on behind it.
 """
 
 from __future__ import annotations
 
-import ctypes
+import math
 import multiprocessing
 import os
 import random
@@ -18,7 +17,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from harness import cpu_s, rss_mb
 
@@ -30,10 +29,9 @@ WAITS = 6.0
 START_LIMIT_S = 120.0
 """To import and to make what is fuzzed."""
 
+FINDING_KINDS = ("crashes", "hangs", "memory", "escaped", "false_answers")
 _CHECK_S = 0.05
 _FINDINGS_KEPT = 20
-_MOST = ("longest_item_s", "largest_growth_mb")
-"""Of a result, what is the largest of its shares, and not their sum."""
 
 
 class FalseAnswerError(AssertionError):
@@ -94,15 +92,13 @@ class Result:
     @property
     def clean(self) -> bool:
         """Nothing was found."""
-        return not (
-            self.crashes or self.hangs or self.memory or self.escaped or self.false_answers
-        )
+        return not any(getattr(self, kind) for kind in FINDING_KINDS)
 
     def add(self, other: Result) -> None:
         """Take another share of the same target's items in."""
         for name, value in vars(other).items():
             mine = getattr(self, name)
-            setattr(self, name, max(mine, value) if name in _MOST else mine + value)
+            setattr(self, name, max(mine, value) if "est_" in name else mine + value)
 
     def count(self, kind: str, finding: str) -> None:
         """Count a finding of a kind, and keep its text if it is among the first."""
@@ -128,106 +124,79 @@ def require_one_line(error: CableSenseError) -> None:
 
 
 def run_watched(
-    target: Target, seed: int, first: int, end: int, on_progress: Callable[[int], None]
+    target: Target, seed: int, first: int, end: int, on_item: Callable[[], None]
 ) -> Result:
-    """Items `first` to `end` - 1, each watched; `on_progress` gets how many more are done."""
+    """Items `first` to `end` - 1, each watched; calls `on_item` when one is done.
+
+    Raises:
+        RuntimeError: a child does not start.
+    """
     result = Result(items=end - first)
     while first < end:
-        first = _run_child(target, seed, first, end, result, on_progress)
+        reports, writer = multiprocessing.Pipe(duplex=False)
+        child = multiprocessing.get_context("spawn").Process(
+            target=_run_items, args=(target, seed, range(first, end), writer), daemon=True
+        )
+        child.start()
+        writer.close()
+        pid = child.pid or 0
+        base_mb, failure = math.inf, ""
+        since_s, worked_s = time.monotonic(), 0.0
+        while first < end and not failure:
+            if reports.poll(_CHECK_S):
+                try:
+                    report = reports.recv()
+                except EOFError:
+                    failure = "crashes"
+                    break
+                if isinstance(report, Result):
+                    result.add(report)
+                    first += 1
+                    on_item()
+                else:
+                    base_mb = report  # the child is ready
+                since_s, worked_s = time.monotonic(), cpu_s(pid)
+            limit_s = START_LIMIT_S if base_mb == math.inf else target.limit_s
+            waited_s = time.monotonic() - since_s
+            if rss_mb(pid) - base_mb > target.growth_mb:
+                failure = "memory"
+            elif waited_s > limit_s and (
+                cpu_s(pid) - worked_s > limit_s or waited_s > WAITS * limit_s
+            ):
+                failure = "hangs"
+        if failure in ("hangs", "memory"):
+            child.kill()
+        child.join()
+        reports.close()
+        if base_mb == math.inf:
+            raise RuntimeError(f"{target.name}: its child did not start ({child.exitcode})")
+        if failure:
+            found = f"{target.name} item {first}: {failure}, exit code {child.exitcode}"
+            result.count(failure, found)
+            first += 1
+            on_item()
     return result
 
 
-class _Shared(ctypes.Structure):
-    """What the child notes: the item, when it began, processor time then, and its sums."""
-
-    _names = ("item", "since_s", "worked_s", "base_mb", *Outcome._fields, *_MOST)
-    _fields_ = [(name, ctypes.c_double) for name in _names]
-
-
-def _run_child(
-    target: Target,
-    seed: int,
-    first: int,
-    end: int,
-    result: Result,
-    on_progress: Callable[[int], None],
-) -> int:
-    """Run one child until it ends or must be ended; gives the item to go on with."""
-    context = multiprocessing.get_context("spawn")
-    shared = context.RawValue(_Shared, -1.0, time.monotonic())
-    reader, writer = context.Pipe(duplex=False)
-    child = context.Process(
-        target=_child, args=(target, seed, first, end, shared, writer), daemon=True
-    )
-    child.start()
-    writer.close()
-    reported, stopped = first, ""
-    while not stopped:
-        child.join(_CHECK_S)
-        while reader.poll():
-            try:
-                result.count(*reader.recv())
-            except EOFError:
-                break
-        if shared.item > reported:
-            on_progress(int(shared.item) - reported)
-            reported = int(shared.item)
-        if not child.is_alive():
-            break
-        assert child.pid is not None
-        waited_s = time.monotonic() - shared.since_s
-        worked_s = cpu_s(child.pid) - shared.worked_s
-        if shared.item < 0 and waited_s > START_LIMIT_S:
-            raise RuntimeError(f"{target.name}: its child does not start")
-        if shared.item >= 0 and (
-            (waited_s > target.limit_s and worked_s > target.limit_s)
-            or waited_s > WAITS * target.limit_s
-        ):
-            stopped = "hangs"
-        elif shared.base_mb and rss_mb(child.pid) - shared.base_mb > target.growth_mb:
-            stopped = "memory"
-    if stopped:
-        child.kill()
-        child.join()
-    reader.close()
-    item = int(shared.item)
-    if not stopped and child.exitcode != 0:
-        stopped = "crashes"
-    if stopped:
-        result.count(stopped, f"{target.name} item {item}: {stopped}, exit code {child.exitcode}")
-    counts = {name: int(getattr(shared, name)) for name in Outcome._fields}
-    result.add(Result(**counts, **{name: getattr(shared, name) for name in _MOST}))
-    if item < first:
-        raise RuntimeError(f"{target.name}: its child did not start (exit code {child.exitcode})")
-    following = item + 1 if stopped else end
-    on_progress(following - reported)
-    return following
-
-
-def _child(
-    target: Target, seed: int, first: int, end: int, shared: Any, writer: Connection
-) -> None:
+def _run_items(target: Target, seed: int, items: range, reports: Connection) -> None:
+    run = target.make(seed)
     silence = os.open(os.devnull, os.O_WRONLY)  # readers print warnings of what they left out
     os.dup2(silence, 1)
     os.dup2(silence, 2)
-    run = target.make(seed)
-    shared.base_mb = base_mb = rss_mb(os.getpid())
-    for item in range(first, end):
-        shared.worked_s = time.process_time()
-        started_s = shared.since_s = time.monotonic()
-        shared.item = item
+    base_mb = rss_mb(os.getpid())
+    reports.send(base_mb)
+    for item in items:
+        began_s, done = time.monotonic(), Result()
         try:
-            outcome = run(item)
+            done.inputs, done.refused, done.taken = run(item)
         except FalseAnswerError as error:
-            writer.send(("false_answers", f"{target.name} item {item}: {error}"[:500]))
+            done.count("false_answers", f"{target.name} item {item}: {error}"[:500])
         except CableSenseError as error:
-            writer.send(("escaped", f"{target.name} item {item}: not caught by its run: {error}"))
+            done.count("escaped", f"{target.name} item {item}: not caught by its run: {error}")
         except BaseException:  # whatever escapes is a finding, be it an exit
-            where = traceback.format_exc().strip().splitlines()
-            writer.send(("escaped", f"{target.name} item {item}: {' | '.join(where[-6:])}"[:900]))
-        else:
-            for name, value in outcome._asdict().items():
-                setattr(shared, name, getattr(shared, name) + value)
-        shared.longest_item_s = max(shared.longest_item_s, time.monotonic() - started_s)
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-    shared.largest_growth_mb = max(0.0, peak_mb - base_mb)
+            where = " | ".join(traceback.format_exc().strip().splitlines()[-6:])
+            done.count("escaped", f"{target.name} item {item}: {where}"[:900])
+        done.longest_item_s = time.monotonic() - began_s
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+        done.largest_growth_mb = max(0.0, peak_mb - base_mb)
+        reports.send(done)

@@ -121,6 +121,7 @@ def test_single_precision_is_refused(tmp_path):
     "inputs",
     [
         [value("tension_difference_n", DOUBLE, ["batch", 9])],
+        [value("tension_difference_n", 2**20, ["batch", 12])],
         [value("tension_difference_n", DOUBLE, [1, 12])],
         [value("tension_difference_n", DOUBLE, [12])],
         [value("tension_difference_n", DOUBLE, ["a", "b", 12])],
@@ -134,7 +135,7 @@ def test_single_precision_is_refused(tmp_path):
             value("temperature", DOUBLE, ["batch", 1]),
         ],
     ],
-    ids=["nine cables", "one sample", "vector", "cube", "any shape", "command too", "temperature"],
+    ids=["nine cables", "no type", "single", "vector", "cube", "any shape", "command", "heat"],
 )
 def test_other_inputs_than_the_metadata_say_are_refused(tmp_path, inputs):
     message = refused(written(tmp_path, small_model(inputs=inputs)))

@@ -187,7 +187,8 @@ def _require_inputs(model: onnx.ModelProto, metadata: ModelMetadata, source: str
         tensor = entry.type.tensor_type
         dims = [dim.dim_value for dim in tensor.shape.dim]
         if tensor.elem_type != TensorProto.DOUBLE or dims != [0, expected[entry.name]]:
-            kind = TensorProto.DataType.Name(tensor.elem_type)
+            kinds = {number: name for name, number in TensorProto.DataType.items()}
+            kind = kinds.get(tensor.elem_type, f"type {tensor.elem_type}")
             raise ModelFileError(
                 f"{source}: takes {entry.name} as {kind} of shape {dims} (0: any number); its "
                 f"metadata need DOUBLE {needed}"
