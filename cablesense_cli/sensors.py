@@ -78,7 +78,7 @@ def calibrate(
     from cablesense_online.can.channel_map import open_channel_map
     from cablesense_online.commissioning.sensor_calibration import (
         calibrate_sensor,
-        calibration_points,
+        calibration_point,
         calibration_record,
     )
     from cablesense_online.commissioning.tables import (
@@ -109,9 +109,13 @@ def calibrate(
         refuse_given(context, ["gravity"], "on loads that are all given as forces")
     gravity_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
     common_relative_u = float((gravity_u**2 + (reference_uncertainty / 100.0) ** 2) ** 0.5)
+    points = {
+        cable: [calibration_point(load, as_recorded, recorded) for load in of_cable]
+        for cable, of_cable in known.items()
+    }
     found = {
-        cable: calibrate_sensor(cable, points, common_relative_u)
-        for cable, points in calibration_points(known, as_recorded, recorded).items()
+        cable: calibrate_sensor(cable, of_cable, common_relative_u)
+        for cable, of_cable in points.items()
     }
     made = datetime.now(UTC).replace(microsecond=0)
     used_m_s2 = gravity_m_s2 if weighed else None

@@ -64,7 +64,8 @@ class TensionReader:
         self._stuck = StuckDetector(len(self._names), channel_map.stuck)
         self._clock = BusClock()
         known_frames_s = self._decoder.frames_per_cycle / channel_map.cycle_time_s
-        self._rates = RateLimit(channel_map.flood_frames_s, known_frames_s, ledger)
+        self._all = TokenBucket(channel_map.flood_frames_s)
+        self._known = TokenBucket(KNOWN_EXCESS * known_frames_s)
         self.bus = BusState(interface.name, interface.classes_errors, ledger)
         self.frames = 0
         self.samples = 0
@@ -89,9 +90,7 @@ class TensionReader:
             self.bus.error_frame(frame.arbitration_id, bytes(frame.data))
             return None
         self.bus.data_frame()
-        if not self._rates.admit(self._decoder.knows(frame), monotonic_s):
-            return None
-        decoded = self._decoder.decode(frame)
+        decoded = self._decoder.decode(frame) if self._admitted(frame, monotonic_s) else None
         if decoded is None:
             return None
         sample = self._assembler.take(decoded, self._clock.time_s(frame.timestamp, now_s))
@@ -109,6 +108,23 @@ class TensionReader:
         self.largest_skew_s = max(self.largest_skew_s, sample.skew_s)
         return sample
 
+    def _admitted(self, frame: can.Message, now_s: float) -> bool:
+        """Limit rates.
+
+        Unknown frames cost little and pass at any rate; once all frames together exceed the limit
+        this is noted. Frames of the map beyond twice their rate come from a babbling node; they
+        are dropped, so that samples are never given at more than that rate.
+        """
+        if not self._all.take(now_s):
+            detail = f"more than {self._all.rate:g} frames a second for {ALLOWANCE_S:g} s"
+            self._ledger.note(FaultKind.FLOODED, "bus", detail)
+        if not self._decoder.knows(frame) or self._known.take(now_s):
+            return True
+        detail = f"more than {self._known.rate:g} frames of the map a second"
+        detail += f" for {ALLOWANCE_S:g} s; the excess is dropped"
+        self._ledger.note(FaultKind.FLOODED, "amplifier", detail)
+        return False
+
     def silence(self, monotonic_s: float) -> None:
         """No frame came for a while; after a whole cycle of it an open sample is given up."""
         if monotonic_s - self._last_frame_s > self._cycle_time_s:
@@ -122,34 +138,8 @@ class TensionReader:
         self.bus.condition = BusCondition.ACTIVE
 
 
-class RateLimit:
-    """Admits frames by rate, with two token buckets: one for all, one for those of the map.
-
-    Unknown frames cost little and pass at any rate; once all frames together exceed the limit
-    this is noted. Frames of the map beyond twice their rate come from a babbling node; they are
-    dropped, so that samples are never given at more than that rate.
-    """
-
-    def __init__(self, limit_frames_s: float, known_frames_s: float, ledger: FaultLedger) -> None:
-        self._ledger = ledger
-        self._all = _Bucket(limit_frames_s)
-        self._known = _Bucket(KNOWN_EXCESS * known_frames_s)
-
-    def admit(self, known: bool, now_s: float) -> bool:
-        """Whether a frame that came at `now_s` may be decoded; `known`: its id is of the map."""
-        if not self._all.take(now_s):
-            detail = f"more than {self._all.rate:g} frames a second for {ALLOWANCE_S:g} s"
-            self._ledger.note(FaultKind.FLOODED, "bus", detail)
-        if not known or self._known.take(now_s):
-            return True
-        detail = f"more than {self._known.rate:g} frames of the map a second"
-        detail += f" for {ALLOWANCE_S:g} s; the excess is dropped"
-        self._ledger.note(FaultKind.FLOODED, "amplifier", detail)
-        return False
-
-
-class _Bucket:
-    """A token bucket: `rate` tokens a second, at most `ALLOWANCE_S` of them in store."""
+class TokenBucket:
+    """`rate` tokens a second, at most `ALLOWANCE_S` of them in store."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
@@ -158,6 +148,7 @@ class _Bucket:
         self._last_s: float | None = None
 
     def take(self, now_s: float) -> bool:
+        """Take a token at a monotonic time; gives whether there was one."""
         if self._last_s is not None:
             self._tokens = min(self._most, self._tokens + (now_s - self._last_s) * self.rate)
         self._last_s = now_s

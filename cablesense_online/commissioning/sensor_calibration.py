@@ -19,9 +19,9 @@ testing machine.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cantools.database.can import Database
@@ -55,8 +55,7 @@ _WEIGHT_ROUNDS = 4
 """The weights depend on the slope so weakly that it stands after two."""
 
 
-@dataclass(frozen=True)
-class CalibrationPoint:
+class CalibrationPoint(NamedTuple):
     """A known force on a cable, its sensor's reading, and their standard uncertainties (or 0)."""
 
     force_n: float
@@ -95,10 +94,10 @@ class SensorCalibration:
     repeatability_n: float | None
 
 
-def calibration_points(
-    loads: Mapping[str, Sequence[KnownLoad]], as_recorded: ChannelMap, recording: Recording | None
-) -> dict[str, list[CalibrationPoint]]:
-    """The points of every cable that has loads, in the order of the loads.
+def calibration_point(
+    load: KnownLoad, as_recorded: ChannelMap, recording: Recording | None
+) -> CalibrationPoint:
+    """The point of a load, with the mean reading where it has a window in a recording.
 
     `as_recorded` is the map with the scales and zeros in force when the recording was made, which
     turn its tensions back into the signals' values; its channels are in the recording's order.
@@ -106,10 +105,25 @@ def calibration_points(
     Raises:
         CommissioningError: a window without a recording, or with too few samples in it.
     """
-    return {
-        cable: [_point(load, as_recorded, recording) for load in of_cable]
-        for cable, of_cable in loads.items()
-    }
+    if isinstance(load.reading, float):
+        return CalibrationPoint(load.force_n, load.reading, load.force_u_n, load.raw_u)
+    if recording is None:
+        raise CommissioningError(
+            f"{load.where}: gives start_s and end_s; give the recording as well, or the reading "
+            "under raw"
+        )
+    rows = load.reading.rows(recording.time_s)
+    if np.count_nonzero(rows) < FEWEST_SAMPLES:
+        raise CommissioningError(
+            f"{load.where}: only {np.count_nonzero(rows)} samples of {recording.name} lie from "
+            f"{load.reading.start_s:g} to {load.reading.end_s:g} s; there must be at least "
+            f"{FEWEST_SAMPLES}, and the recording goes from {recording.time_s[0]:g} to "
+            f"{recording.time_s[-1]:g} s"
+        )
+    column = as_recorded.cable_names.index(load.cable)
+    tension_n = float(recording.tensions_n[rows, column].mean())
+    raw = as_recorded.channels[load.cable].value(tension_n)
+    return CalibrationPoint(load.force_n, raw, load.force_u_n, load.raw_u)
 
 
 def calibrate_sensor(
@@ -125,13 +139,33 @@ def calibrate_sensor(
         CommissioningError: too few points or loads, loads too close together, uncertainties for
             some points only, or readings that do not follow the loads.
     """
-    force_n, raw, force_u_n, raw_u = np.array([astuple(point) for point in points]).T
-    _check_loads(cable, force_n)
-    if 0 < np.count_nonzero(raw_u) < len(points) or (force_u_n.any() and not raw_u.all()):
-        raise CommissioningError(
-            f"{cable}: raw_u is given for {np.count_nonzero(raw_u)} of {len(points)} loads; give "
-            "it for all or none, and for all where the loads' own uncertainty is given"
-        )
+    force_n, raw, force_u_n, raw_u = np.array(points).T
+    low_n, high_n = float(force_n.min()), float(force_n.max())
+    sizes, given = int(load_numbers(force_n).max()) + 1, np.count_nonzero(raw_u)
+    for refused, text in (
+        (
+            len(points) < FEWEST_POINTS,
+            f"only {len(points)} loads; at least {FEWEST_POINTS} are needed, better ten: up and "
+            "down again",
+        ),
+        (
+            sizes < FEWEST_LOADS,
+            f"loads of only {sizes} size{'s' * (sizes > 1)}; at least {FEWEST_LOADS} are needed, "
+            "or linearity cannot be judged",
+        ),
+        (
+            high_n - low_n < LEAST_SPREAD * high_n,
+            f"loads lie from {low_n:.4g} to {high_n:.4g} N; they must cover at least half of the "
+            "largest, better all from the bare cable on, or the zero is guessed",
+        ),
+        (
+            0 < given < len(points) or (force_u_n.any() and not raw_u.all()),
+            f"raw_u is given for {given} of {len(points)} loads; give it for all or none, and for "
+            "all where the loads' own uncertainty is given",
+        ),
+    ):
+        if refused:
+            raise CommissioningError(f"{cable}: {text}")
     line = fit_line(force_n, raw, force_u_n, raw_u)
     factor = float(student_t.ppf(0.975, len(points) - 2))
     if line is None or (
@@ -142,23 +176,21 @@ def calibrate_sensor(
             f"on {cable}, that its sensor is connected to this channel, and that none was "
             "noted wrongly"
         )
-    scale = line.scale_n_per_unit
-    ends_n = (float(force_n.min()), float(force_n.max()))
-    worst = int(np.argmax(np.abs(line.residual_n)))
+    scale, worst = line.scale_n_per_unit, int(np.argmax(np.abs(line.residual_n)))
+    scale_u = line.scale_u_n_per_unit
+    tension_u95_n = [
+        _expanded(line.force_u_n(end), end * common_relative_u, line) for end in (low_n, high_n)
+    ]
     return SensorCalibration(
         scale_n_per_unit=scale,
-        scale_u95_n_per_unit=_expanded(
-            line.scale_u_n_per_unit, abs(scale) * common_relative_u, line
-        ),
+        scale_u95_n_per_unit=_expanded(scale_u, abs(scale) * common_relative_u, line),
         zero=line.zero,
         zero_u95=_expanded(line.zero_u, 0.0, line),
-        tension_u95_n=max(
-            _expanded(line.force_u_n(end), end * common_relative_u, line) for end in ends_n
-        ),
+        tension_u95_n=max(tension_u95_n),
         largest_residual_n=float(line.residual_n[worst]),
         largest_residual_at=worst,
         points=len(points),
-        largest_force_n=ends_n[1],
+        largest_force_n=high_n,
         **residual_characteristics(force_n, line.residual_n),
     )
 
@@ -177,21 +209,18 @@ def calibration_record(
     """
     cables = {}
     for cable, channel in channel_map.channels.items():
-        if cable in found:
-            unit, factor, offset = signal_conversion(database, channel)
-            values = {
-                name: value
-                for name, value in asdict(found[cable]).items()
-                if name in CalibratedSensor.model_fields
-            }
-            cables[cable] = CalibratedSensor(
-                message=channel.message,
-                signal=channel.signal,
-                signal_unit=unit,
-                signal_factor=factor,
-                signal_offset=offset,
-                **values,
-            )
+        if cable not in found:
+            continue
+        values = asdict(found[cable])
+        unit, factor, offset = signal_conversion(database, channel)
+        cables[cable] = CalibratedSensor(
+            message=channel.message,
+            signal=channel.signal,
+            signal_unit=unit,
+            signal_factor=factor,
+            signal_offset=offset,
+            **{name: values[name] for name in values if name in CalibratedSensor.model_fields},
+        )
     return Calibration(
         map=channel_map.name,
         made=made,
@@ -273,7 +302,9 @@ def residual_characteristics(force_n: Array, residual_n: Array) -> dict[str, Any
     means: dict[tuple[int, bool], float] = {}
     ranges = []
     loads = load_numbers(force_n)
-    rising = _rising(loads)
+    rising = np.ones(len(loads), dtype=bool)  # reached by adding weight, or put on again
+    for at, step in enumerate(np.diff(loads).tolist(), start=1):
+        rising[at] = rising[at - 1] if step == 0 else step > 0
     top = int(loads[int(np.argmax(force_n))])
     for load in np.unique(loads).tolist():
         for up in (True, False):
@@ -304,38 +335,6 @@ def load_numbers(force_n: Array) -> NDArray[np.int64]:
     return numbers
 
 
-def _rising(loads: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(n,) whether each load was reached by adding weight; the same load again as before."""
-    rising = np.ones(len(loads), dtype=bool)
-    for at, step in enumerate(np.diff(loads).tolist(), start=1):
-        rising[at] = rising[at - 1] if step == 0 else step > 0
-    return rising
-
-
-def _point(
-    load: KnownLoad, as_recorded: ChannelMap, recording: Recording | None
-) -> CalibrationPoint:
-    if isinstance(load.reading, float):
-        return CalibrationPoint(load.force_n, load.reading, load.force_u_n, load.raw_u)
-    if recording is None:
-        raise CommissioningError(
-            f"{load.where}: gives start_s and end_s; give the recording as well, or the reading "
-            "under raw"
-        )
-    rows = load.reading.rows(recording.time_s)
-    if np.count_nonzero(rows) < FEWEST_SAMPLES:
-        raise CommissioningError(
-            f"{load.where}: only {np.count_nonzero(rows)} samples of {recording.name} lie from "
-            f"{load.reading.start_s:g} to {load.reading.end_s:g} s; there must be at least "
-            f"{FEWEST_SAMPLES}, and the recording goes from {recording.time_s[0]:g} to "
-            f"{recording.time_s[-1]:g} s"
-        )
-    column = as_recorded.cable_names.index(load.cable)
-    tension_n = float(recording.tensions_n[rows, column].mean())
-    raw = as_recorded.channels[load.cable].value(tension_n)
-    return CalibrationPoint(load.force_n, raw, load.force_u_n, load.raw_u)
-
-
 def _expanded(fitted_u: float, common_u: float, line: LineFit) -> float:
     """Expanded uncertainty, 95 %: Welch-Satterthwaite (GUM G.4), the common part being known."""
     combined = float(np.hypot(fitted_u, common_u))
@@ -343,23 +342,3 @@ def _expanded(fitted_u: float, common_u: float, line: LineFit) -> float:
         return 1.96 * combined
     freedom = line.degrees_of_freedom * (combined / fitted_u) ** 4
     return float(student_t.ppf(0.975, freedom)) * combined
-
-
-def _check_loads(cable: str, force_n: Array) -> None:
-    if len(force_n) < FEWEST_POINTS:
-        raise CommissioningError(
-            f"{cable}: only {len(force_n)} loads; at least {FEWEST_POINTS} are needed, better "
-            "ten: up and down again"
-        )
-    loads = int(load_numbers(force_n).max()) + 1
-    if loads < FEWEST_LOADS:
-        raise CommissioningError(
-            f"{cable}: loads of only {loads} size{'s' * (loads > 1)}; at least {FEWEST_LOADS} are "
-            "needed, or linearity cannot be judged"
-        )
-    low, high = float(force_n.min()), float(force_n.max())
-    if high - low < LEAST_SPREAD * high:
-        raise CommissioningError(
-            f"{cable}: loads lie from {low:.4g} to {high:.4g} N; they must cover at least half of "
-            "the largest, better all from the bare cable on, or the zero is guessed"
-        )

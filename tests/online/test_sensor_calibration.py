@@ -13,7 +13,7 @@ from cablesense_online.can.calibration import calibrated
 from cablesense_online.commissioning.sensor_calibration import (
     CalibrationPoint,
     calibrate_sensor,
-    calibration_points,
+    calibration_point,
     calibration_record,
     fit_line,
     load_numbers,
@@ -23,7 +23,7 @@ from cablesense_online.commissioning.tables import CommissioningError, KnownLoad
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 SCALE, ZERO = 0.0125, -310.0
-DRAWS = 1200
+DRAWS = 600
 
 
 def points(force_n=UP_AND_DOWN_N, noise_n=None, scale=SCALE, zero=ZERO, raw_u=0.0):
@@ -230,7 +230,7 @@ def with_channel(cable, **values):
 
 
 def test_noted_readings_go_through():
-    (point,) = calibration_points({"cable_3": [load(417.0)]}, PACKED, None)["cable_3"]
+    point = calibration_point(load(417.0), PACKED, None)
     assert (point.force_n, point.raw, point.force_u_n) == (20.0, 417.0, 0.1)
 
 
@@ -240,20 +240,19 @@ def test_a_window_gives_the_signal_value_whatever_scale_was_in_force():
     tensions_n[(TIME_S >= 5.0) & (TIME_S <= 8.0), 2] = as_recorded.channels["cable_3"].tension_n(
         417.0
     )
-    loads = {"cable_3": [load(TimeWindow(5.0, 8.0))]}
-    (point,) = calibration_points(loads, as_recorded, recording(tensions_n))["cable_3"]
+    point = calibration_point(load(TimeWindow(5.0, 8.0)), as_recorded, recording(tensions_n))
     assert point.raw == pytest.approx(417.0)
 
 
 @pytest.mark.parametrize("window", [TimeWindow(5.0, 5.2), TimeWindow(30.0, 40.0)])
 def test_a_window_with_too_few_samples_is_refused(window):
     with pytest.raises(CommissioningError, match=r"line 2: only .* samples of run"):
-        calibration_points({"c": [load(window)]}, PACKED, recording(np.zeros((200, 12))))
+        calibration_point(load(window), PACKED, recording(np.zeros((200, 12))))
 
 
 def test_a_window_wants_a_recording():
     with pytest.raises(CommissioningError, match="give the recording as well"):
-        calibration_points({"c": [load(TimeWindow(1.0, 2.0))]}, PACKED, None)
+        calibration_point(load(TimeWindow(1.0, 2.0)), PACKED, None)
 
 
 POINTS = [CalibrationPoint(force, 3.0 + 4.0 * force) for force in (0.0, 20.0, 40.0, 60.0, 80.0)]
