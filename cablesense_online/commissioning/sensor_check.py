@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -140,8 +141,7 @@ def check_sensors(
     findings = [SensorFinding(True, "samples", "all", line) for line in series.problems]
     findings += _of_timing(timing, expected)
     for channel in channels:
-        findings += _of_channel(channel, expected)
-        findings += _of_drift(channel, expected, alone=bool(at_rest.all()))
+        findings += _of_channel(channel, expected, alone=bool(at_rest.all()))
     findings += _of_standstill(series, expected)
     for result in results:
         findings += _of_pull(result, expected)
@@ -175,93 +175,89 @@ def _of_timing(timing: TimingStatistics, expected: SensorExpectation) -> _Findin
             yield SensorFinding(True, kind, "all", text)
 
 
-def _of_channel(channel: ChannelStatistics, expected: SensorExpectation) -> _Findings:
-    def wrong(kind: str, text: str) -> SensorFinding:
-        return SensorFinding(True, kind, channel.cable, text)
-
+def _of_channel(channel: ChannelStatistics, expected: SensorExpectation, alone: bool) -> _Findings:
+    """Drift is wrong only of an arm left `alone`: friction keeps part of what moved it."""
+    wrong = partial(SensorFinding, True, where=channel.cable)
+    note = partial(SensorFinding, False, where=channel.cable)
     if channel.noise_n is None:
-        yield SensorFinding(
-            False,
-            "rest",
-            channel.cable,
-            "too few readings at rest for noise and drift; leave the arm alone for ten seconds",
-        )
+        text = "too few readings at rest for noise and drift; leave the arm alone for ten seconds"
+        yield note("rest", text=text)
     elif channel.noise_n > expected.noise_n:
-        yield wrong(
-            "noise",
+        text = (
             f"varies by {channel.noise_n:.3f} N at rest; at most {expected.noise_n:.3f} N would "
-            "be right: check screen and ground, and that nothing moves the arm",
+            "be right: check screen and ground, and that nothing moves the arm"
         )
+        yield wrong("noise", text=text)
     if expected.step_n and channel.step_n is not None and channel.step_n > expected.step_n:
-        yield wrong(
-            "step",
+        text = (
             f"reads in steps of {channel.step_n:.3f} N; at most {expected.step_n:.3f} N would be "
-            "right: check the amplifier's range and the DBC file's factor",
+            "right: check the amplifier's range and the DBC file's factor"
         )
-    if expected.range_n is not None:
-        low, high = expected.range_n
-        if channel.lowest_n <= low or channel.highest_n >= high:
-            yield wrong(
-                "range",
-                f"reads {channel.lowest_n:.1f} to {channel.highest_n:.1f} N, to an end of its "
-                f"range; within {low:g} to {high:g} N would be right: check that it is connected",
-            )
-
-
-def _of_drift(channel: ChannelStatistics, expected: SensorExpectation, alone: bool) -> _Findings:
-    """Only of an arm that was left `alone` it is wrong: friction keeps part of what moved it."""
-    if channel.drift_n is None or abs(channel.drift_n) <= expected.drift_n:
-        return
-    remedy = (
-        "let sensors warm up and cables creep, then check again"
-        if alone
-        else "friction and creep do that after loads, moves and pulls; check an arm left alone"
-    )
-    text = (
-        f"went by {channel.drift_n:+.2f} N at rest; at most {expected.drift_n:.2f} N would be "
-        f"right: {remedy}"
-    )
-    yield SensorFinding(alone, "drift", channel.cable, text)
+        yield wrong("step", text=text)
+    low, high = expected.range_n or (float("-inf"), float("inf"))
+    if channel.lowest_n <= low or channel.highest_n >= high:
+        text = (
+            f"reads {channel.lowest_n:.1f} to {channel.highest_n:.1f} N, to an end of its range; "
+            f"within {low:g} to {high:g} N would be right: check that it is connected"
+        )
+        yield wrong("range", text=text)
+    if channel.drift_n is not None and abs(channel.drift_n) > expected.drift_n:
+        remedy = (
+            "let sensors warm up and cables creep, then check again"
+            if alone
+            else "friction and creep do that after loads, moves and pulls; check an arm left alone"
+        )
+        text = (
+            f"went by {channel.drift_n:+.2f} N at rest; at most {expected.drift_n:.2f} N would be "
+            f"right: {remedy}"
+        )
+        yield (wrong if alone else note)("drift", text=text)
 
 
 def _of_standstill(series: TensionSeries, expected: SensorExpectation) -> _Findings:
     moved_n = np.ptp(series.tensions_n, axis=0)
     others_moved = np.count_nonzero(moved_n > MOVED_FLOORS * expected.floor_n)
     certain = bool(2 * others_moved >= len(moved_n))
+    remedy = (
+        " while others move; check plug and sensor"
+        if certain
+        else "; at rest that can be, so pull it by hand (--pull) to see it move"
+    )
     for cable in np.flatnonzero(moved_n == 0.0):
-        value_n = series.tensions_n[0, cable]
-        text = (
-            f"stands at {value_n:.2f} N to the last bit while others move; check plug and sensor"
-            if certain
-            else f"stands at {value_n:.2f} N to the last bit; at rest that can be, so pull it by "
-            "hand (--pull) to see it move"
-        )
+        text = f"stands at {series.tensions_n[0, cable]:.2f} N to the last bit{remedy}"
         yield SensorFinding(certain, "stuck", series.cable_names[cable], text)
 
 
 def _of_pull(result: PullResult, expected: SensorExpectation) -> _Findings:
     moved = f"{result.moved} moved most ({result.moved_n:.1f} N)"
-    own = f"{result.cable} by {result.own_n:.1f} N"
-    if result.verdict is PullVerdict.SWAPPED:
-        text = (
-            f"was pulled, but {moved}, {own}; its own would be right: exchange plugs, or the map"
-        )
-        yield SensorFinding(True, "swapped", result.cable, text)
-    elif result.verdict is PullVerdict.DEAD:
-        text = f"was pulled and stood still, while {moved}; check its plug and sensor"
-        yield SensorFinding(True, "stuck", result.cable, text)
-    elif result.verdict is PullVerdict.UNCLEAR:
-        text = (
+    wrong, kind, text = {
+        PullVerdict.RIGHT: (False, "", ""),
+        PullVerdict.SWAPPED: (
+            True,
+            "swapped",
+            f"was pulled, but {moved}, {result.cable} by {result.own_n:.1f} N; its own would be "
+            "right: exchange plugs, or the map",
+        ),
+        PullVerdict.DEAD: (
+            True,
+            "stuck",
+            f"was pulled and stood still, while {moved}; check its plug and sensor",
+        ),
+        PullVerdict.UNCLEAR: (
+            False,
+            "pull",
             f"was pulled: {moved}, {result.second} hardly less ({result.second_n:.1f} N); pull "
-            "this cable alone, sideways, near its sensor"
-        )
-        yield SensorFinding(False, "pull", result.cable, text)
-    elif result.verdict is PullVerdict.TOO_WEAK:
-        text = (
+            "this cable alone, sideways, near its sensor",
+        ),
+        PullVerdict.TOO_WEAK: (
+            False,
+            "pull",
             f"was pulled, but no channel moved by more than {result.moved_n:.2f} N; at least "
-            f"{PULLED_FLOORS * expected.floor_n:.1f} N is needed: pull harder, in the time given"
-        )
-        yield SensorFinding(False, "pull", result.cable, text)
+            f"{PULLED_FLOORS * expected.floor_n:.1f} N is needed: pull harder, in the time given",
+        ),
+    }[result.verdict]
+    if kind:
+        yield SensorFinding(wrong, kind, result.cable, text)
 
 
 MOST_ROWS = 20_000

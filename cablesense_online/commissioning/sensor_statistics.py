@@ -59,11 +59,6 @@ class TensionSeries:
     tensions_n: Array
     problems: tuple[str, ...] = ()
 
-    @property
-    def duration_s(self) -> float:
-        """From the first reading to the last."""
-        return float(self.time_s[-1] - self.time_s[0])
-
 
 def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeries:
     """A recording's readings; at rest is its most frequent pose without a load, once settled."""
@@ -118,6 +113,7 @@ def channel_statistics(
     """The statistics of (R,) readings at ascending times, of which some were taken at rest."""
     rest_n, rest_s = readings_n[at_rest], time_s[at_rest]
     enough = len(rest_n) >= WINDOW_SAMPLES
+    line = _line(rest_s, rest_n) if enough else None
     return ChannelStatistics(
         cable=cable,
         mean_n=float((rest_n if enough else readings_n).mean()),
@@ -125,7 +121,7 @@ def channel_statistics(
         highest_n=float(readings_n.max()),
         noise_n=_noise_n(rest_s, rest_n),
         step_n=quantisation_step_n(readings_n),
-        drift_n=_drift_n(rest_s, rest_n) if enough else None,
+        drift_n=None if line is None else float(line[-1] - line[0]),
     )
 
 
@@ -158,11 +154,6 @@ def _noise_n(time_s: Array, readings_n: Array) -> float | None:
         deviations_n.append(float(np.sqrt((error_n**2).sum() / (len(window_n) - 2))))
         start = end
     return float(np.median(deviations_n)) if deviations_n else None
-
-
-def _drift_n(time_s: Array, readings_n: Array) -> float:
-    line = _line(time_s, readings_n)
-    return float(line[-1] - line[0])
 
 
 def _line(time_s: Array, readings_n: Array) -> Array:
@@ -255,28 +246,6 @@ def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
     Raises:
         CommissioningError: too few readings before or during the pull.
     """
-    moved_n = _movement_n(series, pull)
-    ranked = np.argsort(moved_n)[::-1]
-    first, second = int(ranked[0]), int(ranked[1])
-    own = series.cable_names.index(pull.cable)
-    if moved_n[first] < PULLED_FLOORS * floor_n:
-        verdict = PullVerdict.TOO_WEAK
-    elif first == own:
-        clear = moved_n[second] <= CLEARLY * moved_n[first]
-        verdict = PullVerdict.RIGHT if clear else PullVerdict.UNCLEAR
-    elif np.ptp(series.tensions_n[pull.window.rows(series.time_s), own]) == 0.0:
-        verdict = PullVerdict.DEAD
-    else:
-        clear = moved_n[own] <= CLEARLY * moved_n[first]
-        verdict = PullVerdict.SWAPPED if clear else PullVerdict.UNCLEAR
-    names, by_n = series.cable_names, moved_n.tolist()
-    return PullResult(
-        pull.cable, by_n[own], names[first], by_n[first], names[second], by_n[second], verdict
-    )
-
-
-def _movement_n(series: TensionSeries, pull: Pull) -> NDArray[np.float64]:
-    """(M,) from the median before to what a twentieth of the readings exceed."""
     start_s = pull.window.start_s
     before = (series.time_s >= start_s - BEFORE_S) & (series.time_s < start_s)
     during = pull.window.rows(series.time_s)
@@ -287,5 +256,22 @@ def _movement_n(series: TensionSeries, pull: Pull) -> NDArray[np.float64]:
             f"least {FEWEST_SAMPLES} of each are needed"
         )
     rest_n = np.median(series.tensions_n[before], axis=0)
+    # from the median before to what a twentieth of the readings exceed
     moved_n = np.quantile(np.abs(series.tensions_n[during] - rest_n), 0.95, axis=0)
-    return np.asarray(moved_n, dtype=np.float64)
+    ranked = np.argsort(moved_n)[::-1]
+    first, second = int(ranked[0]), int(ranked[1])
+    own = series.cable_names.index(pull.cable)
+    if moved_n[first] < PULLED_FLOORS * floor_n:
+        verdict = PullVerdict.TOO_WEAK
+    elif first == own:
+        clear = moved_n[second] <= CLEARLY * moved_n[first]
+        verdict = PullVerdict.RIGHT if clear else PullVerdict.UNCLEAR
+    elif np.ptp(series.tensions_n[during, own]) == 0.0:
+        verdict = PullVerdict.DEAD
+    else:
+        clear = moved_n[own] <= CLEARLY * moved_n[first]
+        verdict = PullVerdict.SWAPPED if clear else PullVerdict.UNCLEAR
+    names, by_n = series.cable_names, moved_n.tolist()
+    return PullResult(
+        pull.cable, by_n[own], names[first], by_n[first], names[second], by_n[second], verdict
+    )
