@@ -22,8 +22,7 @@ import harness
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_online.admittance.controller import ControllerSettings
-from cablesense_online.admittance.law import AdmittanceLaw, ContactForce, Reach
+from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce, Reach
 from cablesense_online.admittance.wall import (
     ElasticWall,
     WallPressing,
@@ -57,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, write."""
     parser = harness.parser(__doc__, f"results/{RESULT}")
     options = parser.parse_args(arguments)
-    settings = ControllerSettings()
+    settings = AdmittanceSettings()
     cases = [
         _case(arm, settings, segment, angle, stiffness)
         for arm in ARMS
@@ -67,8 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     report = {
         **harness.origin("mujoco"),
-        "assumed_worst_stiffness_n_m": settings.law.worst_stiffness_n_m,
-        "deadband_n": settings.law.deadband_n,
+        "assumed_worst_stiffness_n_m": settings.worst_stiffness_n_m,
+        "deadband_n": settings.deadband_n,
         "period_s": PERIOD_S,
         "steps": STEPS,
         "summary": [_summary(cases, arm, k) for arm in ARMS for k in STIFFNESSES_N_M],
@@ -85,12 +84,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _case(
-    arm: str, settings: ControllerSettings, segment: int, angle_deg: float, stiffness_n_m: float
+    arm: str, settings: AdmittanceSettings, segment: int, angle_deg: float, stiffness_n_m: float
 ) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(arm))
     home = np.zeros(mechanism.joint_count)
     reach = Reach.of(mechanism, settings.joint_limit_rad)
-    law = AdmittanceLaw(mechanism, reach, settings.law)
+    law = AdmittanceLaw(mechanism, reach, settings)
     rest = solve_equilibrium(mechanism, home).joint_angles_rad
     wall = wall_beside(mechanism, rest, segment, angle_deg, stiffness_n_m, 0.0)
     compliance = compliance_m_n(mechanism, home, segment, wall.normal)

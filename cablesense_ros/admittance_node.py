@@ -28,12 +28,9 @@ from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import (
     AdmittanceController,
-    ControllerSettings,
-    control_status,
 )
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
-    WatchSettings,
     check_probabilities,
     input_is_stale,
     read_wrench,
@@ -68,11 +65,8 @@ class AdmittanceNode(ConfiguredNode):
     def _configure(self, given: dict[str, Any]) -> None:
         arm = open_arm(given["arm"])
         self._mechanism = mechanism_of(arm)
-        parts = {
-            "law": _settings(AdmittanceSettings, given),
-            "watch": _settings(WatchSettings, given),
-        }
-        settings = _settings(ControllerSettings, given | parts)
+        names = {field.name for field in fields(AdmittanceSettings)}
+        settings = AdmittanceSettings(**{name: given[name] for name in names & set(given)})
         self._controller = AdmittanceController(self._mechanism, settings, time.monotonic())
         self._frames = Frames(arm.segment_count, given["frame_prefix"])
         self._joints = NamedOrder(arm.joint_names, "joints")
@@ -157,12 +151,7 @@ class AdmittanceNode(ConfiguredNode):
         if not self._identity:
             return [Status("control", Level.WARN, "not configured: no arm loaded")]
         commanders = self.count_publishers(topics.JOINT_COMMANDS)
-        return [control_status(self._controller, self._active, commanders, time.monotonic())]
-
-
-def _settings(kind: type[Any], given: dict[str, Any]) -> Any:
-    """Settings of a dataclass from the parameters that are named as its fields."""
-    return kind(**{field.name: given[field.name] for field in fields(kind) if field.name in given})
+        return [self._controller.status(self._active, commanders, time.monotonic())]
 
 
 main = partial(run_node, AdmittanceNode)

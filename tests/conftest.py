@@ -21,12 +21,12 @@ from model_fixtures import model_files, temporal_model_file  # noqa: F401 (fixtu
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
-_REAL_TIME = (Path(__file__).parent / "ros", Path(__file__).parent / "online/test_can_driver.py")
+_REAL_TIME = Path(__file__).parent / "ros"
 
 
 @pytest.hookimpl(tryfirst=True)  # pytest-xdist reads the groups in the same hook
 def pytest_collection_modifyitems(items):
-    """Tests of real nodes and frames follow one another; others stay with those of their file."""
+    """Tests of real nodes follow one another; others stay with those of their file."""
     for item in items:
-        real_time = any(item.path.is_relative_to(place) for place in _REAL_TIME)
+        real_time = item.path.is_relative_to(_REAL_TIME)
         item.add_marker(pytest.mark.xdist_group("real time" if real_time else item.path.name))

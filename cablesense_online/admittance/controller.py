@@ -8,13 +8,12 @@ that estimates in motion the cycle is as short as move and average.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch, WatchSettings
+from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
     AdmittanceSettings,
@@ -34,26 +33,6 @@ _PROBABILITIES_FOR_FREE = 2
 """One message of probabilities could still be of the time before the command."""
 
 
-@dataclass(frozen=True)
-class ControllerSettings:
-    """All numbers of the controller.
-
-    Attributes:
-        law, watch: of the parts.
-        joint_limit_rad: radius of each joint's disc of commands.
-        measure_s: estimates are averaged over this time.
-        yield_s: after a command of another node, none is sent for this long.
-        await_command: send nothing before the first command of another node was received.
-    """
-
-    law: AdmittanceSettings = field(default_factory=AdmittanceSettings)
-    watch: WatchSettings = field(default_factory=WatchSettings)
-    joint_limit_rad: float = float(np.deg2rad(10.0))
-    measure_s: float = 0.1
-    yield_s: float = 2.0
-    await_command: bool = False
-
-
 class AdmittanceController:
     """Times are monotonic, s; stamps are of the clock of the samples, ns.
 
@@ -65,15 +44,15 @@ class AdmittanceController:
         step_count: steps sent.
     """
 
-    def __init__(self, mechanism: Mechanism, settings: ControllerSettings, now_s: float) -> None:
+    def __init__(self, mechanism: Mechanism, settings: AdmittanceSettings, now_s: float) -> None:
         self._mechanism = mechanism
         self._settings = settings
         reach = Reach.of(mechanism, settings.joint_limit_rad)
-        self.law = AdmittanceLaw(mechanism, reach, settings.law)
+        self.law = AdmittanceLaw(mechanism, reach, settings)
         self.command_rad = np.zeros(mechanism.joint_count)
         self.home_rad = self.command_rad.copy()
-        self.watch = EstimateWatch(self.command_rad, settings.watch, now_s)
-        self._average = ForceAverage(settings.measure_s, settings.watch.stale_after_s)
+        self.watch = EstimateWatch(self.command_rad, settings, now_s)
+        self._average = ForceAverage(settings.measure_s, settings.stale_after_s)
         self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
         self._arrived_s = self._stepped_s = now_s
         self._yield_until_s = self._repeated_s = float("-inf")
@@ -155,6 +134,43 @@ class AdmittanceController:
         """Whether the command in force is one that this controller would not give."""
         return not self.law.reach.holds(self.command_rad)
 
+    def status(self, active: bool, commanders: int, now_s: float) -> Status:
+        """Phase, last contact and pose; `commanders` publish joint commands, this node too."""
+        last = "none"
+        if self.contact is not None:
+            magnitude_n = np.linalg.norm(self.contact.force_base_n)
+            last = f"segment {self.contact.segment}, {magnitude_n:.2f} N"
+        command_deg, home_deg = (
+            ", ".join(f"{angle:.3f}" for angle in np.rad2deg(angles))
+            for angles in (self.command_rad, self.home_rad)
+        )
+        values = {
+            "sight": self.watch.state.value,
+            "last contact": last,
+            "steps": str(self.step_count),
+            "command (deg)": command_deg,
+            "home (deg)": home_deg,
+            "commanders": str(commanders),
+        }
+        return Status("control", *self._verdict(active, commanders, now_s), values)
+
+    def _verdict(self, active: bool, commanders: int, now_s: float) -> tuple[Level, str]:
+        if not active:
+            return Level.OK, "configured, not active: no commands are sent"
+        if self.watch.state is ContactState.STOPPED:
+            return Level.ERROR, f"stopped: {self.watch.reason}"
+        if self.awaiting:
+            return Level.WARN, "waits for a first command"
+        if self.yielding(now_s):
+            return Level.WARN, "another node commands; quiet"
+        if self.beyond_reach:
+            return Level.WARN, "the arm was commanded beyond joint_limit_deg; no step is taken"
+        if self.contact is not None and self.at_limit:
+            return Level.WARN, "at joint_limit_deg: what force is left stays"
+        if commanders > 1:
+            return Level.OK, f"{self.watch.state.value}; {commanders} nodes can command"
+        return Level.OK, self.watch.state.value
+
     def _step(self, now_s: float) -> Array | None:
         segment, local_n = self._average.take()
         self.contact = None
@@ -177,52 +193,7 @@ class AdmittanceController:
 
     def _go_on_from(self, command_rad: Array, now_s: float) -> None:
         turn = float(np.abs(command_rad - self.command_rad).max())
-        self._arrived_s = now_s + move_duration_s(turn, self._settings.watch.joint_speed_rad_s)
+        self._arrived_s = now_s + move_duration_s(turn, self._settings.joint_speed_rad_s)
         self.command_rad = command_rad.copy()
         self.watch.commanded(command_rad, now_s)
         self._average.clear()
-
-
-def control_status(
-    controller: AdmittanceController, active: bool, commanders: int, now_s: float
-) -> Status:
-    """Phase, last contact and pose; `commanders` publish joint commands, this node included."""
-    level, message = _verdict(controller, active, commanders, now_s)
-    contact = controller.contact
-    values = {
-        "sight": controller.watch.state.value,
-        "last contact": (
-            "none"
-            if contact is None
-            else f"segment {contact.segment}, {np.linalg.norm(contact.force_base_n):.2f} N"
-        ),
-        "steps": str(controller.step_count),
-        "command (deg)": _degrees(controller.command_rad),
-        "home (deg)": _degrees(controller.home_rad),
-        "commanders": str(commanders),
-    }
-    return Status("control", level, message, values)
-
-
-def _verdict(
-    controller: AdmittanceController, active: bool, commanders: int, now_s: float
-) -> tuple[Level, str]:
-    if not active:
-        return Level.OK, "configured, not active: no commands are sent"
-    if controller.watch.state is ContactState.STOPPED:
-        return Level.ERROR, f"stopped: {controller.watch.reason}"
-    if controller.awaiting:
-        return Level.WARN, "waits for a first command"
-    if controller.yielding(now_s):
-        return Level.WARN, "another node commands; quiet"
-    if controller.beyond_reach:
-        return Level.WARN, "the arm was commanded beyond joint_limit_deg; no step is taken"
-    if controller.contact is not None and controller.at_limit:
-        return Level.WARN, "at joint_limit_deg: what force is left stays"
-    if commanders > 1:
-        return Level.OK, f"{controller.watch.state.value}; {commanders} nodes can command"
-    return Level.OK, controller.watch.state.value
-
-
-def _degrees(angles_rad: Array) -> str:
-    return ", ".join(f"{angle:.3f}" for angle in np.rad2deg(angles_rad))

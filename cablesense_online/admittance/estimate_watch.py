@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -25,6 +24,7 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_msgs_py.messages import MAX_LOAD_N, Level
 from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_online.motion_gate import MotionGate
 
 PROBABILITIES_KEPT = 8
@@ -39,23 +39,6 @@ class ContactState(Enum):
     CONTACT = "contact"
 
 
-@dataclass(frozen=True)
-class WatchSettings:
-    """When estimates count.
-
-    Attributes:
-        stale_after_s: without a fresh wrench for this long there is no estimator.
-        resume_after_s: estimates must come for this long before they are trusted again.
-        joint_speed_rad_s, settle_s: as the estimator's: how long after a command it gives no
-            estimate.
-    """
-
-    stale_after_s: float = 0.2
-    resume_after_s: float = 1.0
-    joint_speed_rad_s: float = float(np.deg2rad(20.0))
-    settle_s: float = 0.5
-
-
 class EstimateWatch:
     """Follows all that the estimator publishes; times are monotonic, s.
 
@@ -63,7 +46,7 @@ class EstimateWatch:
         reason: why the state is `STOPPED`; empty when it is not.
     """
 
-    def __init__(self, command_rad: Array, settings: WatchSettings, now_s: float) -> None:
+    def __init__(self, command_rad: Array, settings: AdmittanceSettings, now_s: float) -> None:
         """The arm holds `command_rad` (2N,); nothing was received from the estimator yet."""
         self._settings = settings
         self._gate = MotionGate(command_rad, settings.joint_speed_rad_s, settings.settle_s)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,7 +70,7 @@ LONGEST_STEP_S = 1.0
 
 @dataclass(frozen=True)
 class AdmittanceSettings:
-    """The law's numbers.
+    """All numbers of the controller: of the law, of the trust in estimates, and of the cycle.
 
     Attributes:
         damping_n_m_s_rad: D of every joint axis, N·m·s/rad.
@@ -82,6 +83,14 @@ class AdmittanceSettings:
             most this force.
         smallest_step_rad: a step in which every joint turns less is not made, as each
             interrupts the estimates.
+        stale_after_s: without a fresh wrench for this long there is no estimator.
+        resume_after_s: estimates must come for this long before they are trusted again.
+        joint_speed_rad_s, settle_s: as the estimator's: how long after a command it gives no
+            estimate.
+        joint_limit_rad: radius of each joint's disc of commands.
+        measure_s: estimates are averaged over this time.
+        yield_s: after a command of another node, none is sent for this long.
+        await_command: send nothing before the first command of another node was received.
     """
 
     damping_n_m_s_rad: float = 5.0
@@ -92,10 +101,17 @@ class AdmittanceSettings:
     speed_limit_rad_s: float = float(np.deg2rad(5.0))
     touch_n: float = 4.0
     smallest_step_rad: float = float(np.deg2rad(0.002))
+    stale_after_s: float = 0.2
+    resume_after_s: float = 1.0
+    joint_speed_rad_s: float = float(np.deg2rad(20.0))
+    settle_s: float = 0.5
+    joint_limit_rad: float = float(np.deg2rad(10.0))
+    measure_s: float = 0.1
+    yield_s: float = 2.0
+    await_command: bool = False
 
 
-@dataclass(frozen=True)
-class ContactForce:
+class ContactForce(NamedTuple):
     """An estimated contact: a force (3,) in base axes, N, on segment `segment` (from 1)."""
 
     segment: int
@@ -121,18 +137,20 @@ class AdmittanceLaw:
             contact: the contact; None is a sure "nothing touches".
             elapsed_s: since the last step.
         """
-        period_s = min(elapsed_s, LONGEST_STEP_S)
+        period_s, given = min(elapsed_s, LONGEST_STEP_S), self.settings
         away = command_rad - home_rad
         step = (
             self._homeward(command_rad, away, period_s)
             if contact is None
             else self._yielding(command_rad, away, contact, period_s)
         )
-        step = self._limited(step, period_s)
+        largest = float(np.abs(step).max())
+        limit = min(given.step_limit_rad, given.speed_limit_rad_s * period_s)
+        if largest > limit:
+            step = step * (limit / largest)
         target = self.reach.nearest(command_rad + step)
-        if np.abs(target - command_rad).max() < self.settings.smallest_step_rad:
-            return command_rad
-        return target
+        worth_it = np.abs(target - command_rad).max() >= given.smallest_step_rad
+        return target if worth_it else command_rad
 
     def loop_gain(
         self,
@@ -148,39 +166,33 @@ class AdmittanceLaw:
         the force's in base axes, `stiffness_n_m` the contact's.
         """
         squared = float(np.sum((self._jacobian(command_rad, segment).T @ direction) ** 2))
-        return stiffness_n_m * squared / (self._diagonal(step_s) + self._implicit(squared))
+        implicit = self.settings.worst_stiffness_n_m * squared
+        return stiffness_n_m * squared / (self._diagonal(step_s) + implicit)
 
     def _homeward(self, command_rad: Array, away: Array, period_s: float) -> Array:
-        stiffness = self.settings.return_stiffness_n_m_rad
-        step = -away * (stiffness / self._diagonal(period_s))
-        moved = np.linalg.norm(
-            kinematics.contact_jacobians_m(self._mechanism, command_rad) @ step, axis=-1
-        ).max()
-        touching_n = self.settings.worst_stiffness_n_m * float(moved)
+        step = -away * (self.settings.return_stiffness_n_m_rad / self._diagonal(period_s))
+        jacobians = kinematics.contact_jacobians_m(self._mechanism, command_rad)
+        moved = float(np.linalg.norm(jacobians @ step, axis=-1).max())
+        touching_n = self.settings.worst_stiffness_n_m * moved
         return step * min(1.0, self.settings.touch_n / max(touching_n, 1e-12))
 
     def _yielding(
         self, command_rad: Array, away: Array, contact: ContactForce, period_s: float
     ) -> Array:
-        magnitude_n = float(np.linalg.norm(contact.force_base_n))
+        given, force_n = self.settings, contact.force_base_n
+        magnitude_n = float(np.linalg.norm(force_n))
         if magnitude_n == 0.0:
             return np.zeros_like(command_rad)
-        lever = self._jacobian(command_rad, contact.segment).T @ (
-            contact.force_base_n / magnitude_n
-        )
-        torque = lever * magnitude_n - self.settings.return_stiffness_n_m_rad * away
-        size, friction = np.linalg.norm(torque), self.settings.deadband_n * np.linalg.norm(lever)
+        lever = self._jacobian(command_rad, contact.segment).T @ (force_n / magnitude_n)
+        torque = lever * magnitude_n - given.return_stiffness_n_m_rad * away
+        size, friction = np.linalg.norm(torque), given.deadband_n * np.linalg.norm(lever)
         if size <= friction:
             return np.zeros_like(command_rad)
         torque = torque * (1.0 - friction / size)
-        diagonal, squared = self._diagonal(period_s), float(lever @ lever)
-        implicit = self.settings.worst_stiffness_n_m * float(lever @ torque)
-        return (torque - lever * (implicit / (diagonal + self._implicit(squared)))) / diagonal
-
-    def _limited(self, step: Array, period_s: float) -> Array:
-        largest = float(np.abs(step).max())
-        limit = min(self.settings.step_limit_rad, self.settings.speed_limit_rad_s * period_s)
-        return step * (limit / largest) if largest > limit else step
+        diagonal, stiffness = self._diagonal(period_s), given.worst_stiffness_n_m
+        implicit = stiffness * float(lever @ torque)
+        implicit /= diagonal + stiffness * float(lever @ lever)
+        return (torque - lever * implicit) / diagonal
 
     def _jacobian(self, command_rad: Array, segment: int) -> Array:
         """(3, 2N) of a segment's contact point."""
@@ -189,13 +201,8 @@ class AdmittanceLaw:
         )
 
     def _diagonal(self, period_s: float) -> float:
-        return (
-            self.settings.damping_n_m_s_rad / max(period_s, 1e-6)
-            + self.settings.return_stiffness_n_m_rad
-        )
-
-    def _implicit(self, squared_lever_m2: float) -> float:
-        return self.settings.worst_stiffness_n_m * squared_lever_m2
+        given = self.settings
+        return given.damping_n_m_s_rad / max(period_s, 1e-6) + given.return_stiffness_n_m_rad
 
 
 FEWEST_SAMPLES = 3

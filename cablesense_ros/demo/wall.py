@@ -24,9 +24,9 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
     EstimateWatch,
-    WatchSettings,
     read_wrench,
 )
+from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_online.admittance.wall import Approach, compliance_m_n
 from cablesense_ros.arm_client import record
 from cablesense_ros.node_process import RefusalLog, of_node
@@ -111,7 +111,7 @@ class WallObserver:
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._command = np.zeros(arm.joint_count)
         self._watch = EstimateWatch(
-            self._command, WatchSettings(resume_after_s=0.0), time.monotonic()
+            self._command, AdmittanceSettings(resume_after_s=0.0), time.monotonic()
         )
         self._true_n = self._estimated_n = 0.0
         self._control = ""

@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.admittance.controller import (
-    AdmittanceController,
-    ControllerSettings,
-    control_status,
-)
-from cablesense_online.admittance.estimate_watch import ContactState, WatchSettings
+from cablesense_online.admittance.controller import AdmittanceController
+from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -24,11 +20,9 @@ class Played:
     """Estimates at 100 Hz; every command comes back, as on a topic, and moves time on."""
 
     def __init__(self, mute_s=0.6, **settings):
-        watch = WatchSettings(resume_after_s=0.3)
         self.now_s, self.mute_s, self.mute_until_s = 50.0, mute_s, 0.0
-        self.controller = AdmittanceController(
-            ARM, ControllerSettings(watch=watch, **settings), self.now_s
-        )
+        given = AdmittanceSettings(**{"resume_after_s": 0.3, **settings})
+        self.controller = AdmittanceController(ARM, given, self.now_s)
         self.sent = []
 
     def run(self, seconds, segment=0, force=NONE, age_s=0.002):
@@ -52,7 +46,7 @@ class Played:
         return self.sent
 
     def message(self, active=True):
-        return control_status(self.controller, active, 1, self.now_s)
+        return self.controller.status(active, 1, self.now_s)
 
 
 def test_nothing_is_sent_while_nothing_touches_at_home():
@@ -136,8 +130,8 @@ def test_it_waits_for_a_first_command_when_asked_to():
 
 
 def test_it_never_leaves_its_reach_however_long_it_is_pushed():
-    law = AdmittanceSettings(step_limit_rad=0.1, speed_limit_rad_s=1.0)
-    played = Played(joint_limit_rad=float(np.deg2rad(2.0)), law=law)
+    limit_rad = float(np.deg2rad(2.0))
+    played = Played(joint_limit_rad=limit_rad, step_limit_rad=0.1, speed_limit_rad_s=1.0)
     played.run(0.5)
     played.run(30.0, 1, 50.0 * PUSH)
     last = played.sent[-1][1]

@@ -15,13 +15,13 @@ from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
     EstimateWatch,
-    WatchSettings,
     check_probabilities,
     input_is_stale,
     read_wrench,
 )
+from cablesense_online.admittance.law import AdmittanceSettings
 
-SETTINGS = WatchSettings(stale_after_s=0.2, resume_after_s=1.0, settle_s=0.5)
+SETTINGS = AdmittanceSettings(stale_after_s=0.2, resume_after_s=1.0, settle_s=0.5)
 REST, MOVED = np.zeros(8), np.full(8, 0.01)
 
 

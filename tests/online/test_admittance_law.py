@@ -127,7 +127,7 @@ def test_the_way_home_never_meets_a_wall_with_more_than_the_touch(command, home)
     assert (command - home) @ step <= 0.0
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(poses)
 def test_it_comes_home_when_nothing_touches(home):
     command = home + np.deg2rad(0.3)

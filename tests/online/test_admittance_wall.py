@@ -152,7 +152,7 @@ poses = st.lists(st.floats(-6.0, 6.0), min_size=8, max_size=8).map(np.deg2rad)
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     st.sampled_from([STIFF, COMPLIANT]),
     poses,
@@ -176,7 +176,7 @@ def test_up_to_the_assumed_stiffness_the_force_only_falls(
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(poses, st.integers(1, 4), st.floats(0.0, 360.0), st.floats(22_000.0, 36_000.0))
 def test_up_to_twice_the_assumed_stiffness_it_may_overshoot_but_comes_to_rest(
     home, segment, angle, stiffness
