@@ -57,9 +57,9 @@ class Where(FilePart):
     regimes: tuple[str, ...] = ()
 
     @property
-    def places(self) -> frozenset[str]:
+    def places(self) -> tuple[str, ...]:
         """Cables, segments and joints together."""
-        return frozenset((*self.cables, *self.segments, *self.joints))
+        return (*self.cables, *self.segments, *self.joints)
 
 
 class Estimate(FilePart):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import write_arm
@@ -25,17 +24,16 @@ from cablesense_gap.report.style import (
     with_interval,
 )
 from cablesense_gap.report.text import (
-    all_places,
-    ambiguity,
+    SURE,
+    candidate_name,
+    cause,
+    effect_advice,
     effect_places,
     headline,
     place_text,
-    regime_text,
-    shrinkage,
-    steps,
 )
-from cablesense_gap.residuals import ALL, LOOP, REGIMES, SET, TRIAL, decompose
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, VerdictError, write_verdict
+from cablesense_gap.residuals import ALL, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
+from cablesense_gap.verdict import NONE, UNKNOWN, VerdictError, joined, listed, write_verdict
 
 _WORST = 8
 """Parts of what remains that are shown before one asks for all."""
@@ -60,11 +58,6 @@ def write_diagnosis(folder: Path, found: Diagnosis) -> None:
 
 def report_page(found: Diagnosis) -> str:
     """The report, one HTML page that needs nothing beside it."""
-    filters = {"newtons": newtons, "percent": percent}
-    return rendered("cablesense_gap.report", "report.html", _content(found), filters)
-
-
-def _content(found: Diagnosis) -> dict[str, Any]:
     verdict, recording = found.verdict, found.recording
     floor_n = verdict.gap.floor_n
     before = decompose(recording, found.before_n, floor_n, found.nominal)
@@ -78,53 +71,31 @@ def _content(found: Diagnosis) -> dict[str, Any]:
             "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
             "candidates": as_uri(drawn_candidates(verdict)) if verdict.candidates else "",
         }
-    return {
+    rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
+    content = {
         "kind": "effect" if verdict.effects[0] not in (NONE, UNKNOWN) else verdict.effects[0],
         "headline": headline(verdict),
-        "shrinkage": shrinkage(verdict),
-        "ambiguity": ambiguity(verdict),
-        "steps": steps(found),
+        "sure": verdict.probability >= SURE,
+        "rivals": [candidate_name(name.split("+")) for name in rivals],
+        "causes": [(cause(verdict, name), effect_advice(name)) for name in verdict.effects],
         "verdict": verdict,
         "recording": recording,
         "trials": len(set(recording.trial.tolist())),
         "arm": found.nominal,
-        "places": place_text(all_places(verdict)),
-        "regimes": regime_text(verdict),
+        "places": place_text(verdict.where.places),
+        "everywhere": EVERYWHERE,
         "pictures": pictures,
         "hidden_candidates": max(0, len(verdict.candidates) - MOST),
-        "parameters": _parameters(verdict),
-        "estimator": _estimator(verdict),
+        "parameters": [
+            (effect, " ".join(place or effect_places(verdict, effect)), parameter, estimate)
+            for name, estimate in verdict.parameters.items()
+            for effect, *place, parameter in (name.split("."),)
+        ],
         "before": before,
         "after": after,
         "changed": found.after_label != "",
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
     }
-
-
-def _parameters(verdict: Verdict) -> list[dict[str, str]]:
-    rows = []
-    for name, estimate in verdict.parameters.items():
-        effect, *middle, parameter = name.split(".")
-        value, interval = with_interval(estimate)
-        rows.append(
-            {
-                "effect": effect.replace("_", " "),
-                "place": " ".join(middle or effect_places(verdict, effect)).replace("_", " "),
-                "parameter": parameter,
-                "value": value,
-                "interval": interval,
-                "unit": estimate.unit,
-            }
-        )
-    return rows
-
-
-def _estimator(verdict: Verdict) -> list[tuple[str, ...]]:
-    if verdict.estimator is None:
-        return []
-    both = verdict.estimator.before, verdict.estimator.after
-    return [
-        (name, *(f"{each[name]:.4g}" if name in each else "–" for each in both))
-        for name in both[0] | both[1]
-    ]
+    filters = {made.__name__: made for made in (newtons, percent, with_interval, listed)}
+    return rendered("cablesense_gap.report", "report.html", content, filters)

@@ -25,12 +25,9 @@ from cablesense_gap.report.style import (
     with_interval,
 )
 from cablesense_gap.report.text import (
-    ambiguity,
     effect_places,
     headline,
     place_text,
-    regime_text,
-    shrinkage,
 )
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import (
@@ -223,12 +220,25 @@ def test_an_effect_of_a_users_own_keeps_its_name():
     assert headline(verdict_of("hose_drag", 0.95)) == "The gap comes from hose drag (95 % sure)."
 
 
-def test_what_cannot_be_told_apart_is_said():
-    assert ambiguity(verdict_of("payload", ambiguity_group=("payload",))) == ""
+@pytest.fixture
+def text_of(monkeypatch):
+    """The text of a page whose pictures are not drawn."""
+    for name in (
+        "time_picture",
+        "cable_picture",
+        "dumbbell_picture",
+        "drawn_candidates",
+        "as_uri",
+    ):
+        monkeypatch.setattr(f"cablesense_gap.report.page.{name}", lambda *_: "data:")
+    return lambda verdict: " ".join(Page(report_page(found(verdict))).text.split())
+
+
+def test_what_cannot_be_distinguished_is_named(text_of):
+    assert "cannot distinguish" not in text_of(verdict_of("payload", ambiguity_group=("payload",)))
     verdict = verdict_of("payload", ambiguity_group=("base_tilt+payload", "none", "payload"))
-    assert ambiguity(verdict) == (
-        "This recording cannot distinguish it from base tilt + payload or none."
-    )
+    expected = "This recording cannot distinguish it from base tilt + payload or none."
+    assert expected in text_of(verdict)
 
 
 @pytest.mark.parametrize(
@@ -236,23 +246,37 @@ def test_what_cannot_be_told_apart_is_said():
     [
         ("payload", 0.2, "shrinks the gap from 3.00 N to 0.20 N on trials"),
         ("payload", 3.2, "does not shrink"),
-        ("unknown", 0.2, "flexible correction"),
+        ("unknown", 0.2, "flexible correction, which knows no physics, shrinks the gap"),
         ("unknown", 3.0, "No effect of the library shrinks it"),
         ("none", 3.0, "noise and the sensors' step alone make 0.10 N"),
     ],
 )
-def test_how_far_the_gap_shrinks_is_said(effects, after_n, words):
-    assert words in shrinkage(verdict_of(effects, gap=gap_of(3.0, after_n)))
+def test_how_far_the_gap_shrinks_is_stated(text_of, effects, after_n, words):
+    assert words in text_of(verdict_of(effects, gap=gap_of(3.0, after_n)))
 
 
-def test_regimes_are_said():
+def test_what_is_doubtful_is_to_be_made_sure_first(text_of):
+    sure = text_of(verdict_of("payload", 0.95, next_experiment="Load it."))
+    assert sure.index("Use the amended") < sure.index("To be surer still. Load it.")
+    for doubtful in (
+        verdict_of("payload", 0.6, next_experiment="Load it."),
+        verdict_of("payload", 0.95, next_experiment="Load it.", gap=gap_of(3.0, 2.0)),
+        verdict_of("payload", 0.95, next_experiment="Load it.", ambiguity_group=("none",)),
+    ):
+        text = text_of(doubtful)
+        assert text.index("First make sure. Load it.") < text.index("Use the amended")
+        assert ("40 % of the probability lies elsewhere" in text) == (doubtful.probability < 0.9)
+
+
+def test_regimes_are_named(text_of):
     verdict = verdict_of("payload")
-    assert regime_text(verdict) == ""
+    assert "clearly larger" not in text_of(verdict)
     for regimes, words in (
         (("everywhere alike",), "alike whatever the arm does"),
         (("moving", "bent poses"), "here: moving, bent poses."),
     ):
-        assert words in regime_text(verdict.model_copy(update={"where": Where(regimes=regimes)}))
+        where = Where(regimes=regimes)
+        assert words in text_of(verdict.model_copy(update={"where": where}))
 
 
 def test_places_are_gathered_by_kind():

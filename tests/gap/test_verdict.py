@@ -162,4 +162,4 @@ def test_the_removed_share_counts_what_can_be_removed() -> None:
 
 def test_places_are_those_of_all_kinds() -> None:
     where = Where(cables=("cable_3",), joints=("joint_2",), regimes=("at rest",))
-    assert where.places == {"cable_3", "joint_2"}
+    assert where.places == ("cable_3", "joint_2")
