@@ -8,7 +8,6 @@ step of a channel or jumps while nothing is done.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -86,7 +85,12 @@ def periodic(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) 
     moving = np.ptp(command, axis=0) > 0.0 if len(command) else np.zeros(0, dtype=bool)
     if len(command) < _FEWEST_ROWS or not moving.any():
         return None
-    smooth = _smooth(command[:, moving])
+    # orthonormal columns that span the polynomials of second degree
+    moved = command[:, moving]
+    products = [one * other for one, other in combinations_with_replacement(moved.T, 2)]
+    columns = np.column_stack([np.ones(len(moved)), moved, *products])
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    smooth = left[:, size > 1e-9 * size[0]]
     rest = residual - smooth @ (smooth.T @ residual)
     if np.sqrt((rest**2).mean()) < _WAVE_FLOORS * floor_n:
         return None
@@ -121,14 +125,6 @@ def _explained(turns: Array, rest: Array, smooth: Array) -> float:
     return float(((across.T @ rest) ** 2).sum())
 
 
-def _smooth(command: Array) -> Array:
-    """Orthonormal columns that span the polynomials of second degree."""
-    products = [one * other for one, other in combinations_with_replacement(command.T, 2)]
-    columns = np.column_stack([np.ones(len(command)), command, *products])
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, size > 1e-9 * size[0]])
-
-
 class Step(NamedTuple):
     """A channel that changed once and stayed."""
 
@@ -137,8 +133,7 @@ class Step(NamedTuple):
     size_n: float
 
 
-@dataclass(frozen=True)
-class Jumps:
+class Jumps(NamedTuple):
     """Jumps of one channel between rows of one command and one load."""
 
     channel: int

@@ -7,9 +7,8 @@ was doing: load, pose, motion, time; `regimes` names those in which the gap is c
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,6 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_sim.arm import Arm
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 ALL, CABLE, SET, LOOP = "all", "cable", "cable set", "hysteresis"
 LOADED, POSE, JOINT, LEVEL, BRANCH, MOTION, TIME, TRIAL = (
@@ -122,13 +117,28 @@ def segment_modes_n(residual_n: Array, arm: Arm) -> Array:
 
 
 def load_branch(recording: Recording) -> NDArray[np.int64]:
-    """Position (R,) in `BRANCHES`, -1 in trials without a load."""
+    """Position (R,) in `BRANCHES`, -1 in trials without a load.
+
+    By the load's last move beyond the tolerance.
+    """
     size = np.linalg.norm(recording.load_n, axis=-1)
     branch = np.full(len(recording), -1)
     for trial in np.unique(recording.trial):
         rows = np.flatnonzero(recording.trial == trial)
-        if size[rows].max() > 0.0:
-            branch[rows] = _branches(size[rows])
+        step = _TOLERANCE * float(size[rows].max())
+        if step == 0.0:
+            continue
+        extreme, rising, loaded = float(size[rows[0]]), bool(size[rows[0]] > step), False
+        for row in rows:
+            value = float(size[row])
+            if (value - extreme) * (1.0 if rising else -1.0) >= 0.0:
+                extreme = value
+            elif abs(value - extreme) > step:
+                extreme, rising = value, not rising
+            if value > step:
+                branch[row], loaded = 1 if rising else 2, True
+            else:
+                branch[row] = 3 if loaded else 0
     return branch
 
 
@@ -150,27 +160,15 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
     return np.array(found).reshape(-1, residual_n.shape[1])
 
 
-def _branches(size: Array) -> NDArray[np.int64]:
-    """Branches of one trial, by the load's last move beyond the tolerance."""
-    step = _TOLERANCE * float(size.max())
-    branch = np.zeros(len(size), dtype=np.int64)
-    extreme, rising = float(size[0]), bool(size[0] > step)
-    for i, value in enumerate(size.tolist()):
-        if (value - extreme) * (1.0 if rising else -1.0) >= 0.0:
-            extreme = value
-        elif abs(value - extreme) > step:
-            extreme, rising = value, not rising
-        if value > step:
-            branch[i] = 1 if rising else 2
-        else:
-            branch[i] = 3 if (branch[:i] > 0).any() else 0
-    return branch
-
-
 def row_groups(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
     """Group, member and its rows (R,), members of a group apart from each other."""
     yield from _loads(recording)
-    yield from _poses(recording)
+    bend = np.linalg.norm(recording.command_rad.reshape(len(recording), -1, 2), axis=-1)
+    bent, most = bend.max(axis=1) > _BENT_RAD, bend.argmax(axis=1)
+    yield POSE, "straight", ~bent
+    yield POSE, "bent", bent
+    for n in range(bend.shape[1]):
+        yield JOINT, f"joint_{n + 1}", bent & (most == n)
     branch = load_branch(recording)
     for i, name in enumerate(BRANCHES):
         yield BRANCH, name, branch == i
@@ -204,16 +202,6 @@ def _loads(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
         yield LEVEL, name, (segment > 0) & (size > low) & (size <= high)
 
 
-def _poses(recording: Recording) -> Iterator[tuple[str, str, Rows]]:
-    pitch_yaw = recording.command_rad.reshape(len(recording), -1, 2)
-    bend = np.linalg.norm(pitch_yaw, axis=-1)
-    bent, most = bend.max(axis=1) > _BENT_RAD, bend.argmax(axis=1)
-    yield POSE, "straight", ~bent
-    yield POSE, "bent", bent
-    for n in range(bend.shape[1]):
-        yield JOINT, f"joint_{n + 1}", bent & (most == n)
-
-
 @dataclass(frozen=True)
 class Decomposition:
     """The parts of one residual, and the noise floor beside them."""
@@ -230,12 +218,6 @@ class Decomposition:
         """The members of one group."""
         return tuple(part for part in self.parts if part.group == group)
 
-    def table(self) -> pd.DataFrame:
-        """One row a part, columns as in `Part`."""
-        import pandas as pd
-
-        return pd.DataFrame([asdict(part) for part in self.parts])
-
 
 def decompose(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Decomposition:
     """Take a residual (R, M), measured less predicted, apart; NaN is left out.
@@ -249,24 +231,23 @@ def decompose(recording: Recording, residual_n: Array, floor_n: float, arm: Arm)
         raise ValueError(
             f"the residual is {residual_n.shape}, the readings are {recording.tensions_n.shape}"
         )
-    measured = (_measure(*piece, floor_n) for piece in _pieces(recording, residual_n, arm))
+    modes = segment_modes_n(residual_n, arm)
+    pieces = [
+        (ALL, "all", residual_n),
+        *((CABLE, f"cable_{i + 1}", residual_n[:, i : i + 1]) for i in range(arm.cable_count)),
+        *(
+            (SET, f"segment_{n + 1}, {name}", columns)
+            for n in range(arm.segment_count)
+            for name, columns in zip(MODES, np.split(modes[:, n], [1, 2, 3], axis=1), strict=True)
+        ),
+        (LOOP, "half the width of the loop", loop_n(recording, residual_n)),
+        *((group, member, residual_n[rows]) for group, member, rows in row_groups(recording)),
+    ]
+    measured = (_measure(*piece, floor_n) for piece in pieces)
     parts = tuple(part for part in measured if part is not None)
     if not parts:
         raise ValueError("the residual has no number that is finite")
     return Decomposition(parts, floor_n)
-
-
-def _pieces(recording: Recording, residual_n: Array, arm: Arm) -> Iterator[tuple[str, str, Array]]:
-    yield ALL, "all", residual_n
-    for name, column in zip(arm.cable_names, residual_n.T, strict=True):
-        yield CABLE, name, column[:, None]
-    modes = segment_modes_n(residual_n, arm)
-    for n in range(arm.segment_count):
-        for name, columns in zip(MODES, np.split(modes[:, n], [1, 2, 3], axis=1), strict=True):
-            yield SET, f"segment_{n + 1}, {name}", columns
-    yield LOOP, "half the width of the loop", loop_n(recording, residual_n)
-    for group, member, rows in row_groups(recording):
-        yield group, member, residual_n[rows]
 
 
 def regimes(decomposition: Decomposition) -> list[str]:
@@ -279,7 +260,14 @@ def regimes(decomposition: Decomposition) -> list[str]:
         parts = decomposition.of_group(group)
         for part in parts:
             others = [other for other in parts if other is not part]
-            if others and _stands_out(part, others):
+            rows = sum(other.count for other in others)
+            square = sum(other.count * other.rms_n**2 for other in others)
+            if (
+                others
+                and part.count >= _FEWEST_ROWS
+                and part.over_floor >= _ABOVE_FLOORS
+                and part.rms_n >= _LARGER * np.sqrt(square / rows)
+            ):
                 clear.append(part)
     clear += [p for p in decomposition.of_group(LOOP) if p.over_floor >= _ABOVE_FLOORS]
     if not clear and decomposition.rms_n >= _ABOVE_FLOORS * decomposition.floor_n:
@@ -290,14 +278,3 @@ def regimes(decomposition: Decomposition) -> list[str]:
         else _TEXT[part.group].format(part.member.replace("_", " "))
         for part in sorted(clear, key=lambda part: -part.rms_n)
     ]
-
-
-def _stands_out(part: Part, others: list[Part]) -> bool:
-    count = np.array([other.count for other in others])
-    square = np.array([other.rms_n for other in others]) ** 2
-    elsewhere_n = float(np.sqrt((count * square).sum() / count.sum()))
-    return (
-        part.count >= _FEWEST_ROWS
-        and part.over_floor >= _ABOVE_FLOORS
-        and part.rms_n >= _LARGER * elsewhere_n
-    )

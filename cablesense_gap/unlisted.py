@@ -15,7 +15,6 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.experiments import Experiment
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import residual_patterns
@@ -95,13 +94,10 @@ def _behind(signal: Array, share: float) -> Array:
     return found
 
 
-def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float) -> Experiment:
-    """The trial of a recording where the residual (R, M) is largest, and how to repeat it.
+def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float) -> str:
+    """How to repeat and vary the trial where the residual (R, M) is largest, as text.
 
-    Both hold the rows that count.
-
-    Raises:
-        ValueError: no trial has ten rows.
+    Both hold the rows that count; trials of less than ten rows do not.
     """
     sizes = {
         int(t): float(np.sqrt((residual_n[recording.trial == t] ** 2).mean()))
@@ -109,27 +105,33 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
         if (recording.trial == t).sum() >= _FEWEST_ROWS
     }
     if not sizes:
-        raise ValueError(f"no trial has {_FEWEST_ROWS} rows")
+        return ONE_AT_A_TIME
     trial = max(sizes, key=lambda t: sizes[t])
-    rms_n = sizes[trial]
     done, again = _done_and_again(recording.rows(recording.trial == trial))
-    text = (
-        f"Repeat what shows most of it, trial {trial}: {done}. There {rms_n:.2g} N are left, "
-        f"{short(rms_n / floor_n)} times the noise floor. {again} Watch and touch the arm "
-        "meanwhile."
+    return (
+        f"Repeat what shows most of it, trial {trial}: {done}. There {sizes[trial]:.2g} N are "
+        f"left, {short(sizes[trial] / floor_n)} times the noise floor. {again} Watch and touch "
+        "the arm meanwhile."
     )
-    return Experiment(text, f"{done[0].upper()}{done[1:]}.", rms_n, rms_n / floor_n)
 
 
 def _done_and_again(rows: Recording) -> tuple[str, str]:
     """What was done in one trial, and how to vary it."""
+    bent = np.abs(rows.command_rad).max()
+    pose = "arm straight"
+    if bent > _BENT_RAD:
+        pose = f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
     size = np.linalg.norm(rows.load_n, axis=1)
     if size.max() > 0.0:
         peak = int(size.argmax())
-        side = _side(rows.load_n[peak] / size[peak])
+        direction = rows.load_n[peak] / size[peak]
+        along = {name: float(np.dot(side, direction)) for name, side in _SIDES.items()}
+        side = max(along, key=lambda name: along[name])
+        if along[side] <= 0.9:
+            listed = ", ".join(f"{part:.2f}" for part in direction)
+            side = f"along ({listed}) of the base frame"
         return (
-            f"load segment {rows.load_segment[peak]} {side} up to {size[peak]:.2g} N, "
-            f"{_pose(rows)}",
+            f"load segment {rows.load_segment[peak]} {side} up to {size[peak]:.2g} N, {pose}",
             "Then load it half as far, twice as slowly, and from the opposite side: what grows "
             "faster than the load is no spring, what grows with time creeps, and what is not "
             "opposite on the opposite side is friction, contact or a wrong measurement.",
@@ -146,26 +148,10 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
             "friction or play.",
         )
     return (
-        f"leave the arm alone, {_pose(rows)}",
+        f"leave the arm alone, {pose}",
         "Then do so for ten minutes: what wanders is in the sensors or creeps, what stays is a "
         "zero, a weight or a tension.",
     )
-
-
-def _side(direction: Array) -> str:
-    names = list(_SIDES)
-    along = np.array([_SIDES[name] for name in names]) @ direction
-    if along.max() > 0.9:
-        return names[int(along.argmax())]
-    listed = ", ".join(f"{part:.2f}" for part in direction)
-    return f"along ({listed}) of the base frame"
-
-
-def _pose(rows: Recording) -> str:
-    bent = np.abs(rows.command_rad).max()
-    if bent <= _BENT_RAD:
-        return "arm straight"
-    return f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
 
 
 @dataclass(frozen=True)
@@ -192,21 +178,12 @@ def describe_unlisted(
     """
     none = next(h for h in fitted if not h.effects)
     residual = problem.readings - none.held_out
+    features = residual_features(recording, problem.nominal, arm)
     found = discrepancy(
-        residual_features(recording, problem.nominal, arm),
-        residual,
-        problem.trial,
-        problem.fold,
-        problem.used,
-        problem.floor,
+        features, residual, problem.trial, problem.fold, problem.used, problem.floor
     )
     best = min(fitted, key=lambda h: h.held_out_rmse)
-    rows = recording.rows(problem.used)
-    screened = residual_patterns(rows, residual[problem.used], found, arm, problem.floor)
-    try:
-        again = repeat_largest_trial(rows, residual[problem.used], problem.floor).text
-    except ValueError:
-        again = ONE_AT_A_TIME
+    rows, left = recording.rows(problem.used), residual[problem.used]
     return Unlisted(
         reasons=(
             f"Tolerances alone leave {none.held_out_rmse:.2f} N on trials that were not fitted; "
@@ -214,8 +191,8 @@ def describe_unlisted(
             f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
             f"A flexible model, which knows commands, loads, directions and time but no physics, "
             f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
-            *screened,
+            *residual_patterns(rows, left, found, arm, problem.floor),
         ),
-        next_experiment=again,
+        next_experiment=repeat_largest_trial(rows, left, problem.floor),
         held_out_n=none.held_out + found.held_out,
     )

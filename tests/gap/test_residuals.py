@@ -15,8 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.residuals import (
-    BRANCH,
-    BRANCHES,
     EVERYWHERE,
     LOADED,
     LOOP,
@@ -190,16 +188,6 @@ def test_missing_numbers_are_left_out():
 def test_a_residual_of_another_recording_is_refused():
     with pytest.raises(ValueError, match="residual is"):
         decompose(SMALL, np.zeros((3, 12)), FLOOR_N, LAB)
-
-
-def test_the_table_has_a_row_a_part():
-    found = decompose(SMALL, noise(), FLOOR_N, LAB)
-    table = found.table()
-    assert len(table) == len(found.parts)
-    assert list(table.columns) == [
-        "group", "member", "rms_n", "over_floor", "mean_n", "systematic_share", "count",
-    ]  # fmt: skip
-    assert set(table[table.group == BRANCH].member) == set(BRANCHES)
 
 
 def test_a_recording_without_a_load_has_no_load_parts():
