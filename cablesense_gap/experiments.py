@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,7 @@ class Experiment:
     over_floor: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Tried:
+class _Tried(NamedTuple):
     """A block as the rivals predict it.
 
     Attributes:
@@ -64,7 +64,7 @@ class _Tried:
     block: Block
     simulator: ArmSimulator
     used: NDArray[np.bool_]
-    apart_n: tuple[Array, ...]
+    apart_n: list[Array]
 
     def nearest_n(self, tolerances: Array, free_constants: bool) -> Array:
         """(M,) RMS by which the first rival parts from the nearest other."""
@@ -93,7 +93,16 @@ def next_experiment(
     if len(rivals) == 1 and not rivals[0]:
         return Experiment("No further experiment is needed.")
     offered = standard_protocol(arm) if blocks is None else blocks
-    compared = [_without_history(arm, r) for r in (rivals if rivals[1:] else [*rivals, {}])]
+    known, counts = known_effects(), (arm.segment_count, arm.cable_count)
+    # before a new experiment nobody knows what the past left
+    compared = [
+        {
+            t: v
+            for t, v in r.items()
+            if t.parameter not in (h.name for h in known[t.effect].history(*counts))
+        }
+        for r in (rivals if rivals[1:] else [*rivals, {}])
+    ]
     past_counts = any(
         e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)
     )
@@ -104,12 +113,8 @@ def next_experiment(
         return Experiment("No block of the protocol can be simulated with these explanations.")
     block, by_cable_n = best
     apart_n = _rms(by_cable_n)
-    return Experiment(
-        text=_text(arm, rivals, block.does, by_cable_n, floor_n),
-        block=block.does,
-        separation_n=apart_n,
-        over_floor=apart_n / floor_n,
-    )
+    text = _text(arm, rivals, block.does, by_cable_n, floor_n)
+    return Experiment(text, block.does, apart_n, apart_n / floor_n)
 
 
 def _furthest(trials: Sequence[_Tried], floor_n: float) -> tuple[Block, Array] | None:
@@ -149,8 +154,8 @@ def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tr
     used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
     if not all(np.isfinite(p).all() for p in predicted) or not used.any():
         return None
-    apart = tuple((predicted[0] - other)[used] for other in predicted[1:])
-    return _Tried(block, ArmSimulator(arm, recorded), used, apart)
+    apart_n = [(predicted[0] - other)[used] for other in predicted[1:]]
+    return _Tried(block, ArmSimulator(arm, recorded), used, apart_n)
 
 
 def _tolerances(trial: _Tried, free_constants: bool) -> Array:
@@ -180,16 +185,6 @@ def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array
 
 def _without_mean(values_n: Array, free_constants: bool) -> Array:
     return values_n - values_n.mean(0) if free_constants else values_n
-
-
-def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
-    """Before a new experiment nobody knows what the past left."""
-    counts = arm.segment_count, arm.cable_count
-    return {
-        term: value
-        for term, value in rival.items()
-        if term.parameter not in {p.name for p in known_effects()[term.effect].history(*counts)}
-    }
 
 
 def _text(arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor_n: float) -> str:

@@ -119,27 +119,25 @@ def diagnose(
     none = next(h for h in fitted if not h.effects)
     explained = best or none
     values = foremost(explained, simulator.candidates)
-    unlisted = None if best else describe_unlisted(problem, recording, fitted, arm)
-    held_out = unlisted.held_out_n if unlisted else explained.held_out
     used, before = problem.used, recording.tensions_n - nominal
+    group, reasons = ambiguity(problem, ranked)
+    if best:
+        rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
+        experiment = next_experiment(arm, [values, *rivals], problem.floor).text
+        held_out, predicted = explained.held_out, explained.prediction
+    else:
+        reasons, experiment, held_out = describe_unlisted(problem, recording, fitted, arm)
+        predicted = held_out
     parts = decompose(recording.rows(used), before[used], problem.floor, arm)
-    group = ambiguity(problem, ranked)
-    rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
+    after = recording.tensions_n - held_out
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
-        ambiguity_group=group.group,
-        next_experiment=unlisted.next_experiment
-        if unlisted
-        else next_experiment(arm, [values, *rivals], problem.floor).text,
+        ambiguity_group=group,
+        next_experiment=experiment,
         where=where(values, tuple(regimes(parts))),
         parameters=estimates(values, explained.deviations, simulator.candidates),
-        gap=gap_size(
-            before[used],
-            (recording.tensions_n - held_out)[used],
-            problem.trial[used],
-            problem.floor,
-        ),
+        gap=gap_size(before[used], after[used], problem.trial[used], problem.floor),
         candidates=tuple(
             CandidateResult(
                 effects=each.effects,
@@ -150,7 +148,7 @@ def diagnose(
             for each in ranked
             for h in (each.hypothesis or none,)
         ),
-        why=unlisted.reasons if unlisted else group.reasons,
+        why=reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
         arm=arm.name,
@@ -162,7 +160,7 @@ def diagnose(
         verdict=verdict,
         amended=amended_arm(arm, values, explained.tolerances),
         predicted_before_n=nominal,
-        predicted_after_n=held_out if unlisted else explained.prediction,
+        predicted_after_n=predicted,
         held_out_n=held_out,
         findings=tuple(finding.text for finding in findings),
     )

@@ -8,7 +8,6 @@ elasticity, creep, friction and measurement, whatever the cause is called.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -154,27 +153,14 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
     )
 
 
-@dataclass(frozen=True)
-class Unlisted:
-    """A gap without a name.
-
-    Attributes:
-        reasons: why no listed effect is named, and the pattern of the gap.
-        next_experiment: what to record to learn more.
-        held_out_n: (R, M) what a flexible model predicts, each trial without its fold.
-    """
-
-    reasons: tuple[str, ...]
-    next_experiment: str
-    held_out_n: Array
-
-
 def describe_unlisted(
     problem: Problem, recording: Recording, fitted: Sequence[Hypothesis], arm: Arm
-) -> Unlisted:
+) -> tuple[tuple[str, ...], str, Array]:
     """What tolerances leave, as a flexible model that knows no physics sees it.
 
-    `fitted` are all hypotheses, among them that of tolerances alone.
+    Why no listed effect is named, and the pattern of the gap; what to record to learn more; and
+    (R, M) what the flexible model predicts, each trial without its fold. `fitted` are all
+    hypotheses, among them that of tolerances alone.
     """
     none = next(h for h in fitted if not h.effects)
     residual = problem.readings - none.held_out
@@ -184,15 +170,13 @@ def describe_unlisted(
     )
     best = min(fitted, key=lambda h: h.held_out_rmse)
     rows, left = recording.rows(problem.used), residual[problem.used]
-    return Unlisted(
-        reasons=(
-            f"Tolerances alone leave {none.held_out_rmse:.2f} N on trials that were not fitted; "
-            f"the best that listed effects do is {best.held_out_rmse:.2f} N "
-            f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
-            f"A flexible model, which knows commands, loads, directions and time but no physics, "
-            f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
-            *residual_patterns(rows, left, found, arm, problem.floor),
-        ),
-        next_experiment=repeat_largest_trial(rows, left, problem.floor),
-        held_out_n=none.held_out + found.held_out,
+    reasons = (
+        f"Tolerances alone leave {none.held_out_rmse:.2f} N on trials that were not fitted; "
+        f"the best that listed effects do is {best.held_out_rmse:.2f} N "
+        f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
+        f"A flexible model, which knows commands, loads, directions and time but no physics, "
+        f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
+        *residual_patterns(rows, left, found, arm, problem.floor),
     )
+    experiment = repeat_largest_trial(rows, left, problem.floor)
+    return reasons, experiment, none.held_out + found.held_out

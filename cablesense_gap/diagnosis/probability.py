@@ -30,7 +30,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import NamedTuple
 
 import numpy as np
 
@@ -139,26 +138,19 @@ def log_weights(
     return np.append(-power * np.log(left / least) - penalty, unknown)
 
 
-class Ambiguity(NamedTuple):
+def ambiguity(
+    problem: Problem, ranked: Sequence[Ranked], unit: str = "N"
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Explanations between which the recording does not decide, and a reason for each rival.
 
-    Several effects are joined by `+`; the best comes first.
-    """
-
-    group: tuple[str, ...]
-    reasons: tuple[str, ...]
-
-
-def ambiguity(problem: Problem, ranked: Sequence[Ranked], unit: str = "N") -> Ambiguity:
-    """The group of the best explanation, alone where it is clear.
-
-    `none` and an unlisted effect change nothing that could be compared: they stand alone, and are
-    in nobody's group. `unit` is that of the channels.
+    The best comes first, and alone where it is clear; several effects are joined by `+`. `none`
+    and an unlisted effect change nothing that could be compared: they stand alone, and are in
+    nobody's group. `unit` is that of the channels.
     """
     best, rivals = ranked[0], rivals_of(ranked)
-    return Ambiguity(
-        group=tuple("+".join(each.effects) for each in (best, *rivals)),
-        reasons=tuple(_reason(problem, best, rival, unit) for rival in rivals),
+    return (
+        tuple("+".join(each.effects) for each in (best, *rivals)),
+        tuple(_reason(problem, best, rival, unit) for rival in rivals),
     )
 
 
