@@ -8,6 +8,7 @@ step of a channel or jumps while nothing is done.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -133,7 +134,8 @@ class Step(NamedTuple):
     size_n: float
 
 
-class Jumps(NamedTuple):
+@dataclass(frozen=True)
+class Jumps:
     """Jumps of one channel between rows of one command and one load."""
 
     channel: int

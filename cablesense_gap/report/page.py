@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import write_arm
@@ -97,5 +98,7 @@ def report_page(found: Diagnosis) -> str:
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
     }
-    filters = {made.__name__: made for made in (newtons, percent, with_interval, listed)}
+    filters: dict[str, Any] = {
+        made.__name__: made for made in (newtons, percent, with_interval, listed)
+    }
     return rendered("cablesense_gap.report", "report.html", content, filters)
