@@ -15,11 +15,7 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
-from cablesense_online.models import (
-    ContactModel,
-    HistoryDependentModel,
-    decide,
-)
+from cablesense_online.models import ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import (
     InputHealth,
@@ -145,7 +141,7 @@ class Estimation:
             estimate = self._model.estimate(tensions, stamp_ns)
             if self._auto_tare and not moving and self.tares.ready:
                 self._auto_tare = False
-                tare = self._take_tare(stamp_ns, EventKind.AUTO_TARE)
+                tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
                 return Answer(stamp_ns=stamp_ns, new_tare=tare, state=state)
             if estimate is None:
                 return Answer(stamp_ns=stamp_ns, state=state)
@@ -184,13 +180,16 @@ class Estimation:
             self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
         self.command_received = True
 
-    def take_tare(self, now_ns: int) -> Tare:
+    def take_tare(self, now_ns: int, how: EventKind = EventKind.TARE) -> Tare:
         """Take the latest readings as the unloaded state, at `now_ns` since the epoch.
 
         Raises:
             TareError: too few readings yet, or they are not steady.
         """
-        return self._take_tare(now_ns, EventKind.TARE)
+        tare = self.tares.take(self.gate.command_rad, now_ns)
+        self._model.tared()
+        self._events.append(Event(how))
+        return tare
 
     def undo_tare(self) -> Tare | None:
         """Go back to the tare before the last and give it; none when the last was the first.
@@ -206,9 +205,8 @@ class Estimation:
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
         """Take over the settings that may change while running."""
         values = (contact_threshold, stale_after_s, slack_below_n)
-        self._settings = self._settings.model_copy(
-            update=dict(zip(LIVE_SETTINGS, values, strict=True))
-        )
+        update = dict(zip(LIVE_SETTINGS, values, strict=True))
+        self._settings = self._settings.model_copy(update=update)
         self.clock.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
         self._events.append(Event(EventKind.SETTINGS))
@@ -248,12 +246,6 @@ class Estimation:
     def answers_in_motion(self) -> bool:
         """Whether the model estimates while the arm moves."""
         return self._model.in_motion
-
-    def _take_tare(self, now_ns: int, how: EventKind) -> Tare:
-        tare = self.tares.take(self.gate.command_rad, now_ns)
-        self._model.tared()
-        self._events.append(Event(how))
-        return tare
 
     def _note_start(self) -> None:
         """Once, however often it is started before the first sample."""

@@ -68,12 +68,11 @@ class LoadedModel:
             "trained up to (N)": f"{metadata.force_range_n:g}",
             "largest force (N)": f"{largest_force_n:.1f}",
         }
-        level, message = Level.OK, "active"
         if not active:
-            level, message = Level.WARN, "configured, not active"
-        elif largest_force_n > metadata.force_range_n:
-            level, message = Level.WARN, "forces beyond those it was trained on"
-        return Status("model", level, message, values)
+            return Status("model", Level.WARN, "configured, not active", values)
+        if largest_force_n > metadata.force_range_n:
+            return Status("model", Level.WARN, "forces beyond those it was trained on", values)
+        return Status("model", Level.OK, "active", values)
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

@@ -9,10 +9,9 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from enum import Enum
 from math import isfinite
-from typing import Final
+from typing import Final, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import Level, Status
@@ -68,7 +67,7 @@ class SampleCheck:
         low, high = self._range_n or PLAUSIBLE_N
         lowest = min(tensions_n)
         if not (isfinite(sum(tensions_n)) and low < lowest and max(tensions_n) < high):
-            raise self._problem(tensions_n)
+            self._refuse(tensions_n)
         self.slack = ()
         if lowest < self.slack_below_n:
             numbered = enumerate(tensions_n, start=1)
@@ -76,32 +75,25 @@ class SampleCheck:
 
     def status(self) -> Status:
         """Which cables are slack. The estimate goes on: statics holds with slack cables too."""
-        names = ", ".join(f"cable_{number}" for number in self.slack) or "none"
-        level, message = (
-            (Level.WARN, f"slack: {names}") if self.slack else (Level.OK, "all cables taut")
-        )
-        values = {"slack": names, "slack below (N)": f"{self.slack_below_n:g}"}
-        return Status("cables", level, message, values)
+        names = ", ".join(f"cable_{number}" for number in self.slack)
+        values = {"slack": names or "none", "slack below (N)": f"{self.slack_below_n:g}"}
+        if names:
+            return Status("cables", Level.WARN, f"slack: {names}", values)
+        return Status("cables", Level.OK, "all cables taut", values)
 
-    def _problem(self, tensions_n: Sequence[float]) -> SampleError:
+    def _refuse(self, tensions_n: Sequence[float]) -> NoReturn:
         low, high = self._range_n or PLAUSIBLE_N
-        cable, tension = next(
-            (number, tension)
-            for number, tension in enumerate(tensions_n, start=1)
-            if not low < tension < high
-        )
-        reading = f"effort of cable_{cable} is {tension:g} N"
+        numbered = enumerate(tensions_n, start=1)
+        cable, tension = next((n, t) for n, t in numbered if not low < t < high)
         if not isfinite(tension):
-            return SampleError(ProblemKind.NOT_FINITE, f"{reading}; it must be a finite number")
-        if self._range_n is None:
-            return SampleError(
-                ProblemKind.IMPLAUSIBLE,
-                f"{reading}; no cable of such an arm is outside {low:g} … {high:g} N",
-            )
-        return SampleError(
-            ProblemKind.SATURATED,
-            f"{reading}, at the end of the sensors' range {low:g} … {high:g} N; unload the arm",
-        )
+            kind, text = ProblemKind.NOT_FINITE, "; it must be a finite number"
+        elif self._range_n is None:
+            text = f"; no cable of such an arm is outside {low:g} … {high:g} N"
+            kind = ProblemKind.IMPLAUSIBLE
+        else:
+            text = f", at the end of the sensors' range {low:g} … {high:g} N; unload the arm"
+            kind = ProblemKind.SATURATED
+        raise SampleError(kind, f"effort of cable_{cable} is {tension:g} N{text}")
 
 
 _STAMPS_KEPT, _FEWEST_STAMPS = 2048, 4
@@ -121,8 +113,7 @@ class SampleClock:
     def __init__(self, stale_after_s: float) -> None:
         self.stale_after_s = stale_after_s
         self.largest_age_s = 0.0
-        self._last_ns = 0
-        self._accepted = 0
+        self._last_ns = self._accepted = 0
         self._stamps_ns: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self._periods_ns: deque[float] = deque(maxlen=_PERIODS_KEPT)
         self._earliest = (0, 0)
@@ -170,7 +161,9 @@ class SampleClock:
             self._earliest = (0, 0)
             return 0
         first = self._accepted - len(stamps)
-        due_ns = np.arange(len(stamps)) * self._period_ns(stamps)
+        mean_ns = float(stamps[-1] - stamps[0]) / (len(stamps) - 1)
+        period_ns = float(np.median(self._periods_ns)) if self._periods_ns else mean_ns
+        due_ns = np.arange(len(stamps)) * period_ns
         at = int(np.argmin(stamps - stamps[0] - due_ns))
         (before_number, before_ns), self._earliest = self._earliest, (first + at, int(stamps[at]))
         if not before_ns:
@@ -179,12 +172,7 @@ class SampleClock:
         self._periods_ns.append(elapsed_ns / count)
         if len(self._periods_ns) < _FEWEST_PERIODS:
             return 0
-        return max(0, round(elapsed_ns / self._period_ns(stamps)) - count)
-
-    def _period_ns(self, stamps_ns: NDArray[np.int64]) -> float:
-        if self._periods_ns:
-            return float(np.median(self._periods_ns))
-        return float(stamps_ns[-1] - stamps_ns[0]) / (len(stamps_ns) - 1)
+        return max(0, round(elapsed_ns / float(np.median(self._periods_ns))) - count)
 
 
 class InputHealth:
@@ -194,14 +182,11 @@ class InputHealth:
         """From monotonic time `now_s` on; ages and missing samples are those of `clock`."""
         self._clock = clock
         clock.largest_age_s = 0.0
-        self._report_s = now_s
-        self._arrived = 0
+        self._report_s = self._last_arrival_s = now_s
+        self._received = False
+        self._arrived = self._total_missing = self._total_refused = 0
         self._refused: Counter[ProblemKind] = Counter()
         self._last_problem = ""
-        self._total_missing = 0
-        self._total_refused = 0
-        self._last_arrival_s = now_s
-        self._received = False
 
     def arrived(self, now_s: float) -> None:
         """A message came, whatever is in it."""

@@ -23,12 +23,9 @@ class RealTimePacer:
     """
 
     def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:
-        self._timestep_s = timestep_s
-        self._longest_lag_s = longest_lag_s
-        self._start_s = now_s
-        self._steps = 0
-        self._report_s = now_s
-        self._report_steps = 0
+        self._timestep_s, self._longest_lag_s = timestep_s, longest_lag_s
+        self._start_s = self._report_s = now_s
+        self._steps = self._report_steps = 0
         self.skipped_s = 0.0
 
     def steps_due(self, now_s: float) -> int:
@@ -107,7 +104,10 @@ class SimulatedArm:
     def advance_to(self, now_s: float) -> None:
         """Advance the simulation to `now_s`."""
         self._now_s = now_s
-        self._drop_old_loads(now_s)
+        for segment, (_, since_s) in list(self._loads.items()):
+            if 0.0 < self._load_timeout_s < now_s - since_s:
+                self._dynamics.load(segment, np.zeros(3))
+                del self._loads[segment]
         due = self.pacer.steps_due(now_s)
         while due > 0 and self._motion.moving:
             self._dynamics.command(self._motion.advance(self._timestep_s))
@@ -116,7 +116,9 @@ class SimulatedArm:
         if due > 0:
             self._dynamics.advance(due * self._timestep_s)
         if not np.isfinite(self._dynamics.tensions_n).all():
-            self._start_afresh()
+            self._dynamics.reset(self._dynamics.command_rad)
+            self._loads.clear()
+            self.resets += 1
 
     def reading_n(self, sensors: Sensors, rng: np.random.Generator | None) -> Array:
         """(M,) tensions in N as the sensors read them, without noise and step without `rng`."""
@@ -137,16 +139,3 @@ class SimulatedArm:
             segment: float(np.linalg.norm(force))
             for segment, (force, _) in sorted(self._loads.items())
         }
-
-    def _drop_old_loads(self, now_s: float) -> None:
-        if self._load_timeout_s <= 0.0:
-            return
-        for segment, (_, since_s) in list(self._loads.items()):
-            if now_s - since_s > self._load_timeout_s:
-                self._dynamics.load(segment, np.zeros(3))
-                del self._loads[segment]
-
-    def _start_afresh(self) -> None:
-        self._dynamics.reset(self._dynamics.command_rad)
-        self._loads.clear()
-        self.resets += 1

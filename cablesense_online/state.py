@@ -22,11 +22,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
-from cablesense_base.plain_yaml import describe_problem
+from cablesense_base.plain_yaml import Count, Number, describe_problem
 from cablesense_msgs_py.topics import ContractError
 from cablesense_sim.arm import Arm
 
@@ -35,19 +35,9 @@ MAX_ABSOLUTE: Final = 1e9
 """No angle in rad and no tension in N is so large."""
 
 
-def _not_bool(value: Any) -> Any:
-    if isinstance(value, bool):
-        raise ValueError(f"= {value}: must be a number")
-    return value
-
-
-Number = Annotated[
-    float,
-    BeforeValidator(_not_bool),
-    Field(gt=-MAX_ABSOLUTE, lt=MAX_ABSOLUTE, allow_inf_nan=False),
-]
-Numbers = Annotated[tuple[Number, ...], Field(max_length=MAX_NUMBERS)]
-WholeNumber = Annotated[int, BeforeValidator(_not_bool), Field(ge=-(2**63), lt=2**63)]
+_Bounded = Annotated[Number, Field(gt=-MAX_ABSOLUTE, lt=MAX_ABSOLUTE, allow_inf_nan=False)]
+Numbers = Annotated[tuple[_Bounded, ...], Field(max_length=MAX_NUMBERS)]
+WholeNumber = Annotated[Count, Field(ge=-(2**63), lt=2**63)]
 _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
@@ -129,18 +119,15 @@ class EstimatorState(BaseModel):
             ContractError: a number of angles or tensions is not that of the arm.
         """
         joints, cables = arm.joint_count, arm.cable_count
-        lengths = [
+        lengths = (
             ("joint angles", self.command_rad, joints),
             ("lowest joint angles", self.lowest_rad, joints),
             ("highest joint angles", self.highest_rad, joints),
-        ]
-        if self.tared_n:
-            lengths += [
-                ("joint angles at the tare", self.tare_command_rad, joints),
-                ("tared tensions", self.tared_n, cables),
-                ("unloaded tensions", self.unloaded_n, cables),
-            ]
-        for what, numbers, wanted in lengths:
+            ("joint angles at the tare", self.tare_command_rad, joints),
+            ("tared tensions", self.tared_n, cables),
+            ("unloaded tensions", self.unloaded_n, cables),
+        )
+        for what, numbers, wanted in lengths if self.tared_n else lengths[:3]:
             if len(numbers) != wanted:
                 raise ContractError(
                     f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
@@ -222,7 +209,7 @@ def state_of(message: Any) -> EstimatorState:
             f"status: no {' and no '.join(missing)}; a journal message of the estimator has "
             f"{_SETTINGS}, {' and '.join(_PARTS)}"
         )
-    stamp = message.header.stamp
+    stamp, settings = message.header.stamp, statuses[_SETTINGS]
     values: dict[str, Any] = {
         "before_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
         "events": [
@@ -233,8 +220,8 @@ def state_of(message: Any) -> EstimatorState:
             for status in message.status
             if status.name.startswith(_EVENT)
         ],
-        "arm": str(statuses[_SETTINGS].hardware_id),
-        "settings": _values(statuses[_SETTINGS]),
+        "arm": str(settings.hardware_id),
+        "settings": _values(settings),
     }
     for name, keys in _PARTS.items():
         given = _values(statuses[name])
@@ -273,8 +260,7 @@ class StateFile:
     ) -> None:
         """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
         self._path = Path(path) if str(path) else None
-        self._within_s = within_s
-        self._now_s = now_s
+        self._within_s, self._now_s = within_s, now_s
         self._pending: EstimatorState | None = None
         self._kept = False
         self._alive_s = float("-inf")

@@ -77,9 +77,28 @@ class Tare:
         """Largest deviation of a cable from the model, N."""
         return float(np.abs(self.measured_n - self.predicted_n).max())
 
+    @property
+    def since(self) -> str:
+        """When it was taken, as text."""
+        if not self.taken_ns:
+            return "before the estimator's start"
+        taken = datetime.fromtimestamp(self.taken_ns // 1_000_000_000, UTC)
+        return f"{taken:%Y-%m-%d %H:%M:%S UTC}"
+
     def unloaded_n(self, predicted_n: Array) -> Array:
         """(M,) unloaded tensions where the arm's model predicts `predicted_n`."""
         return self.measured_n + (predicted_n - self.predicted_n)
+
+    def described(self, cable_names: Sequence[str]) -> str:
+        """Time and values, as text for a log; `cable_names` (M,)."""
+        off_n = self.measured_n - self.predicted_n
+        rows = zip(cable_names, self.measured_n, off_n, strict=True)
+        cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
+        return (
+            f"at {self.since}: average of {self.sample_count} readings, at most "
+            f"{self.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the "
+            f"deviation: {cables}"
+        )
 
 
 class Tares:
@@ -108,9 +127,8 @@ class Tares:
         """
         self._predict_n = predict_n
         self._predicted_n = predict_n(command_rad)
-        self._steady_n = steady_n
+        self._steady_n, self._sample_count = steady_n, sample_count
         self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
-        self._sample_count = sample_count
         self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
         self.present: Tare | None = None
         self.unloaded_n: Array | None = None
@@ -141,7 +159,7 @@ class Tares:
     @property
     def ready(self) -> bool:
         """Whether enough readings have come for a tare, and they hold still."""
-        return len(self._readings) == self._sample_count and self._unsteady() is None
+        return not self._obstacle()
 
     def take(self, command_rad: Array, now_ns: int) -> Tare:
         """Take the average of the last readings as the unloaded state.
@@ -151,14 +169,9 @@ class Tares:
         Raises:
             TareError: too few readings yet, or they do not hold still.
         """
-        if len(self._readings) < self._sample_count:
-            raise TareError(
-                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "
-                "yet; wait a moment with the arm at rest and call again"
-            )
-        unsteady = self._unsteady()
-        if unsteady is not None:
-            raise TareError(unsteady)
+        obstacle = self._obstacle()
+        if obstacle:
+            raise TareError(obstacle)
         measured_n = np.mean(self._readings, axis=0)
         if self.present is not None:
             self._earlier.append(self.present)
@@ -201,64 +214,44 @@ class Tares:
         """Whether there is a tare, since when, and how far it lies from the arm's model."""
         tare = self.present
         if tare is None:
-            return Status(
-                "tare", Level.WARN, "none taken: no estimate; call ~/tare with the arm unloaded"
-            )
-        since = _time_text(tare.taken_ns)
+            message = "none taken: no estimate; call ~/tare with the arm unloaded"
+            return Status("tare", Level.WARN, message)
         values = {
-            "tared since": since,
+            "tared since": tare.since,
             "readings averaged": str(tare.sample_count),
             "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
             "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
             "tares that can be undone": str(self.undoable),
         }
-        return Status("tare", Level.OK, f"tared since {since}", values)
+        return Status("tare", Level.OK, f"tared since {tare.since}", values)
 
     def _use(self, tare: Tare | None) -> None:
         self.present = tare
         self.unloaded_n = None if tare is None else tare.unloaded_n(self._predicted_n)
 
-    def _unsteady(self) -> str | None:
+    def _obstacle(self) -> str:
+        """Why no tare can be taken now; empty where one can."""
+        if len(self._readings) < self._sample_count:
+            return (
+                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "
+                "yet; wait a moment with the arm at rest and call again"
+            )
         spread = np.std(self._readings, axis=0)
         worst = int(np.argmax(spread))
         if spread[worst] <= self._steady_n:
-            return None
+            return ""
         return (
             f"cable_{worst + 1} varies by {spread[worst]:.2f} N (standard deviation; at most "
             f"{self._steady_n:g} N); let the arm rest with nothing touching it and call again"
         )
 
 
-def tare_taken_line(tare: Tare, cable_names: Sequence[str], how: str) -> str:
-    """Log line of a tare: values, time and how it came, by cable; `cable_names` (M,)."""
-    return f"tare taken {how} {_described(tare, cable_names)}"
-
-
 def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
     """Log line of an undo: which tare is gone, which is in force; `undoable` are left."""
-    line = f"tare of {_time_text(undone.taken_ns)} undone; "
+    line = f"tare of {undone.since} undone; "
     if earlier is None:
         return line + "there is none now, so no estimate"
-    return (
-        f"{line}again in force is the one {_described(earlier, cable_names)}; {undoable} left to "
-        "undo"
-    )
-
-
-def _time_text(time_ns: int) -> str:
-    if not time_ns:
-        return "before the estimator's start"
-    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-def _described(tare: Tare, cable_names: Sequence[str]) -> str:
-    deviations_n = tare.measured_n - tare.predicted_n
-    rows = zip(cable_names, tare.measured_n, deviations_n, strict=True)
-    cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
-    return (
-        f"at {_time_text(tare.taken_ns)}: average of {tare.sample_count} readings, at most "
-        f"{tare.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the deviation: "
-        f"{cables}"
-    )
+    described = earlier.described(cable_names)
+    return f"{line}again in force is the one {described}; {undoable} left to undo"

@@ -23,7 +23,7 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.models import load_model
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
-from cablesense_online.tare import Tare, TareError, tare_taken_line, tare_undone_line
+from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import (
     WARN_EVERY_S,
@@ -158,7 +158,7 @@ class EstimatorNode(ConfiguredNode):
         return message
 
     def _log_tare(self, tare: Tare, how: str) -> str:
-        message = tare_taken_line(tare, self._loaded.arm.cable_names, how)
+        message = f"tare taken {how} {tare.described(self._loaded.arm.cable_names)}"
         self.get_logger().info(message)
         return message
 

@@ -10,7 +10,6 @@ from cablesense_online.tare import (
     TareError,
     Tares,
     UnloadedTensions,
-    tare_taken_line,
     tare_undone_line,
 )
 from cablesense_sim.arm import open_arm
@@ -106,8 +105,8 @@ def tares():
 
 
 def test_the_log_has_every_value_and_how_far_it_is_from_the_model(tares):
-    line = tare_taken_line(tares.take(ZERO, EARLY_NS), CABLES, "on request")
-    assert "on request at 2023-11-14 22:13:20 UTC" in line
+    line = tares.take(ZERO, EARLY_NS).described(CABLES)
+    assert "at 2023-11-14 22:13:20 UTC" in line
     assert "cable_1 50.25 (+0.25), cable_2 58.50 (-1.50)" in line
 
 
