@@ -28,21 +28,22 @@ from cablesense_paper.drawing import SERIES, one_panel
 from cablesense_paper.report import paper_page
 from cablesense_paper.studies.sim_to_real import (
     best_listed_n,
+    figures_of,
     load_names,
     numbers_of,
-    result_of,
     rms,
     shares,
 )
-from cablesense_paper.study import Outcome, chosen_studies
-from cablesense_paper.study_result import PRINT_DPI, Picture, SmallTable, StudyResult
-from cablesense_paper.table_2_gap import (
-    FOLDS,
-    REHEARSAL,
-    TableDiagnosis,
-    diagnose_table,
-    write_rehearsal,
+from cablesense_paper.study import (
+    PRINT_DPI,
+    Outcome,
+    Picture,
+    SmallTable,
+    StudyResult,
+    chosen_studies,
+    study_result,
 )
+from cablesense_paper.table_2_gap import FOLDS, REHEARSAL, TableDiagnosis, diagnose_table
 from cablesense_paper.tension_changes import held_out_of_best, moments_n_m
 
 README = Path(__file__).with_name("table2_readme.md")
@@ -73,7 +74,8 @@ def main() -> None:
     text = readme(found, result, command)
     write_atomically(options.out / "README.md", text, CableSenseError)
     if options.ship:
-        write_rehearsal(REHEARSAL, found.rehearsal)
+        counts = found.rehearsal.model_dump_json(indent=1) + "\n"
+        write_atomically(REHEARSAL, counts, CableSenseError)
     print(text)
 
 
@@ -83,7 +85,7 @@ def _show_progress(done: float) -> None:
 
 def extended(found: TableDiagnosis) -> StudyResult:
     """The study's result with the moments, the mistaken effects and the paper's simulation."""
-    result = result_of(found)
+    result = study_result("sim_to_real", numbers_of(found), figures_of(found))
     moments = SmallTable(
         "Moment carried, over that of the known load.",
         ("load", "joint 1", "joint 2", "joint 3"),
@@ -92,11 +94,11 @@ def extended(found: TableDiagnosis) -> StudyResult:
             for name, row in zip(load_names(found), moment_ratios(found), strict=True)
         ),
     )
-    counts = sorted(found.rehearsal.mistaken.items(), key=lambda item: (-item[1], item[0]))
+    counts = sorted(found.rehearsal.mistaken, key=lambda case: (-case[2], case[:2]))
     mistaken = SmallTable(
         "Simulated tables with one listed effect that was mistaken for another.",
         ("true effect", "mistaken for", "tables"),
-        tuple((*(name.replace("_", " ") for name in names), n) for names, n in counts),
+        tuple((*(name.replace("_", " ") for name in names), n) for *names, n in counts),
     )
     picture = Picture(
         name="sim_to_real_paper",

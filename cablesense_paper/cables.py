@@ -1,9 +1,9 @@
 """The three tendons of Fig. 3 as MuJoCo models of a cable 1 m long: fixed, driven, or bent.
 
-`fixed_and_driven`, `driven_at_both_ends` and `around_a_cylinder` are the models; `scene` gives one
-light and a camera, and `rendered_scenes` has MuJoCo render them without a screen. A renderer that
-finds no OpenGL can take its whole process with it, and the kind of OpenGL is chosen when MuJoCo is
-loaded. So a picture is made by a process of its own: this module, run.
+`fixed_and_driven`, `driven_at_both_ends` and `around_a_cylinder` are the models; `rendered_scenes`
+has MuJoCo render them without a screen. A renderer that finds no OpenGL can take its whole process
+with it, and the kind of OpenGL is chosen when MuJoCo is loaded. So a picture is made by a process
+of its own: this module, run.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -32,13 +31,34 @@ AXIAL_RIGIDITY_N = STIFFNESS_N_M * LENGTH_M
 """E A of equation (3), so that a shorter piece of the same cable is stiffer."""
 
 CYLINDER_RADIUS_M = 0.05
-RING_MASS_KG = 1e-3
-"""Of the piece of cable on the cylinder; the inertia has no part in slow motion."""
-
 _ON_SURFACE = 1.0 + 1e-9
 """A tendon wraps around a cylinder only from a site outside it."""
 
-_STEEL, _DRIVE, _CABLE = (0.30, 0.33, 0.38, 1.0), (0.0, 0.45, 0.70, 1.0), (0.84, 0.37, 0.0, 1.0)
+_MJCF = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0 0 0" timestep="0.001" integrator="discrete">
+    <flag contact="disable" autoreset="disable"/>
+  </option>
+  <visual>
+    <global offwidth="1280" offheight="960"/>
+    <headlight ambient="0.45 0.45 0.45" diffuse="0.55 0.55 0.55"/>
+  </visual>
+  <asset>
+    <texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="32" height="192"/>
+  </asset>
+  <default>
+    <geom type="box" size="0.024 0.04 0.04" mass="0" contype="0" conaffinity="0"
+          rgba="0.30 0.33 0.38 1"/>
+    <tendon width="0.005" rgba="0.84 0.37 0 1"/>
+    <default class="drive"><geom rgba="0 0.45 0.70 1"/></default>
+  </default>
+  <worldbody>{bodies}</worldbody>
+  <tendon>{tendons}</tendon>
+  <actuator>{servos}</actuator>
+</mujoco>
+"""
+"""Blocks and cables are larger than life, to be seen; neither has a part in the mechanics."""
 
 
 def fixed_and_driven(kp_n_m: float, kv_n_s_m: float, bias_m: float | None = None) -> mujoco.MjSpec:
@@ -48,21 +68,23 @@ def fixed_and_driven(kp_n_m: float, kv_n_s_m: float, bias_m: float | None = None
     at the start. Pretension comes from `springlength`, as in the paper, or, with `bias_m` given,
     from that much of the control signal, and the cable is just slack at the start.
     """
-    spec = _empty()
-    anchor = _end(spec.worldbody, "anchor", _STEEL)
-    driven = _driven(spec, 1, LENGTH_M, 1.0, kp_n_m, kv_n_s_m)
     free_m = SPRING_LENGTH_M if bias_m is None else LENGTH_M
-    _tendon(spec, "cable", STIFFNESS_N_M, [free_m, free_m], (anchor, driven))
-    return spec
+    anchor = '<geom/><site name="anchor"/>'
+    return _spec(
+        anchor + _driven("drive_1", LENGTH_M, 1),
+        _tendon("cable", STIFFNESS_N_M, (free_m, free_m), _site("anchor") + _site("drive_1")),
+        _servo("drive_1", kp_n_m, kv_n_s_m),
+    )
 
 
 def driven_at_both_ends(kp_n_m: float, kv_n_s_m: float) -> mujoco.MjSpec:
     """Fig. 3 (b): drawn along -x by servo 1 at x = 0 and along +x by servo 2 at x = 1 m."""
-    spec = _empty()
-    left = _driven(spec, 1, 0.0, -1.0, kp_n_m, kv_n_s_m)
-    right = _driven(spec, 2, LENGTH_M, 1.0, kp_n_m, kv_n_s_m)
-    _tendon(spec, "cable", STIFFNESS_N_M, [SPRING_LENGTH_M] * 2, (left, right))
-    return spec
+    ends = _site("drive_1") + _site("drive_2")
+    return _spec(
+        _driven("drive_1", 0.0, -1) + _driven("drive_2", LENGTH_M, 1),
+        _tendon("cable", STIFFNESS_N_M, (SPRING_LENGTH_M, SPRING_LENGTH_M), ends),
+        _servo("drive_1", kp_n_m, kv_n_s_m) + _servo("drive_2", kp_n_m, kv_n_s_m),
+    )
 
 
 def around_a_cylinder(wrap_rad: float) -> mujoco.MjSpec:
@@ -70,35 +92,32 @@ def around_a_cylinder(wrap_rad: float) -> mujoco.MjSpec:
 
     MuJoCo gives a tendon one tension along its whole length. So the cable is two tendons, `near`
     and `far`, which meet on a ring that can turn on the cylinder (joint `ring`): the piece of
-    cable that lies there. Friction on the cylinder holds the ring. `wrap_rad` is the wrap angle.
+    cable that lies there. Friction on the cylinder holds the ring, whose inertia has no part in
+    slow motion. `wrap_rad` is the wrap angle.
     """
-    spec = _empty()
-    body = spec.worldbody.add_body(name="cylinder")
-    body.add_geom(
-        name="cylinder", type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        fromto=[0.0, -0.03, 0.0, 0.0, 0.03, 0.0], size=[CYLINDER_RADIUS_M, 0.0, 0.0],
-        rgba=(0.72, 0.75, 0.79, 1.0), contype=0, conaffinity=0,
-    )  # fmt: skip
-    ring = spec.worldbody.add_body(name="ring")
-    ring.add_joint(name="ring", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
-    ring.explicitinertial = True
-    ring.mass, ring.inertia = RING_MASS_KG, np.full(3, RING_MASS_KG * CYLINDER_RADIUS_M**2)
-    top = ring.add_site(name="top", pos=[0.0, 0.0, CYLINDER_RADIUS_M * _ON_SURFACE])
-    drive = spec.worldbody.add_body(name="drive", mocap=True, pos=_end_m(wrap_rad, 1.0))
-    pulled = _end(drive, "drive", _DRIVE)
-    fixed = _end(spec.worldbody, "anchor", _STEEL, _end_m(wrap_rad, -1.0))
-    half = 0.5 * LENGTH_M
-    free_m = half - PRETENSION_N * half / AXIAL_RIGIDITY_N
-    for name, side, end in (("near", 1.0, pulled), ("far", -1.0, fixed)):
-        outside = spec.worldbody.add_site(
-            name=f"{name}_side",
-            pos=_at_m(side * 0.25 * wrap_rad, 1.3 * CYLINDER_RADIUS_M),
-            rgba=(0.0, 0.0, 0.0, 0.0),
-        )
-        tendon = _tendon(spec, name, AXIAL_RIGIDITY_N / half, [0.0, free_m], (end,))
-        tendon.wrap_geom("cylinder", outside.name)
-        tendon.wrap_site(top.name)
-    return spec
+    radius_m, half_m = CYLINDER_RADIUS_M, 0.5 * LENGTH_M
+    spring_m = (0.0, half_m - PRETENSION_N * half_m / AXIAL_RIGIDITY_N)
+    inertia = 1e-3 * radius_m**2
+    bodies = f"""
+      <geom name="cylinder" type="cylinder" fromto="0 -0.03 0 0 0.03 0" size="{radius_m}"
+            rgba="0.72 0.75 0.79 1"/>
+      <body name="ring">
+        <inertial pos="0 0 0" mass="0.001" diaginertia="{inertia} {inertia} {inertia}"/>
+        <joint name="ring" type="hinge" axis="0 1 0"/>
+        <site name="top" pos="0 0 {radius_m * _ON_SURFACE}"/>
+      </body>
+      <body name="drive" mocap="true" pos="{_end_m(wrap_rad, 1.0)}">
+        <geom class="drive"/><site name="drive"/>
+      </body>
+      <geom pos="{_end_m(wrap_rad, -1.0)}"/>
+      <site name="anchor" pos="{_end_m(wrap_rad, -1.0)}"/>"""
+    tendons = ""
+    for name, side, end in (("near", 1.0, "drive"), ("far", -1.0, "anchor")):
+        x_m, z_m = _at_m(side * 0.25 * wrap_rad, 1.3 * radius_m)
+        bodies += f'<site name="{name}_side" pos="{x_m} 0 {z_m}" rgba="0 0 0 0"/>'
+        path = f'{_site(end)}<geom geom="cylinder" sidesite="{name}_side"/>{_site("top")}'
+        tendons += _tendon(name, AXIAL_RIGIDITY_N / half_m, spring_m, path)
+    return _spec(bodies, tendons)
 
 
 def drive_direction(wrap_rad: float) -> Array:
@@ -106,95 +125,59 @@ def drive_direction(wrap_rad: float) -> Array:
     return np.array([np.cos(0.5 * wrap_rad), 0.0, -np.sin(0.5 * wrap_rad)])
 
 
-def _end_m(wrap_rad: float, side: float) -> list[float]:
+def _end_m(wrap_rad: float, side: float) -> str:
     """Where half the cable ends that leaves the cylinder half the wrap angle from its top."""
     straight_m = 0.5 * (LENGTH_M - CYLINDER_RADIUS_M * wrap_rad)
-    leaves = np.array(_at_m(side * 0.5 * wrap_rad, CYLINDER_RADIUS_M))
-    along = drive_direction(wrap_rad) * [side, 1.0, 1.0]
-    return [float(x) for x in leaves + straight_m * along]
+    x_m, z_m = _at_m(side * 0.5 * wrap_rad, CYLINDER_RADIUS_M)
+    along = drive_direction(wrap_rad)
+    return f"{x_m + straight_m * side * along[0]} 0 {z_m + straight_m * along[2]}"
 
 
-def _at_m(from_top_rad: float, radius_m: float) -> list[float]:
-    return [float(radius_m * np.sin(from_top_rad)), 0.0, float(radius_m * np.cos(from_top_rad))]
+def _at_m(from_top_rad: float, radius_m: float) -> tuple[float, float]:
+    """Of a place on or over the cylinder: x and z."""
+    return float(radius_m * np.sin(from_top_rad)), float(radius_m * np.cos(from_top_rad))
 
 
-def _empty() -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    spec.option.gravity = np.zeros(3)
-    spec.option.timestep = 1e-3
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    return spec
+def _spec(bodies: str, tendons: str, servos: str = "") -> mujoco.MjSpec:
+    text = _MJCF.format(bodies=bodies, tendons=tendons, servos=servos)
+    return mujoco.MjSpec.from_string(text)
 
 
-def _driven(
-    spec: mujoco.MjSpec, number: int, x_m: float, way: float, kp_n_m: float, kv_n_s_m: float
-) -> Any:
-    name = f"drive_{number}"
-    body = spec.worldbody.add_body(name=name, pos=[x_m, 0.0, 0.0])
-    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[way, 0.0, 0.0])
-    body.explicitinertial = True
-    body.mass, body.inertia = ACTUATOR_MASS_KG, np.full(3, 1e-4)
-    servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.set_to_position(kp=kp_n_m, kv=kv_n_s_m)
-    return _end(body, name, _DRIVE)
+def _driven(name: str, x_m: float, way: int) -> str:
+    return f"""
+      <body name="{name}" pos="{x_m} 0 0">
+        <inertial pos="0 0 0" mass="{ACTUATOR_MASS_KG}" diaginertia="1e-4 1e-4 1e-4"/>
+        <joint name="{name}" type="slide" axis="{way} 0 0"/>
+        <geom class="drive"/><site name="{name}"/>
+      </body>"""
 
 
-def _end(
-    body: Any, name: str, rgba: tuple[float, ...], at_m: Sequence[float] = (0.0, 0.0, 0.0)
-) -> Any:
-    """A block and the site at its middle, where a cable ends."""
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, pos=at_m, size=[0.012, 0.02, 0.02], rgba=rgba,
-        contype=0, conaffinity=0, mass=0.0,
-    )  # fmt: skip
-    return body.add_site(name=name, pos=at_m)
+def _servo(name: str, kp_n_m: float, kv_n_s_m: float) -> str:
+    return f'<position name="{name}" joint="{name}" kp="{kp_n_m}" kv="{kv_n_s_m}"/>'
 
 
-def _tendon(
-    spec: mujoco.MjSpec, name: str, stiffness_n_m: float, free_m: list[float], ends: Any
-) -> Any:
-    tendon = spec.add_tendon(
-        name=name, stiffness=[stiffness_n_m, 0.0, 0.0], springlength=free_m, width=0.002,
-        rgba=_CABLE,
-    )  # fmt: skip
-    for site in ends:
-        tendon.wrap_site(site.name)
-    return tendon
+def _tendon(name: str, stiffness_n_m: float, spring_m: tuple[float, float], path: str) -> str:
+    numbers = f'stiffness="{stiffness_n_m}" springlength="{spring_m[0]} {spring_m[1]}"'
+    return f'<spatial name="{name}" {numbers}>{path}</spatial>'
 
 
-_KP_N_M, _KV_N_S_M = 1e8, 1e4
+def _site(name: str) -> str:
+    return f'<site site="{name}"/>'
+
+
 _SCENES: Any = {
-    "fixed and driven": (lambda: fixed_and_driven(_KP_N_M, _KV_N_S_M), (0.5, 0.0, 0.0)),
-    "driven at both ends": (lambda: driven_at_both_ends(_KP_N_M, _KV_N_S_M), (0.5, 0.0, 0.0)),
+    "fixed and driven": (lambda: fixed_and_driven(1e8, 1e4), (0.5, 0.0, 0.0)),
+    "driven at both ends": (lambda: driven_at_both_ends(1e8, 1e4), (0.5, 0.0, 0.0)),
     "around a cylinder": (lambda: around_a_cylinder(np.pi * 2.0 / 3.0), (0.0, 0.0, -0.1)),
 }
 """Model and centre in m of each scene."""
 
 SCENES = tuple(_SCENES)
-_CABLE_WIDTH_M, _ENLARGED = 0.005, 2.0
 
 
 def scene(name: str) -> tuple[Any, Any]:
-    """Model and data of a scene, ready to be drawn; cables and blocks are enlarged."""
-    spec = _SCENES[name][0]()
-    spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=[1.0, 1.0, 1.0], rgb2=[1.0, 1.0, 1.0],
-        width=32, height=192,
-    )  # fmt: skip
-    for tendon in spec.tendons:
-        tendon.width = _CABLE_WIDTH_M
-    for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
-            geom.size = _ENLARGED * np.asarray(geom.size)
-    visual: Any = getattr(spec.visual, "global")
-    visual.offwidth, visual.offheight = 1280, 960
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.55, 0.55, 0.55]
-    model = spec.compile()
+    """Model and data of a scene, ready to be drawn."""
+    model = _SCENES[name][0]().compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -223,7 +206,7 @@ def rendered_scenes(names: tuple[str, ...], width: int, height: int) -> tuple[li
     """
     asked = os.environ.get("MUJOCO_GL", "")
     command = [sys.executable, "-m", __name__, str(width), str(height), *names]
-    for backend in dict.fromkeys((*([asked] if asked in BACKENDS else []), *BACKENDS)):
+    for backend in sorted(BACKENDS, key=lambda kind: kind != asked):
         environment = {**os.environ, "MUJOCO_GL": backend}
         try:
             done = subprocess.run(
@@ -236,18 +219,14 @@ def rendered_scenes(names: tuple[str, ...], width: int, height: int) -> tuple[li
     return [], ""
 
 
-def _render(names: list[str], width: int, height: int) -> None:
-    """Write pictures to the standard output, as one NumPy archive."""
-    pictures = {}
-    for name in names:
-        model, data = scene(name)
-        with mujoco.Renderer(model, height, width) as renderer:
-            renderer.update_scene(data, camera(name))
-            pictures[name] = renderer.render()
-    buffer = io.BytesIO()
-    np.savez(buffer, **pictures)
-    sys.stdout.buffer.write(buffer.getvalue())
-
-
 if __name__ == "__main__":
-    _render(sys.argv[3:], int(sys.argv[1]), int(sys.argv[2]))
+    width_px, height_px, *wanted = sys.argv[1:]
+    rendered = {}
+    for each in wanted:
+        its_model, its_data = scene(each)
+        with mujoco.Renderer(its_model, int(height_px), int(width_px)) as renderer:
+            renderer.update_scene(its_data, camera(each))
+            rendered[each] = renderer.render()
+    archive = io.BytesIO()
+    np.savez(archive, **rendered)
+    sys.stdout.buffer.write(archive.getvalue())

@@ -1,11 +1,11 @@
-"""Figures of the studies: colours, line styles, panels. Imports matplotlib.
+"""Figures of the studies: colours, line styles, panels, grids of panels. Imports matplotlib.
 
 Colours are Okabe and Ito's; series differ in dashes or marks too, for grey print.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -44,6 +44,36 @@ def one_panel(height_in: float, *, width: float = 1.0, grid: str = "both") -> tu
     return figure, every[0, 0]
 
 
+def panel_grid(
+    draw: Callable[..., None],
+    cells: Mapping[str, Sequence[tuple[Any, ...] | None]],
+    columns: Sequence[str],
+    labels: tuple[str, str],
+    height_in: float,
+    **options: Any,
+) -> tuple[Any, Any]:
+    """A figure and its axes, each panel drawn by ``draw(axes, *cell)``; a missing cell says so.
+
+    `cells` are the rows by name, `labels` those of x, below, and of y, at the left.
+    """
+    figure, every = panels(len(cells), len(columns), height_in, **options)
+    for row, (name, contents) in zip(every, cells.items(), strict=True):
+        for axes, content in zip(row, contents, strict=True):
+            if content is None:
+                axes.axis("off")
+                axes.text(
+                    0.5, 0.5, "none", color=GREY, ha="center", va="center",
+                    transform=axes.transAxes,
+                )  # fmt: skip
+            else:
+                draw(axes, *content)
+        row[0].set_ylabel(f"{name}\n{labels[1]}")
+    for top, bottom, column in zip(every[0], every[-1], columns, strict=True):
+        top.set_title("\n".join(filter(None, (column, top.get_title("left")))))
+        bottom.set_xlabel(labels[0])
+    return figure, every
+
+
 def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None:
     """One line a cable for values (T, M): colour by segment, dashes within, for sets of three."""
     for i, line in enumerate(values.T):
@@ -58,7 +88,7 @@ def plain_ticks(axis: Any, scale: float = 1.0) -> None:
     axis.set_major_formatter(lambda value, _: f"{value * scale:g}")
 
 
-def draw_confusion(axes: Any, counts: ArrayLike, names: Sequence[str]) -> None:
+def draw_confusion(axes: Any, counts: ArrayLike, names: Sequence[str], title: str = "") -> None:
     """A matrix of counts, true classes down, answered ones across, in percent of each row.
 
     A cell that never occurred stays empty; one that did has its share to two digits.
@@ -75,8 +105,8 @@ def draw_confusion(axes: Any, counts: ArrayLike, names: Sequence[str]) -> None:
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(length=0)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
+    axes.set_title(title)
 
 
 def shown_share(percent: float) -> str:

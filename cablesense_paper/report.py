@@ -11,8 +11,7 @@ from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
-from cablesense_paper.study import Outcome, PaperError
-from cablesense_paper.study_result import PAPER, PRINT_DPI, Agreement, Picture
+from cablesense_paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
 
 
 def claim_folder(folder: Path) -> None:
@@ -41,25 +40,21 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None
     Raises:
         ReportError: the place cannot be written to.
     """
+    results = {"quick": quick, "studies": [_as_json(outcome, quick) for outcome in outcomes]}
     files: dict[str, str | bytes] = {
         f"{picture.name}.png": picture.png
         for outcome in outcomes
         if outcome.result
         for picture in outcome.result.pictures
     }
-    files["results.json"] = results_json(outcomes, quick)
+    files["results.json"] = json.dumps(results, indent=1, ensure_ascii=False) + "\n"
     files["report.html"] = paper_page(outcomes, quick)
     for name, content in files.items():
         write_atomically(folder / name, content, ReportError)
 
 
-def results_json(outcomes: Sequence[Outcome], quick: bool) -> str:
-    """All results of a report as JSON text: what the page shows, pictures by file name."""
-    studies = [_as_json(outcome, quick) for outcome in outcomes]
-    return json.dumps({"quick": quick, "studies": studies}, indent=1, ensure_ascii=False) + "\n"
-
-
 def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
+    """What the page shows of a study, pictures by file name."""
     study, result = outcome.study, outcome.result
     about: dict[str, Any] = {
         "name": study.name,
@@ -71,30 +66,18 @@ def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
     }
     if result is None:
         return about
-    return about | {
-        "lead": result.lead,
-        "pictures": [
-            {"file": f"{picture.name}.png", "caption": picture.caption}
-            for picture in result.pictures
-        ],
-        "tables": [asdict(table) for table in result.tables],
-        "comparisons": [asdict(comparison) for comparison in result.comparisons],
-        "notes": list(result.notes),
-    }
+    pictures = [{"file": f"{one.name}.png", "caption": one.caption} for one in result.pictures]
+    return about | asdict(result) | {"pictures": pictures}
 
 
 def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
     """The report as an HTML page that needs nothing beside it."""
-    results = [outcome.result for outcome in outcomes if outcome.result]
-    comparisons = [comparison for result in results for comparison in result.comparisons]
+    comparisons = [c for one in outcomes if one.result for c in one.result.comparisons]
     content = {
         "quick": quick,
         "outcomes": [
-            (
-                outcome,
-                [_embedded(one) for one in outcome.result.pictures] if outcome.result else [],
-            )
-            for outcome in outcomes
+            (one, [_embedded(picture) for picture in one.result.pictures] if one.result else [])
+            for one in outcomes
         ],
         "failed": [outcome.study for outcome in outcomes if outcome.failure],
         "seconds": sum(outcome.seconds for outcome in outcomes),

@@ -23,19 +23,10 @@ def tension_at_rest_n(unyielding_n: Any, stiffness_n_m: float, kp_n_m: Any, serv
     """Tension where `servos` servos have given way: T = T∞ / (1 + n k / kp).
 
     `unyielding_n` is T∞, the tension that the same commands and spring length would make between
-    ends that do not give. Each servo stands back by T / kp, and the cable is shorter by all.
+    ends that do not give. Each servo rests short of its command by T / kp, and the cable is
+    shorter by all. Of 1 m of command T∞ = k, and T is the stiffness of cable and servos in series.
     """
     return unyielding_n / (1.0 + servos * stiffness_n_m / np.asarray(kp_n_m))
-
-
-def steady_error_m(unyielding_n: Any, stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:
-    """How far each servo rests short of its command: e = T / kp."""
-    return tension_at_rest_n(unyielding_n, stiffness_n_m, kp_n_m, servos) / np.asarray(kp_n_m)
-
-
-def series_stiffness_n_m(stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:
-    """Stiffness from a command to the tension, cable and servos in series."""
-    return tension_at_rest_n(stiffness_n_m, stiffness_n_m, kp_n_m, servos)
 
 
 def starting_force_n(
@@ -80,13 +71,11 @@ INTEGRATORS = {
 }
 """Those of MuJoCo 4.0 that take one step at a time, by its manual's names."""
 
-_PUSHED_M = 1e-7
-_STEPS = 400
-
 
 def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
     """Where both servos come to rest (C, 2) under commands (C, 2)."""
-    data = mujoco.MjData(model := _model(kp_n_m))
+    model = _compiled(kp_n_m)
+    data = mujoco.MjData(model)
     positions = np.empty_like(commands_m)
     for row, command in enumerate(commands_m):
         data.ctrl[:] = command
@@ -98,14 +87,14 @@ def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
 
 def stays_bounded(kp_n_m: float, timestep_s: float, integrator: str) -> bool:
     """Whether a small push dies out, or at least does not grow, within 400 steps."""
-    model = _model(kp_n_m)
+    model = copy(_compiled(kp_n_m))  # to compile anew costs more than to step
     model.opt.timestep, model.opt.integrator = timestep_s, INTEGRATORS[integrator]
     model.tendon_lengthspring[:] = 1.0  # no pretension: rest is at zero
     data = mujoco.MjData(model)
-    data.qpos[:] = _PUSHED_M, 0.3 * _PUSHED_M
-    for _ in range(_STEPS):  # one by one: MuJoCo warns on the terminal of numbers that overflow
+    data.qpos[:] = 1e-7, 0.3e-7
+    for _ in range(400):  # one by one: MuJoCo warns on the terminal of numbers that overflow
         mujoco.mj_step(model, data)
-        if np.abs(data.qpos).max() > 3.0 * _PUSHED_M:
+        if np.abs(data.qpos).max() > 3e-7:
             return False
     return True
 
@@ -119,11 +108,6 @@ def longest_bounded_step_s(kp_n_m: Any, integrator: str) -> Any:
         zeta = 2.0 * np.sqrt(kp * ACTUATOR_MASS_KG) / (2.0 * ACTUATOR_MASS_KG * omega)
         steps.append(longest_step_s(omega, zeta, integrator))
     return np.minimum(*steps)
-
-
-def _model(kp_n_m: float) -> Any:
-    """With `discrete` at 1 ms; to compile anew costs more than to step."""
-    return copy(_compiled(kp_n_m))
 
 
 @lru_cache(maxsize=128)

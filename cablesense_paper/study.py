@@ -1,22 +1,58 @@
-"""The studies of the paper: which there are, and how one is run."""
+"""The studies of the paper: which there are, how one is run, and how its result is made.
+
+A study is a function that gives numbers and figures, and a text with templates of `str.format`
+that the numbers are put into, `studies/<name>.yaml`. The keys of a text:
+
+    function  module and name of the function in `cablesense_paper.studies`
+    title, place, order, quick   of the study
+    sizes     {full, quick}: how much is computed in either mode; `quick` may name them
+    lead      the result in one to three sentences
+    pictures  {name: {caption, alt}}
+    tables    [{caption, head, rows}]
+    comparisons  [{what, ours, theirs, unit, why, source}] and one rule of agreement:
+              within: a tolerance, at_most: or above: a limit of ours, or agrees: the value itself,
+              a condition or several. What is not met counts as `otherwise`, or as no
+    notes     paragraphs
+
+A template that is one field and nothing else, as in `ours: "{error_n}"`, stands for the value.
+A table or comparison with the key `each` is repeated for every mapping of numbers in that list.
+"""
 
 from __future__ import annotations
 
 import importlib
-import pkgutil
+import re
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from enum import StrEnum
+from functools import cache, partial
+from importlib import resources
+from string import Formatter
+from typing import Any
 
 from cablesense_base.errors import CableSenseError
-from cablesense_gap.report.style import style
-from cablesense_paper import studies
-from cablesense_paper.study_result import StudyResult, filled, read_study_text
+from cablesense_base.plain_yaml import parse_plain_mapping
+from cablesense_gap.report.style import image_bytes, style
+
+PAPER, CLOSED_FORM = "the paper", "closed form"
+"""Sources of references; a comparison that names none has the paper."""
 
 DRAWING = ("jinja2", "matplotlib")
 """What every report needs beyond the simulation; studies of networks need PyTorch too."""
+
+PRINT_DPI = 200
+_STUDIES = "cablesense_paper.studies"
+
+Numbers = Mapping[str, Any]
+"""By the names of the templates."""
+
+Figures = Mapping[str, Any]
+"""Drawn by matplotlib, by the names of the pictures."""
+
+Progress = Callable[[float], None]
+"""Receives, now and then, the share of a study that is done, from 0 to 1."""
 
 
 class PaperError(CableSenseError):
@@ -29,8 +65,74 @@ class FailedStudyError(PaperError):
     exit_code = 1
 
 
-Progress = Callable[[float], None]
-"""Receives, now and then, the share of a study that is done, from 0 to 1."""
+class Agreement(StrEnum):
+    """Whether a result agrees with its reference."""
+
+    YES = "yes"
+    PARTLY = "partly"
+    NO = "no"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG image: name of its file without the ending, caption, and text for who cannot see it.
+
+    The caption has the paper's figure number where the picture repeats one.
+    """
+
+    name: str
+    png: bytes
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class SmallTable:
+    """A table of few rows; numbers are shown with four digits."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str | float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One result of ours beside its reference.
+
+    Attributes:
+        what: the quantity.
+        ours: the result of the study, a number or text.
+        theirs: what it should equal.
+        unit: of both; empty for text.
+        agreement: whether they agree.
+        why: one sentence on the agreement or the difference.
+        source: of the reference: the paper, a closed form, or another part of this project.
+    """
+
+    what: str
+    ours: float | str
+    theirs: float | str
+    unit: str
+    agreement: Agreement
+    why: str
+    source: str = PAPER
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """The result of a study.
+
+    Attributes:
+        lead: the result in one to three sentences.
+        pictures, tables, comparisons: in the order of the page.
+        notes: paragraphs on what was assumed where the paper is silent.
+    """
+
+    lead: str
+    pictures: tuple[Picture, ...] = ()
+    tables: tuple[SmallTable, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -38,13 +140,12 @@ class Study:
     """One study of the paper, repeated.
 
     Attributes:
-        name: of its files, and on the command line.
+        name: of its text, and on the command line.
         title: its subject, in a few words.
         place: where the paper has it, as in `Fig. 5, II-D`.
         order: its place in the report; smaller comes first.
         quick: what the quick mode reduces, as half a sentence; empty where nothing.
-        run: does it, from whether to be quick and `Progress`. Figures are drawn inside, in the
-            report's style. What it raises is stated in the report, and the others still run.
+        run: does it, from whether to be quick and `Progress`; to be called in the report's style.
     """
 
     name: str
@@ -55,18 +156,24 @@ class Study:
     run: Callable[[bool, Progress], StudyResult]
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """A study that has been run: its result, or why there is none, and the seconds it took."""
+
+    study: Study
+    result: StudyResult | None
+    failure: str
+    seconds: float
+
+
 def study_names() -> tuple[str, ...]:
     """Names in the order of the alphabet; loads no study."""
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(studies.__path__)))
+    files = (file.name.partition(".") for file in resources.files(_STUDIES).iterdir())
+    return tuple(sorted(name for name, _, ending in files if ending == "yaml"))
 
 
-def all_studies() -> tuple[Study, ...]:
-    """Every study, in the order of the paper; loads their text, not their code."""
-    return tuple(sorted(map(_described, study_names()), key=lambda study: study.order))
-
-
-def chosen_studies(only: Sequence[str]) -> tuple[Study, ...]:
-    """Those named, or all where none is, in the order of the paper.
+def chosen_studies(only: Sequence[str] = ()) -> tuple[Study, ...]:
+    """Those named, or all where none is, in the order of the paper; loads no code of theirs.
 
     Raises:
         PaperError: there is no study of that name.
@@ -75,40 +182,20 @@ def chosen_studies(only: Sequence[str]) -> tuple[Study, ...]:
     for name in only:
         if name not in known:
             raise PaperError(f"no study {name!r}; there are {', '.join(known)}")
-    return tuple(study for study in all_studies() if not only or study.name in only)
-
-
-def _described(name: str) -> Study:
-    text = read_study_text(name)
-    quick = filled(text.get("quick", ""), text.get("sizes", {}))
-    return Study(
-        name, text["title"], text["place"], text["order"], quick, partial(_load_and_run, name)
-    )
+    chosen = []
+    for name in dict.fromkeys(only or known):
+        text = read_study_text(name)
+        quick = filled(text.get("quick", ""), text.get("sizes", {}))
+        run = partial(_load_and_run, name)
+        chosen.append(Study(name, text["title"], text["place"], text["order"], quick, run))
+    return tuple(sorted(chosen, key=lambda study: study.order))
 
 
 def _load_and_run(name: str, quick: bool, progress: Progress) -> StudyResult:
     """Studies load MuJoCo, matplotlib or PyTorch, so each is loaded only where it is run."""
-    result: StudyResult = importlib.import_module(f"{studies.__name__}.{name}").run(
-        quick, progress
-    )
-    return result
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A study that has been run.
-
-    Attributes:
-        study: which.
-        result: None where it failed.
-        failure: why it failed; empty where it did not.
-        seconds: that it took.
-    """
-
-    study: Study
-    result: StudyResult | None
-    failure: str
-    seconds: float
+    module, _, function = read_study_text(name)["function"].partition(".")
+    run = getattr(importlib.import_module(f"{_STUDIES}.{module}"), function)
+    return study_result(name, *run(study_size(name, quick), progress))
 
 
 def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
@@ -138,3 +225,90 @@ def require_drawing() -> None:
     """
     for name in DRAWING:
         importlib.import_module(name)
+
+
+@cache
+def read_study_text(name: str) -> dict[str, Any]:
+    """The text of a study, its templates still empty."""
+    source = resources.files(_STUDIES).joinpath(f"{name}.yaml")
+    text = source.read_text(encoding="utf-8")
+    return parse_plain_mapping(text, source.name, "title, place, lead …", CableSenseError)
+
+
+def study_size(name: str, quick: bool) -> dict[str, Any]:
+    """How much a study computes in this mode; empty where both compute the same."""
+    sizes: dict[str, dict[str, Any]] = read_study_text(name).get("sizes", {})
+    return sizes.get("quick" if quick else "full", {})
+
+
+def study_result(name: str, numbers: Numbers, figures: Figures) -> StudyResult:
+    """The result of a study from its numbers and drawn figures, which are closed."""
+    text = read_study_text(name)
+    pictures = tuple(
+        Picture(
+            picture,
+            image_bytes(figures[picture], "png", PRINT_DPI),
+            filled(about["caption"], numbers),
+            filled(about["alt"], numbers),
+        )
+        for picture, about in text["pictures"].items()
+    )
+    tables = tuple(
+        SmallTable(
+            filled(table["caption"], own),
+            tuple(filled(column, own) for column in table["head"]),
+            tuple(tuple(filled(cell, own) for cell in row) for row in filled(table["rows"], own)),
+        )
+        for table, own in _each(text.get("tables", ()), numbers)
+    )
+    comparisons = tuple(
+        Comparison(
+            **{key: filled(entry[key], own) for key in ("what", "ours", "theirs", "why")},
+            unit=filled(entry.get("unit", ""), own),
+            agreement=_agreement(entry, own),
+            source=entry.get("source", PAPER),
+        )
+        for entry, own in _each(text["comparisons"], numbers)
+    )
+    notes: list[str] = []
+    for template in text.get("notes", ()):
+        note = filled(template, numbers)
+        notes += (note,) if isinstance(note, str) else note  # a field may stand for several
+    lead = filled(text["lead"], numbers)
+    return StudyResult(lead, pictures, tables, comparisons, tuple(notes))
+
+
+def filled(template: Any, numbers: Numbers) -> Any:
+    """A template with its numbers; what is no text stays as it is."""
+    if not isinstance(template, str):
+        return template
+    field = re.fullmatch(r"\{([\w\[\]]+)\}", template)
+    return (
+        Formatter().get_field(field[1], (), numbers)[0] if field else template.format_map(numbers)
+    )
+
+
+def _each(
+    entries: Sequence[dict[str, Any]], numbers: Numbers
+) -> Iterator[tuple[dict[str, Any], Numbers]]:
+    for entry in entries:
+        for own in numbers[entry["each"]] if "each" in entry else ({},):
+            yield entry, {**numbers, **own}
+
+
+def _agreement(entry: Mapping[str, Any], numbers: Numbers) -> Agreement:
+    ours, theirs = filled(entry["ours"], numbers), filled(entry["theirs"], numbers)
+    if "agrees" in entry:
+        met = filled(entry["agrees"], numbers)
+        if isinstance(met, str):
+            return Agreement(met)
+    elif "within" in entry:
+        met = abs(ours - theirs) <= filled(entry["within"], numbers)
+    elif "above" in entry:
+        met = ours > entry["above"]
+    else:
+        met = ours <= filled(entry["at_most"], numbers)
+    parts = met if isinstance(met, list) else [met]
+    if all(parts):
+        return Agreement.YES
+    return Agreement.PARTLY if any(parts) else Agreement(entry.get("otherwise", "no"))

@@ -12,23 +12,22 @@ sharper: a cable that goes slack shows in one row or two, which no other row sho
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from cablesense_base.arrays import Array
-from cablesense_base.files import write_atomically
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import gap_size, rmse_interval_n
-from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_gap.verdict import UNKNOWN, CandidateResult, Verdict, Where
 from cablesense_paper.study import PaperError
 from cablesense_paper.tension_changes import (
@@ -39,7 +38,6 @@ from cablesense_paper.tension_changes import (
     TensionChanges,
     explain,
     internal_n,
-    most_change,
     numbers_of,
     scan,
 )
@@ -89,8 +87,7 @@ class Judged:
     least_left: float
 
 
-@dataclass(frozen=True)
-class Rehearsal:
+class Rehearsal(BaseModel):
     """Counts over simulated tables.
 
     Attributes:
@@ -99,26 +96,25 @@ class Rehearsal:
             as of the measured one, or larger.
         named: with one listed effect, those where the number that leaves least on held-out rows
             belongs to the true effect.
-        mistaken: how often (true, named) differ.
+        mistaken: true effect, the one named, and how often, where they differ.
     """
+
+    model_config = ConfigDict(frozen=True)
 
     count: int
     unexplained: dict[str, int]
     named: int
-    mistaken: dict[tuple[str, str], int]
+    mistaken: tuple[tuple[str, str, int], ...] = ()
 
     @property
     def probability(self) -> float:
         """That a table is unlisted, given that it is left unexplained."""
         one, two, unlisted = (self.unexplained[kind] for kind in KINDS)
-        by_listed = _rate(one + two, 2 * self.count)
-        odds = PRIOR_UNLISTED * _rate(unlisted, self.count) / ((1.0 - PRIOR_UNLISTED) * by_listed)
+        # by Laplace's rule, so that what never occurred is not impossible
+        by_listed = (one + two + 1) / (2 * self.count + 2)
+        by_unlisted = (unlisted + 1) / (self.count + 2)
+        odds = PRIOR_UNLISTED * by_unlisted / ((1.0 - PRIOR_UNLISTED) * by_listed)
         return odds / (1.0 + odds)
-
-
-def _rate(hits: int, count: int) -> float:
-    """Laplace's rule, so that what never occurred is not impossible."""
-    return (hits + 1) / (count + 2)
 
 
 @dataclass(frozen=True)
@@ -161,9 +157,7 @@ class TableDiagnosis:
 
 
 def diagnose_table(
-    tables: int,
-    progress: Callable[[float], None] = lambda done: None,
-    workers: int = 1,
+    tables: int, progress: Callable[[float], None] = lambda done: None, workers: int = 1
 ) -> TableDiagnosis:
     """Everything from the table to the verdict.
 
@@ -178,12 +172,11 @@ def diagnose_table(
     """
     began = time.monotonic()
     arm, physical = open_arm(ARM), table("physical")
-    measured = physical.changes_n
     everything = ChangeSimulator(arm, physical)
     nominal = everything.predict([{}])[0]
     scans, blind = _scans(everything, nominal)
     simulator = ChangeSimulator(arm, physical, {found.number.effect for found in scans})
-    judged = judge(simulator, scans, measured)
+    judged = judge(simulator, scans, physical.changes_n)
     progress(0.1 if tables else 0.6)
     if tables:
         rehearsal = rehearse(
@@ -191,10 +184,8 @@ def diagnose_table(
             workers,
         )  # fmt: skip
     else:
-        rehearsal = read_rehearsal(REHEARSAL)
-    singles = {name: _best_of_each(scans, measured, fold) for name, fold in FOLDS.items()}
-    verdict = _verdict(simulator, physical, nominal, judged, rehearsal)
-    seconds = round(time.monotonic() - began, 1)
+        rehearsal = Rehearsal.model_validate_json(REHEARSAL.read_text(encoding="utf-8"))
+    verdict = _verdict(physical, nominal, simulator.floor, judged, rehearsal)
     return TableDiagnosis(
         arm=arm,
         changes=physical,
@@ -203,10 +194,10 @@ def diagnose_table(
         floor_n=simulator.floor,
         blind=blind,
         scans=scans,
-        singles=singles,
+        singles={name: _best_of_each(scans, physical, fold) for name, fold in FOLDS.items()},
         judged=judged,
         rehearsal=rehearsal,
-        verdict=verdict.model_copy(update={"seconds": seconds}),
+        verdict=verdict.model_copy(update={"seconds": round(time.monotonic() - began, 1)}),
     )
 
 
@@ -228,7 +219,7 @@ def _scans(simulator: ChangeSimulator, nominal: Array) -> tuple[list[Scan], dict
     blind = {}
     for candidate in simulator.candidates:
         scans = [scan(simulator, number) for number in numbers_of(candidate)]
-        most = max(most_change(found, nominal) for found in scans)
+        most = max(float(found.rms_n(nominal).max(initial=0.0)) for found in scans)
         if most <= simulator.floor:
             blind[candidate.effect] = most
             continue
@@ -255,45 +246,41 @@ def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -
 
 
 def _best_of_each(
-    scans: Sequence[Scan], measured: Array, fold: NDArray[np.int64]
+    scans: Sequence[Scan], physical: TensionChanges, fold: NDArray[np.int64]
 ) -> tuple[Explained, ...]:
     """The best number of each effect; one value at all cables counts beside those at one."""
     every = defaultdict(list)
     for found in scans:
         several = len(found.number.terms) > 1
-        every[found.number.effect, several].append(explain(found, measured, fold))
+        every[found.number.effect, several].append(explain(found, physical.changes_n, fold))
     best = [min(group, key=lambda e: round(e.held_out_rmse, 3)) for group in every.values()]
     return tuple(sorted(best, key=lambda e: e.held_out_rmse))
 
 
 def _verdict(
-    simulator: ChangeSimulator,
-    physical: TensionChanges,
-    nominal: Array,
-    judged: Judged,
-    rehearsal: Rehearsal,
+    physical: TensionChanges, nominal: Array, floor_n: float, judged: Judged, rehearsal: Rehearsal
 ) -> Verdict:
     """Unknown while that is the most probable; the text of the report is about that alone."""
-    if rehearsal.probability <= 0.5:
+    probability = rehearsal.probability
+    if probability <= 0.5:
         raise PaperError(
             f"listed effects leave {judged.least_left:.0%} of the gap, and something unlisted is "
-            f"only {rehearsal.probability:.0%} probable: the text of the report no longer holds"
+            f"only {probability:.0%} probable: the text of the report no longer holds"
         )
     measured = physical.changes_n
     gap = measured - nominal
     # each row as the other load level's row predicts it, in proportion to the load
     left_n = measured - np.concatenate([0.5 * measured[3:], 2.0 * measured[:3]])
-    by_cable = np.sqrt((gap**2).mean(0))
-    loud = np.flatnonzero(by_cable > 1.1 * np.sqrt((gap**2).mean()))
+    loud = np.flatnonzero(np.sqrt((gap**2).mean(0)) > 1.1 * np.sqrt((gap**2).mean()))
     return Verdict(
         effects=(UNKNOWN,),
-        probability=rehearsal.probability,
+        probability=probability,
         ambiguity_group=(UNKNOWN,),
         where=Where(
             cables=tuple(f"cable_{i + 1}" for i in loud), regimes=("in proportion to the load",)
         ),
-        gap=gap_size(gap, left_n, np.arange(len(gap)), simulator.floor),
-        candidates=_candidates(judged, rehearsal.probability, left_n),
+        gap=gap_size(gap, left_n, np.arange(len(gap)), floor_n),
+        candidates=_candidates(judged, probability, left_n),
         recording=physical.name,
         arm=ARM,
     )
@@ -326,14 +313,9 @@ def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[Cand
 
 
 def rehearse(
-    simulator: ChangeSimulator,
-    scans: Sequence[Scan],
-    measured: Judged,
-    count: int,
-    seed: int,
-    progress: Callable[[float], None],
-    workers: int = 1,
-) -> Rehearsal:
+    simulator: ChangeSimulator, scans: Sequence[Scan], measured: Judged, count: int, seed: int,
+    progress: Callable[[float], None], workers: int = 1,
+) -> Rehearsal:  # fmt: skip
     """Draw and diagnose `count` tables of each kind, with manufacturing tolerance, noise and step.
 
     `progress` receives the share that is done. The counts are the same for any number of workers.
@@ -342,15 +324,18 @@ def rehearse(
     mistaken: Counter[tuple[str, str]] = Counter()
     cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
     with WorkerPool(workers, simulator, scans) as pool:
-        for done, (case, found) in enumerate(
-            zip(cases, pool.map(_rehearsed, cases), strict=True), start=1
-        ):
-            effects, best, least_left = found
-            unexplained[case[1]] += least_left >= measured.least_left
-            if case[1] == KINDS[0] and best not in effects:
+        found = zip(cases, pool.map(_rehearsed, cases), strict=True)
+        for done, ((_, kind, _), (effects, best, least_left)) in enumerate(found, start=1):
+            unexplained[kind] += least_left >= measured.least_left
+            if kind == KINDS[0] and best not in effects:
                 mistaken[effects[0], best] += 1
             progress(done / len(cases))
-    return Rehearsal(count, unexplained, count - mistaken.total(), dict(mistaken))
+    return Rehearsal(
+        count=count,
+        unexplained=unexplained,
+        named=count - mistaken.total(),
+        mistaken=tuple((*names, times) for names, times in sorted(mistaken.items())),
+    )
 
 
 def _rehearsed(
@@ -373,9 +358,7 @@ def _drawn_table(
     nominal = simulator.predict([{}])[0]
     variant: Assignment = {
         term: float(rng.normal(0.0, parameter.typical))
-        for candidate in simulator.tolerances
-        for place in candidate.places
-        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
+        for term, parameter in parameters_of(simulator.tolerances).items()
     }
     if kind == KINDS[2]:
         return [], simulator.measured(variant, rng, _unlisted(nominal.shape, rng))
@@ -395,8 +378,8 @@ def _of_effect(
     """A place and a value, between those that were scanned, that make a gap of a fit size."""
     for _ in range(30):
         found = scans[int(rng.integers(len(scans)))]
-        gap = np.sqrt(((found.predicted - nominal) ** 2).mean(axis=(1, 2)))
-        fit = np.flatnonzero((gap >= _SMALLEST_N) & (gap <= _LARGEST_N))
+        gap_n = found.rms_n(nominal)
+        fit = np.flatnonzero((gap_n >= _SMALLEST_N) & (gap_n <= _LARGEST_N))
         if len(fit):
             at = float(rng.choice(fit)) + rng.uniform(-0.5, 0.5)
             value = np.interp(at, np.arange(len(found.values)), found.values)
@@ -415,17 +398,3 @@ def _unlisted(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
         pattern = np.repeat(rng.normal(size=(points, shape[1] // 3)), 3, axis=1)
     beyond = np.concatenate([pattern, 2.0 * pattern])
     return beyond * rng.uniform(_SMALLEST_N, _LARGEST_N) / np.sqrt((beyond**2).mean())
-
-
-def read_rehearsal(path: Path) -> Rehearsal:
-    """Counts from a file that `write_rehearsal` made."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    mistaken = {(truth, named): count for truth, named, count in content.pop("mistaken")}
-    return Rehearsal(mistaken=mistaken, **content)
-
-
-def write_rehearsal(path: Path, rehearsal: Rehearsal) -> None:
-    """Write counts, so that the verdict can be had without the rehearsal."""
-    content = asdict(rehearsal)
-    content["mistaken"] = [[*names, n] for names, n in sorted(rehearsal.mistaken.items())]
-    write_atomically(path, json.dumps(content, indent=1) + "\n", PaperError)

@@ -27,7 +27,6 @@ from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.kinematics import cable_jacobian_m
 from cablesense_sim.replay import difference_variance_n2, read_tensions_n
 
-_HOLD_S = 60.0
 VALUES = 81
 """Of a number that are tried over its range."""
 
@@ -57,7 +56,7 @@ class TensionChanges:
         loaded = np.tile([0, 1], count)
         return Recording(
             name=self.name,
-            time_s=np.arange(0.0, 2 * count) * _HOLD_S,
+            time_s=np.arange(0.0, 2 * count) * 60.0,
             trial=np.repeat(np.arange(count), 2),
             command_rad=np.zeros((2 * count, joint_count)),
             load_segment=loaded * np.repeat(self.load_segment, 2),
@@ -110,7 +109,7 @@ def _changes_n(readings_n: Array) -> Array:
 
 def moments_n_m(arm: Arm, changes_n: Array) -> Array:
     """Moments (K, 2N) about the joint axes that changes (K, M) carry on the straight arm, N·m."""
-    return np.asarray(changes_n @ _jacobian_m(arm))
+    return np.asarray(changes_n @ _straight_jacobian_m(arm))
 
 
 def internal_n(arm: Arm, changes_n: Array) -> Array:
@@ -121,11 +120,11 @@ def internal_n(arm: Arm, changes_n: Array) -> Array:
     nothing. With three cables a segment that is one number a segment: all its cables tighter or
     slacker by the same.
     """
-    basis, _ = np.linalg.qr(_jacobian_m(arm))
+    basis, _ = np.linalg.qr(_straight_jacobian_m(arm))
     return np.asarray(changes_n - changes_n @ basis @ basis.T)
 
 
-def _jacobian_m(arm: Arm) -> Array:
+def _straight_jacobian_m(arm: Arm) -> Array:
     return np.asarray(cable_jacobian_m(mechanism_of(arm), np.zeros(2 * arm.segment_count)))
 
 
@@ -153,25 +152,22 @@ class OneNumber:
         """The assignment that a simulator takes."""
         return {**self.held, **dict.fromkeys(self.terms, value)}
 
-    def values(self) -> Array:
-        """(V,) over the range, denser about zero, with zero among them."""
-        even = np.linspace(-1.0, 1.0, VALUES)
-        return np.unique(np.where(even < 0.0, -self.low, self.high) * even * np.abs(even))
-
 
 @dataclass(frozen=True)
 class Scan:
-    """What a simulator predicts over the range of one number.
-
-    Attributes:
-        number: which.
-        values: (V,) those that can be simulated.
-        predicted: (V, R, C).
-    """
+    """What a simulator predicts, (V, R, C), for values (V,) over the range of one number."""
 
     number: OneNumber
     values: Array
     predicted: Array
+
+    def squares(self, readings: Array) -> Array:
+        """(V, R) squares that each value leaves in each row of readings (R, C)."""
+        return np.asarray(((readings - self.predicted) ** 2).sum(-1))
+
+    def rms_n(self, nominal: Array) -> Array:
+        """(V,) root mean square, over all readings, by which each value changes them."""
+        return np.asarray(np.sqrt(((self.predicted - nominal) ** 2).mean(axis=(1, 2))))
 
 
 @dataclass(frozen=True)
@@ -196,28 +192,26 @@ class Explained:
 def numbers_of(candidate: Candidate) -> Iterator[OneNumber]:
     """Every size of a candidate in every place, with every shape from which a fit should begin."""
     shapes = [p for p in candidate.parameters if p.role == "shape"]
+    sizes = [p for p in candidate.parameters if p.role == "size"]
     trials = list(product(*(p.trials or p.starts or (p.default,) for p in shapes)))
-    for place in candidate.places:
-        for size in (p for p in candidate.parameters if p.role == "size"):
-            for shape in trials:
-                held = {Term(candidate.effect, place, p.name): 0.0 for p in candidate.parameters}
-                for parameter, value in zip(shapes, shape, strict=True):
-                    held[Term(candidate.effect, place, parameter.name)] = value
-                term = Term(candidate.effect, place, size.name)
-                yield OneNumber((term,), size.low, size.high, held)
+    for place, size, shape in product(candidate.places, sizes, trials):
+        held = dict.fromkeys(candidate.terms(place), 0.0)
+        for parameter, value in zip(shapes, shape, strict=True):
+            held[Term(candidate.effect, place, parameter.name)] = value
+        term = Term(candidate.effect, place, size.name)
+        yield OneNumber((term,), size.low, size.high, held)
 
 
 def scan(simulator: Simulator, number: OneNumber) -> Scan:
-    """Predict over the whole range; values that cannot be simulated are left out."""
-    values = number.values()
+    """Predict over the whole range, denser about zero, which is among the values.
+
+    Values that cannot be simulated are left out.
+    """
+    even = np.linspace(-1.0, 1.0, VALUES)
+    values = np.unique(np.where(even < 0.0, -number.low, number.high) * even * np.abs(even))
     predicted = simulator.predict([number.at(float(value)) for value in values])
     usable = np.isfinite(predicted).all(axis=(1, 2))
     return Scan(number, values[usable], predicted[usable])
-
-
-def most_change(found: Scan, nominal: Array) -> float:
-    """Largest root mean square (over all readings) by which the number can change them."""
-    return float(np.sqrt(((found.predicted - nominal) ** 2).mean(axis=(1, 2)).max(initial=0.0)))
 
 
 def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
@@ -225,11 +219,11 @@ def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
 
     `fold` (R,) 0 to F - 1 states which rows are held out together.
     """
-    squares = _squares(found, readings)
+    squares = found.squares(readings)
     best = _choice(squares.sum(-1), found.values)
     held_out = held_out_of_best([found], readings, fold)
     return Explained(
-        number=found.number,
+        found.number,
         value=float(found.values[best]),
         rmse=float(np.sqrt(squares[best].sum() / readings.size)),
         squares=held_out,
@@ -239,7 +233,7 @@ def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
 
 def held_out_of_best(scans: Sequence[Scan], readings: Array, fold: NDArray[np.int64]) -> Array:
     """(R,) squares left where the number itself, not only its value, was chosen on other folds."""
-    every = [_squares(found, readings) for found in scans]
+    every = [found.squares(readings) for found in scans]
     left = np.empty(len(readings))
     for k in range(int(fold.max()) + 1):
         out = fold == k
@@ -247,10 +241,6 @@ def held_out_of_best(scans: Sequence[Scan], readings: Array, fold: NDArray[np.in
         best = int(np.argmin([squares.min() for squares in seen]))
         left[out] = every[best][_choice(seen[best], scans[best].values)][out]
     return left
-
-
-def _squares(found: Scan, readings: Array) -> Array:
-    return np.asarray(((readings - found.predicted) ** 2).sum(-1))
 
 
 def _choice(squares: Array, values: Array) -> int:

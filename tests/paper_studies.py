@@ -5,15 +5,17 @@ from __future__ import annotations
 import base64
 
 from cablesense_gap.report.style import style
-from cablesense_paper.study import Study, chosen_studies
-from cablesense_paper.study_result import (
+from cablesense_paper.study import (
     CLOSED_FORM,
     PAPER,
     Agreement,
     Comparison,
     Picture,
     SmallTable,
+    Study,
     StudyResult,
+    chosen_studies,
+    study_result,
 )
 
 DOT = base64.b64decode(
@@ -63,6 +65,12 @@ def quick_result(name):
     assert all(0.0 <= share <= 1.0 for share in shares)
     assert all(picture.png.startswith(b"\x89PNG") for picture in result.pictures)
     return result
+
+
+def result_of(name, function, *arguments):
+    """The result of a study of that name, its numbers and figures from a call of its function."""
+    with style():
+        return study_result(name, *function(*arguments, ignore))
 
 
 def compared(result):

@@ -1,1 +1,1 @@
-"""The studies of the paper, one file each. Each has one `STUDY`, named as its file."""
+"""The studies of the paper: functions, and their text in a file for each study."""

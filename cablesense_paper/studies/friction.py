@@ -1,6 +1,6 @@
 """Fig. 6, section II-E and equation (2): what friction does to a cable over a cylinder.
 
-`FrictionCable` is Fig. 3 (c) stepped in time by MuJoCo under several laws of friction;
+`stepped_tensions_n` steps Fig. 3 (c) in time by MuJoCo under several laws of friction;
 `quasi_static_tensions_n` is the same by this project's own effect `capstan_friction`.
 """
 
@@ -25,17 +25,11 @@ from cablesense_paper.cables import (
     drive_direction,
 )
 from cablesense_paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
-from cablesense_paper.study import Progress
-from cablesense_paper.study_result import Agreement, StudyResult, study_result, study_size
+from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_sim.effects.effect import DryContact
 
-STICK_STIFFNESS_N_M = 5e8
+_STICK_STIFFNESS_N_M = 5e8
 """With which friction gives before it slips: fifty times the cable's own."""
-
-_HARD_SOLREF = (2e-3, 1.0)
-"""Twice a step of 1 ms, as short as MuJoCo lets it be without `refsafe` taking over."""
-_HARD_SOLIMP = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
-"""At MuJoCo's own bound, `mjMAXIMP`."""
 
 
 class Friction(StrEnum):
@@ -63,58 +57,50 @@ def capstan_limit_n(near_n: Any, far_n: Any, friction_rad: float) -> Any:
     return (near_n + far_n) * np.tanh(0.5 * friction_rad)
 
 
-class FrictionCable:
-    """The model of Fig. 3 (c) in time; tensions are those of its two halves."""
+def stepped_tensions_n(
+    path_m: Array, friction: Friction, coefficient: float, wrap_rad: float, step_s: float = 1e-3
+) -> Array:
+    """Tensions (T, 2) before and beyond the cylinder by MuJoCo, along a path (T,) of the drive.
 
-    def __init__(
-        self, friction: Friction, coefficient: float, wrap_rad: float, timestep_s: float = 1e-3
-    ) -> None:
-        """Laws with a fixed force take that which the capstan holds at the pretension."""
-        self._friction = friction
-        self._friction_rad = coefficient * wrap_rad
-        self._direction = drive_direction(wrap_rad)
-        fixed_n = float(capstan_limit_n(PRETENSION_N, PRETENSION_N, self._friction_rad))
-        spec = around_a_cylinder(wrap_rad)
-        spec.option.timestep = timestep_s
-        ring = spec.joint("ring")
-        self._torsion_n_m_rad = STICK_STIFFNESS_N_M * CYLINDER_RADIUS_M**2
-        if friction in (Friction.FRICTIONLOSS, Friction.HARDENED):
-            ring.frictionloss = fixed_n * CYLINDER_RADIUS_M
-            if friction is Friction.HARDENED:
-                ring.solref_friction, ring.solimp_friction = _HARD_SOLREF, _HARD_SOLIMP
-        elif friction is not Friction.NONE:
-            ring.stiffness = [self._torsion_n_m_rad, 0.0, 0.0]
-            ring.springyield = self._yield_rad(fixed_n)
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_forward(self._model, self._data)
-        self._home_m = self._data.mocap_pos[0].copy()
+    Each position is a step of time on the model of Fig. 3 (c); tensions are those of its two
+    halves. Laws with a fixed force take that which the capstan holds at the pretension.
+    """
+    fixed_n = float(capstan_limit_n(PRETENSION_N, PRETENSION_N, coefficient * wrap_rad))
+    torsion_n_m_rad = _STICK_STIFFNESS_N_M * CYLINDER_RADIUS_M**2
+    spec = around_a_cylinder(wrap_rad)
+    spec.option.timestep = step_s
+    ring = spec.joint("ring")
+    if friction in (Friction.FRICTIONLOSS, Friction.HARDENED):
+        ring.frictionloss = fixed_n * CYLINDER_RADIUS_M
+        if friction is Friction.HARDENED:
+            # twice a step of 1 ms, the shortest without `refsafe`; and MuJoCo's bound `mjMAXIMP`
+            ring.solref_friction = (2e-3, 1.0)
+            ring.solimp_friction = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
+    elif friction is not Friction.NONE:
+        ring.stiffness = [torsion_n_m_rad, 0.0, 0.0]
+        ring.springyield = fixed_n * CYLINDER_RADIUS_M / torsion_n_m_rad
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    drive_m = data.mocap_pos[0] + path_m[:, None] * drive_direction(wrap_rad)
+    stiffness_n_m = model.tendon_stiffness.reshape(2, -1)[:, 0]
 
-    def drawn(self, path_m: Array) -> Array:
-        """Tensions (T, 2) before and beyond the cylinder along a path (T,) of the drive.
+    def both_n() -> Array:
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_tendon(model, data)
+        stretch_m = data.ten_length - model.tendon_lengthspring[:, 1]
+        return np.asarray(np.maximum(stiffness_n_m * stretch_m, 0.0))
 
-        Each position is a step of time.
-        """
-        tensions = np.empty((len(path_m), 2))
-        for row, drawn_m in enumerate(path_m):
-            self._data.mocap_pos[0] = self._home_m + drawn_m * self._direction
-            if self._friction is Friction.CAPSTAN:
-                near_n, far_n = self._tensions_n()
-                limit_n = capstan_limit_n(near_n, far_n, self._friction_rad)
-                self._model.jnt_springyield[:] = self._yield_rad(limit_n)
-            mujoco.mj_step(self._model, self._data)
-            tensions[row] = self._tensions_n()
-        return tensions
-
-    def _tensions_n(self) -> Array:
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_tendon(self._model, self._data)
-        stretch = self._data.ten_length - self._model.tendon_lengthspring[:, 1]
-        stiffness = self._model.tendon_stiffness.reshape(2, -1)[:, 0]
-        return np.asarray(np.maximum(stiffness * stretch, 0.0))
-
-    def _yield_rad(self, force_n: float) -> float:
-        return force_n * CYLINDER_RADIUS_M / self._torsion_n_m_rad
+    tensions = np.empty((len(path_m), 2))
+    for row, place_m in enumerate(drive_m):
+        data.mocap_pos[0] = place_m
+        if friction is Friction.CAPSTAN:
+            near_n, far_n = both_n()
+            limit_n = capstan_limit_n(near_n, far_n, coefficient * wrap_rad)
+            model.jnt_springyield[:] = limit_n * CYLINDER_RADIUS_M / torsion_n_m_rad
+        mujoco.mj_step(model, data)
+        tensions[row] = both_n()
+    return tensions
 
 
 def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) -> Array:
@@ -123,12 +109,12 @@ def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) 
     Where the cable has passed over the cylinder by s, T1 = T0 + k (c - s) and T2 = T0 + k s with
     c the path and k of half the cable; friction holds T1 = T2 exp(μ θ share(s)), the share of its
     limit after `cablesense_sim.effects.effect`, as the effect `capstan_friction` does. The
-    contact gives as much before it slips as the friction of `FrictionCable` does.
+    contact gives as much before it slips as the friction of `stepped_tensions_n` does.
     """
     friction_rad = coefficient * wrap_rad
     half_n_m = AXIAL_RIGIDITY_N / (0.5 * LENGTH_M)
     slack_m = PRETENSION_N / half_n_m
-    give_m = max(friction_rad, 1e-6) * PRETENSION_N / STICK_STIFFNESS_N_M
+    give_m = max(friction_rad, 1e-6) * PRETENSION_N / _STICK_STIFFNESS_N_M
     none = np.zeros(1)
     contact = DryContact(np.array([give_m]), none, none, none)
 
@@ -157,15 +143,13 @@ _PULL_S, _SETTLE_S = 1.0, 0.3
 _LAWS = tuple(Friction)[1:]
 
 
-def run(quick: bool, progress: Progress) -> StudyResult:
+def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     """Loops, the sweep of equation (2), and what is left after a time at rest, on Fig. 3 (c)."""
-    size = study_size("friction", quick)
     rest_s: float = size["rest_s"]
     path = _path_m(size["cycle_s"])
     loops = {}
     for done, law in enumerate(Friction, start=1):
-        cable = FrictionCable(law, _COEFFICIENT, _WRAP_RAD, _FINE_STEP_S)
-        loops[law] = cable.drawn(path)
+        loops[law] = stepped_tensions_n(path, law, _COEFFICIENT, _WRAP_RAD, _FINE_STEP_S)
         progress(0.05 * done)
     own_n = quasi_static_tensions_n(path, _COEFFICIENT, _WRAP_RAD)
     apart_n = float(np.abs(own_n - loops[Friction.CAPSTAN]).max())
@@ -177,12 +161,10 @@ def run(quick: bool, progress: Progress) -> StudyResult:
             for half_turns in size["half_turns"]
         ]
     )
-    expected = np.exp(-sweep[:, 0] * sweep[:, 1])
     progress(0.65)
     held_n = {law: _held_n(law, rest_s) for law in _LAWS}
     left = {law: float(held[-1] / held[0]) for law, held in held_n.items()}
     width_n = {law: _loop_width_n(path, loops[law][:, 0]) for law in _LAWS}
-    near = apart_n < 0.1 * width_n[Friction.CAPSTAN]
     numbers = {
         "mu": _COEFFICIENT,
         "wrap_rad": _WRAP_RAD,
@@ -190,21 +172,20 @@ def run(quick: bool, progress: Progress) -> StudyResult:
         "soft_width_n": width_n[Friction.FRICTIONLOSS],
         "hard_width_n": width_n[Friction.HARDENED],
         "laws": [(str(law), width_n[law], 100.0 * left[law]) for law in _LAWS],
-        "worst": float(np.abs(sweep[:, 2] / expected - 1.0).max()),
+        "worst": float(np.abs(sweep[:, 2] / np.exp(-sweep[:, 0] * sweep[:, 1]) - 1.0).max()),
         "pairs": len(sweep),
         "slip_ratio": _slip_ratio(_COEFFICIENT, _WRAP_RAD),
         "closed_ratio": float(np.exp(-_COEFFICIENT * _WRAP_RAD)),
         "apart_n": apart_n,
-        "loops_agree": Agreement.PARTLY if near else Agreement.NO,
+        "loops_agree": "partly" if apart_n < 0.1 * width_n[Friction.CAPSTAN] else "no",
         "capstan_left": left[Friction.CAPSTAN],
         "fixed_n": 100.0 * np.tanh(0.5 * _COEFFICIENT * _WRAP_RAD),
     }
-    figures = {
+    return numbers, {
         "fig_6_hysteresis": _loop_figure(path, loops, own_n),
         "equation_2_capstan": _sweep_figure(sweep),
         "fig_6_at_rest": _rest_figure(held_n, rest_s),
     }
-    return study_result("friction", numbers, figures)
 
 
 def _path_m(cycle_s: float) -> Array:
@@ -221,7 +202,7 @@ def _slip_ratio(coefficient: float, wrap_rad: float) -> float:
     slips_at_m = PRETENSION_N * np.expm1(coefficient * wrap_rad) / (2.0 * STIFFNESS_N_M)
     time_s = np.arange(0.0, _PULL_S + _SETTLE_S, _STEP_S)
     path = 5.0 * slips_at_m * np.clip(time_s / _PULL_S, 0.0, 1.0)
-    near_n, far_n = FrictionCable(Friction.CAPSTAN, coefficient, wrap_rad, _STEP_S).drawn(path)[-1]
+    near_n, far_n = stepped_tensions_n(path, Friction.CAPSTAN, coefficient, wrap_rad)[-1]
     return float(far_n / near_n)
 
 
@@ -229,8 +210,8 @@ def _held_n(law: Friction, rest_s: float) -> Array:
     """T1 - T2, each step from the end of a pull into slip, with the drive at rest."""
     pull = _HIGH_M * np.clip(np.arange(0.0, _PULL_S, _STEP_S) / _PULL_S, 0.0, 1.0)
     still = np.full(round((_SETTLE_S + rest_s) / _STEP_S), _HIGH_M)
-    cable = FrictionCable(law, _COEFFICIENT, _WRAP_RAD, _STEP_S)
-    tensions = cable.drawn(np.concatenate([pull, still]))
+    path = np.concatenate([pull, still])
+    tensions = stepped_tensions_n(path, law, _COEFFICIENT, _WRAP_RAD)
     # a spring that yields lags by a step, which is over at once when the drive stops
     settled = len(pull) + (round(_SETTLE_S / _STEP_S) if "frictionloss" not in law else 0)
     return np.asarray(tensions[settled:, 0] - tensions[settled:, 1])

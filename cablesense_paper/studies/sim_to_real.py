@@ -14,8 +14,7 @@ from cablesense_gap.report.pictures import drawn_candidates
 from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
 from cablesense_gap.verdict import NONE, UNKNOWN, listed
 from cablesense_paper.drawing import GREEN, one_panel, panels
-from cablesense_paper.study import Progress
-from cablesense_paper.study_result import StudyResult, study_result, study_size
+from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_paper.table_2_gap import (
     KINDS,
     PRIOR_UNLISTED,
@@ -41,24 +40,23 @@ _UNITS = (
 """End of a parameter's name, scale and unit in a report; the first that fits counts."""
 
 
-def run(quick: bool, progress: Progress) -> StudyResult:
+def sim_to_real(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     """Diagnose the 54 measured changes as `cablesense gap` diagnoses a recording."""
-    tables: int = study_size("sim_to_real", quick)["tables"]
     workers = min(2, os.cpu_count() or 1)
-    return result_of(diagnose_table(tables, lambda done: progress(0.95 * done), workers))
+    found = diagnose_table(size["tables"], lambda done: progress(0.95 * done), workers)
+    return numbers_of(found), figures_of(found)
 
 
-def result_of(found: TableDiagnosis) -> StudyResult:
-    """The study, from a diagnosis; to be called in the report's style."""
-    figures = {
+def figures_of(found: TableDiagnosis) -> Figures:
+    """All pictures of the study; to be called in the report's style."""
+    return {
         "sim_to_real_gap": gap_figure(found),
         "sim_to_real_proportion": proportion_figure(found),
         "sim_to_real_candidates": drawn_candidates(found.verdict),
     }
-    return study_result("sim_to_real", numbers_of(found), figures)
 
 
-def numbers_of(found: TableDiagnosis) -> dict[str, Any]:
+def numbers_of(found: TableDiagnosis) -> Numbers:
     """All that the text of the study names."""
     measured, gap_n, verdict = found.changes.changes_n, found.gap_n, found.verdict
     paper_gap_n, apart_n = measured - found.paper_n, found.paper_n - found.nominal_n
@@ -153,13 +151,15 @@ def shares(found: TableDiagnosis) -> dict[str, float]:
 
 def number_name(number: OneNumber) -> str:
     """As in `sensor gain, cable 1`."""
-    effect = _spaced(number.effect)
     if len(number.terms) > 1:
         return "one gain of all sensors, or a load heavier than believed"
     (term,) = number.terms
-    several = number.effect == "routing_geometry"
-    what = f"{effect}, {_spaced(term.parameter.rsplit('_', 1)[0])}" if several else effect
-    return what if term.place == "arm" else f"{what}, {_spaced(term.place)}"
+    parts = [number.effect]
+    if number.effect == "routing_geometry":
+        parts.append(term.parameter.rsplit("_", 1)[0])
+    if term.place != "arm":
+        parts.append(term.place)
+    return ", ".join(map(_spaced, parts))
 
 
 def value_of(explained: Explained) -> str:
@@ -179,11 +179,9 @@ def _spaced(name: str) -> str:
 
 def ranked_singles(found: TableDiagnosis) -> list[Explained]:
     """All numbers, the best first; among equals that of the effect with fewer places to choose."""
-    tried = Counter(s.number.effect for s in found.judged.singles)
-    return sorted(
-        found.judged.singles,
-        key=lambda s: (round(s.held_out_rmse, 2), tried[s.number.effect]),
-    )
+    singles = found.judged.singles
+    tried = Counter(s.number.effect for s in singles)
+    return sorted(singles, key=lambda s: (round(s.held_out_rmse, 2), tried[s.number.effect]))
 
 
 def best_listed_n(found: TableDiagnosis) -> float:
@@ -198,10 +196,10 @@ def _best_hypotheses(found: TableDiagnosis) -> Iterator[str]:
     for count, what in ((1, "one effect"), (2, "two effects at once")):
         best = next((h for h in ranked if len(h.effects) == count), None)
         if best is not None:
+            names = listed([_spaced(effect) for effect in best.effects])
             yield (
-                f"Of {what} with all numbers, the best is "
-                f"{listed([_spaced(effect) for effect in best.effects])} "
-                f"({len(best.values)} numbers): it leaves {newtons(best.held_out_rmse)}."
+                f"Of {what} with all numbers, the best is {names} ({len(best.values)} numbers): "
+                f"it leaves {newtons(best.held_out_rmse)}."
             )
         elif count == 2:
             yield "No two effects at once leave clearly less than one of them alone."

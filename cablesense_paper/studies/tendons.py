@@ -8,22 +8,25 @@ from typing import Any
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.report.style import WIDTH_IN
-from cablesense_paper.cables import CYLINDER_RADIUS_M, SCENES, rendered_scenes, scene
+from cablesense_paper.cables import (
+    CYLINDER_RADIUS_M,
+    SCENES,
+    Pixels,
+    rendered_scenes,
+    scene,
+)
 from cablesense_paper.drawing import BLACK, BLUE, VERMILION
-from cablesense_paper.study import Progress
-from cablesense_paper.study_result import StudyResult, study_result
+from cablesense_paper.study import Figures, Numbers, Progress
 
-_WIDTH_PX, _HEIGHT_PX = 960, 500
 _USES = ("stiffness and pretension", "self-locking", "friction")
 
 
-def run(quick: bool, progress: Progress) -> StudyResult:
+def tendons(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     """The three models: rendered, or drawn from MuJoCo's numbers; and measured."""
-    pictures, backend = rendered_scenes(SCENES, _WIDTH_PX, _HEIGHT_PX)
+    pictures, backend = rendered_scenes(SCENES, 960, 500)
     progress(0.8)
     rows = []
     for name, use in zip(SCENES, _USES, strict=True):
@@ -43,10 +46,10 @@ def run(quick: bool, progress: Progress) -> StudyResult:
         "off_m": max(abs(row[1] - 1.0) for row in rows),
         "off_n": max(abs(row[2] - 50.0) for row in rows),
     }
-    return study_result("tendons", numbers, {"fig_3_tendons": _figure(pictures)})
+    return numbers, {"fig_3_tendons": _figure(pictures)}
 
 
-def _figure(pictures: list[NDArray[np.uint8]]) -> Any:
+def _figure(pictures: list[Pixels]) -> Any:
     figure = plt.figure(figsize=(WIDTH_IN, 2.1), layout="constrained")
     for n, name in enumerate(SCENES):
         if pictures:
@@ -71,7 +74,11 @@ def _draw(axes: Any, name: str) -> None:
         axes.plot(*_arced(path, radius_m).T, color=VERMILION, lw=2.0)
     for geom, place in enumerate(data.geom_xpos):
         if cylinders[geom]:
-            _draw_cylinder(axes, place, *model.geom_size[geom, :2])
+            radius, half = model.geom_size[geom, :2]
+            angle, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40), np.array([-half, half]))
+            x, y, z = radius * np.sin(angle), along, radius * np.cos(angle)
+            surface = (at + offset for at, offset in zip(place, (x, y, z), strict=True))
+            axes.plot_surface(*surface, color="#B8BFC9", alpha=0.9, linewidth=0)
         else:
             colour = BLUE if model.geom_bodyid[geom] != 0 else BLACK
             axes.scatter(*place, marker="s", color=colour, s=60, depthshade=False)
@@ -88,18 +95,9 @@ def _arced(points: Array, radius_m: float) -> Array:
     """A path (P, 3) with the pieces that lie on the cylinder, about y, filled by arcs."""
     parts = [points[:1]]
     for start, end in pairwise(points):
-        share = np.linspace(0.0, 1.0, 24)[1:, None]
-        piece = start + share * (end - start)
+        piece = np.linspace(start, end, 24)[1:]
         reach = np.hypot(piece[:, 0], piece[:, 2])
         if np.hypot(start[[0, 2]], end[[0, 2]]).max() < 1.6 * radius_m:
             piece[:, [0, 2]] *= (radius_m / np.maximum(reach, 1e-9))[:, None]
         parts.append(piece)
     return np.concatenate(parts)
-
-
-def _draw_cylinder(axes: Any, place: Array, radius_m: float, half_m: float) -> None:
-    angle, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40), np.array([-half_m, half_m]))
-    x, z = radius_m * np.sin(angle), radius_m * np.cos(angle)
-    axes.plot_surface(
-        place[0] + x, place[1] + along, place[2] + z, color="#B8BFC9", alpha=0.9, linewidth=0
-    )

@@ -3,7 +3,7 @@
 import pytest
 from paper_studies import compared, disagreeing, quick_result
 
-from cablesense_paper.study_result import CLOSED_FORM, PAPER, Agreement
+from cablesense_paper.study import CLOSED_FORM, PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # step MuJoCo, render in a process of their own, and draw
 

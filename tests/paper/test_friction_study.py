@@ -8,20 +8,19 @@ from paper_studies import compared, disagreeing, quick_result
 
 from cablesense_paper.studies.friction import (
     Friction,
-    FrictionCable,
     capstan_limit_n,
     quasi_static_tensions_n,
+    stepped_tensions_n,
 )
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 
 MU, WRAP_RAD = 0.2, np.pi
 
 
-def pulled(friction, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300):
-    """The cable and its tensions after a pull of a second and some steps of rest."""
-    cable = FrictionCable(friction, coefficient, wrap_rad)
+def pulled(friction, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300, then=()):
+    """Tensions in a pull of a second, some steps of rest and a path thereafter."""
     path = high_m * np.clip(np.arange(1000 + rest) / 1000, 0.0, 1.0)
-    return cable, cable.drawn(path)
+    return stepped_tensions_n(np.append(path, then), friction, coefficient, wrap_rad)
 
 
 @given(st.floats(1.0, 1e3), st.floats(0.0, 6.0))
@@ -34,45 +33,41 @@ def test_the_limit_is_equation_2(near_n, friction_rad):
 @pytest.mark.parametrize("wrap_rad", [0.5, np.pi, 4.5])
 def test_in_slip_the_capstan_leaves_exp_of_minus_mu_theta(coefficient, wrap_rad):
     enough_m = 5.0 * 50.0 * np.expm1(coefficient * wrap_rad) / 2e7
-    _, tensions = pulled(Friction.CAPSTAN, enough_m, coefficient, wrap_rad)
-    near, far = tensions[-1]
+    near, far = pulled(Friction.CAPSTAN, enough_m, coefficient, wrap_rad)[-1]
     assert far / near == pytest.approx(np.exp(-coefficient * wrap_rad), rel=1e-6)
 
 
 def test_let_out_again_the_ratio_is_turned_over():
-    cable, _ = pulled(Friction.CAPSTAN)
     back = np.concatenate([np.linspace(8e-6, -1e-6, 1000), np.full(300, -1e-6)])
-    near, far = cable.drawn(back)[-1]
+    near, far = pulled(Friction.CAPSTAN, then=back)[-1]
     assert near / far == pytest.approx(np.exp(-0.2 * np.pi), rel=1e-6)
 
 
 def test_without_friction_both_halves_carry_the_same():
-    _, tensions = pulled(Friction.NONE)
-    np.testing.assert_allclose(tensions[-1], 50.0 + 1e7 * 8e-6, rtol=1e-6)
+    np.testing.assert_allclose(pulled(Friction.NONE)[-1], 50.0 + 1e7 * 8e-6, rtol=1e-6)
 
 
 @pytest.mark.parametrize("friction", [Friction.YIELDING, Friction.CAPSTAN])
 def test_what_yields_holds_for_ever(friction):
-    cable, tensions = pulled(friction)
-    held = cable.drawn(np.full(5000, 8e-6))[-1]
-    np.testing.assert_allclose(held, tensions[-1], rtol=1e-6)
+    tensions = pulled(friction, rest=5300)
+    np.testing.assert_allclose(tensions[-1], tensions[1299], rtol=1e-6)
 
 
 def test_frictionloss_lets_go_at_once_as_it_comes_and_in_seconds_when_hardened():
-    _, soft = pulled(Friction.FRICTIONLOSS)
+    soft = pulled(Friction.FRICTIONLOSS)
     assert abs(soft[-1, 0] - soft[-1, 1]) < 0.01
-    cable, hard = pulled(Friction.HARDENED, rest=0)
+    hard = pulled(Friction.HARDENED, rest=10_000)
+    held_n = hard[:, 0] - hard[:, 1]
     limit_n = float(capstan_limit_n(50.0, 50.0, 0.2 * np.pi))
-    assert hard[-1, 0] - hard[-1, 1] == pytest.approx(limit_n, rel=1e-3)
-    near, far = cable.drawn(np.full(10_000, 8e-6))[-1]
-    assert near - far < 0.2 * limit_n
+    assert held_n[999] == pytest.approx(limit_n, rel=1e-3)
+    assert held_n[-1] < 0.2 * limit_n
 
 
 def test_a_fixed_force_is_the_same_at_every_tension():
     differences = []
     for high_m in (8e-6, 16e-6):
-        _, tensions = pulled(Friction.YIELDING, high_m)
-        differences.append(tensions[-1, 0] - tensions[-1, 1])
+        near, far = pulled(Friction.YIELDING, high_m)[-1]
+        differences.append(near - far)
     assert differences[0] == pytest.approx(differences[1], rel=1e-6)
 
 
@@ -97,7 +92,7 @@ def test_the_same_place_has_two_tensions_by_the_history():
 
 def test_in_slip_mujoco_comes_to_the_same():
     way = 8e-6 * np.clip(np.arange(1300) / 1000, 0.0, 1.0)
-    stepped = FrictionCable(Friction.CAPSTAN, MU, WRAP_RAD).drawn(way)[-1]
+    stepped = stepped_tensions_n(way, Friction.CAPSTAN, MU, WRAP_RAD)[-1]
     np.testing.assert_allclose(
         quasi_static_tensions_n(way[::50], MU, WRAP_RAD)[-1], stepped, rtol=1e-4
     )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import pytest
 import torch
+from paper_studies import result_of
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.report.style import style
@@ -13,25 +14,26 @@ from cablesense_paper.network_trials import (
     ARCHITECTURES,
     DIRECTION,
     FORCE,
-    METRICS,
+    FORCE_RMSE,
+    PAPER_ERRORS,
+    PARAMETERS,
     WRONG,
     Plan,
     Shape,
-    Trial,
     TrialResults,
     answer_us,
     build,
     parameter_count,
     trial,
 )
-from cablesense_paper.studies import networks
 from cablesense_paper.studies.networks import (
     architecture_figure,
     cost_figure,
     depth_figure,
-    result_of,
+    figures_of,
+    numbers_of,
 )
-from cablesense_paper.study_result import study_size
+from cablesense_paper.study import study_size
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -63,30 +65,28 @@ def made_up(least_error):
     Errors shrink with width and depth alike. The second seed is a tenth worse than the first.
     """
     largest = max(shape.depth * shape.width for shape in PLAN.shapes)
-    trials = tuple(
+    trials = [
         _trial(shape, seed, (1.0 + 0.1 * seed) * least_error * largest)
         for shape in PLAN.shapes
         for seed in PLAN.seeds
-    )
+    ]
     cost_us = {shape: 20.0 + shape.width for shape in PLAN.compared}
     one_layer_of_one = Shape("decoupled", 1, 1)
     little = _trial(one_layer_of_one, 0, least_error)
-    return TrialResults(PLAN, trials, cost_us, dict.fromkeys(PLAN.paper_poses, little))
+    return TrialResults.of(PLAN, trials, cost_us, dict.fromkeys(PLAN.paper_poses, little))
 
 
 def _trial(shape, seed, error_of_one):
     """A trial of a shape, from the error that one decoupled layer of one would make."""
     size = shape.depth * shape.width
     error = WORSE[shape.architecture] * error_of_one / size
-    return Trial(
-        shape=shape,
-        seed=seed,
-        parameters=(3 if shape.architecture == "decoupled" else 1) * 100 * size,
-        wrong_contact=0.01 * error,
-        direction_mae_deg=error,
-        magnitude_mae_n=error,
-        magnitude_rmse_n=1.5 * error,
-    )
+    return {
+        **shape._asdict(),
+        "seed": seed,
+        PARAMETERS: (3 if shape.architecture == "decoupled" else 1) * 100 * size,
+        **dict.fromkeys(PAPER_ERRORS, error),
+        FORCE_RMSE: 1.5 * error,
+    }
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -148,8 +148,8 @@ def test_a_seed_gives_the_same_metrics_for_any_number_of_workers():
         with WorkerPool(workers, *samples, FitSettings(epochs=1, batch_size=64)) as pool:
             found += pool.map(trial, shapes, seeds)
     assert here == elsewhere
-    assert here[0].magnitude_mae_n != here[1].magnitude_mae_n
-    assert [one.seed for one in here] == [0, 1]
+    assert here[0][FORCE] != here[1][FORCE]
+    assert [one["seed"] for one in here] == [0, 1]
 
 
 @pytest.mark.slow
@@ -161,9 +161,10 @@ def test_an_untrained_network_is_timed_in_onnx_runtime(monkeypatch):
 
 def test_an_error_is_the_mean_over_the_seeds():
     best = Shape("decoupled", 2, 8)
-    assert made_up(1.0).errors(best, DIRECTION) == pytest.approx([1.0, 1.1])
-    for metric in METRICS:
-        assert made_up(1.0).mean(best, metric) == pytest.approx(1.05)
+    results = made_up(1.0)
+    assert list(results.trials.loc[[best], DIRECTION]) == pytest.approx([1.0, 1.1])
+    for metric in PAPER_ERRORS:
+        assert results.means.loc[best, metric] == pytest.approx(1.05)
 
 
 def test_the_least_network_that_reaches_the_paper_is_the_one_of_fewest_parameters():
@@ -175,10 +176,10 @@ def test_the_least_network_that_reaches_the_paper_is_the_one_of_fewest_parameter
 
 def test_architectures_are_compared_at_like_widths():
     results = made_up(1.0)
-    ratios = results.error_ratios("shared trunk", "decoupled")
-    assert ratios == pytest.approx({WRONG: 2.0, DIRECTION: 2.0, FORCE: 2.0})
-    assert results.error_ratios("two-stage", "shared trunk")[FORCE] == pytest.approx(1.5)
-    assert results.parameter_ratio("shared trunk", "decoupled") == pytest.approx(1 / 3)
+    ratios = results.ratios("shared trunk", "decoupled")
+    errors = dict.fromkeys((WRONG, DIRECTION, FORCE, FORCE_RMSE), 2.0)
+    assert ratios == pytest.approx({PARAMETERS: 1 / 3, **errors})
+    assert results.ratios("two-stage", "shared trunk")[FORCE] == pytest.approx(1.5)
     assert results.cost_ratio("shared trunk", "decoupled") == pytest.approx(1.0)
 
 
@@ -199,7 +200,7 @@ def explored():
 @pytest.mark.slow
 def test_every_shape_is_tried_with_every_seed(explored):
     plan, results, _ = explored
-    tried = [(one.shape, one.seed) for one in results.trials]
+    tried = [*zip(results.trials.index, results.trials["seed"], strict=True)]
     assert tried == [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
 
 
@@ -208,7 +209,8 @@ def test_compared_shapes_are_timed_and_a_network_learns_from_little_data_at_ever
     plan, results, _ = explored
     assert tuple(results.cost_us) == plan.compared
     assert tuple(results.with_little_data) == plan.paper_poses
-    assert {one.shape for one in results.with_little_data.values()} == {network_trials.PAPER_SHAPE}
+    for one in results.with_little_data.values():
+        assert one.items() >= network_trials.PAPER_SHAPE._asdict().items()
 
 
 @pytest.mark.slow
@@ -254,16 +256,18 @@ def test_the_line_is_the_mean_of_the_seeds_which_are_its_dots(drawn):
     ]
 
 
+def stated(results):
+    return result_of("networks", lambda _: (numbers_of(results), figures_of(results)))
+
+
 @pytest.fixture(scope="module")
 def poor():
-    with style():
-        return result_of(made_up(50.0))
+    return stated(made_up(50.0))
 
 
 @pytest.fixture(scope="module")
 def good():
-    with style():
-        return result_of(made_up(1.0))
+    return stated(made_up(1.0))
 
 
 def test_every_shape_has_a_row(good):
@@ -294,10 +298,3 @@ def test_architectures_agree_with_the_paper_where_their_errors_do(good):
 def test_the_papers_errors_close_the_table_of_its_amount_of_data(good):
     assert good.tables[1].rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
     assert len(good.tables[1].rows) == 1 + len(PLAN.paper_poses)
-
-
-@pytest.mark.parametrize(("quick", "plan"), [(True, QUICK), (False, FULL)], ids=["quick", "full"])
-def test_a_quick_run_carries_out_the_quick_plan(quick, plan, monkeypatch):
-    monkeypatch.setattr(networks, "explore", lambda plan, progress: plan)
-    monkeypatch.setattr(networks, "result_of", lambda results: results)
-    assert networks.run(quick, lambda share: None) == plan

@@ -7,8 +7,7 @@ from paper_studies import failing, study
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
-from cablesense_paper.study import FailedStudyError, PaperError
-from cablesense_paper.study_result import StudyResult
+from cablesense_paper.study import FailedStudyError, PaperError, StudyResult
 
 
 def invoke(*arguments):

@@ -9,23 +9,24 @@ import pytest
 from paper_studies import RESULT, failing, ignore, study
 
 from cablesense_gap.report.style import style
-from cablesense_paper import study_result
+from cablesense_paper import study as studies
 from cablesense_paper.study import (
     DRAWING,
+    PRINT_DPI,
     PaperError,
-    all_studies,
     chosen_studies,
+    filled,
     require_drawing,
     run_study,
     study_names,
+    study_result,
 )
-from cablesense_paper.study_result import PRINT_DPI, Agreement, filled
 
 TEXT = {
     "lead": "It pulls {tension_n:.1f} N.",
     "pictures": {"dot": {"caption": "At {tension_n:.0f} N.", "alt": "a dot"}},
     "tables": [
-        {"each": "arms", "caption": "{arm}", "head": ["cable", "at {arm}"], "rows": "rows"}
+        {"each": "arms", "caption": "{arm}", "head": ["cable", "at {arm}"], "rows": "{rows}"}
     ],
     "comparisons": [
         {"what": "tension", "ours": "{tension_n}", "theirs": 50.0, "unit": "N", "within": 0.1,
@@ -40,16 +41,16 @@ TEXT = {
 NUMBERS = {
     "tension_n": 50.04,
     "arms": [{"arm": "left", "rows": [("a", 1.0)]}, {"arm": "right", "rows": [("b", 2.0)]}],
-    "trend": Agreement.PARTLY,
+    "trend": "partly",
     "more": ("Two.", "Three."),
 }
 
 
 def test_every_study_states_where_the_paper_has_it():
-    studies = all_studies()
-    assert sorted(one.name for one in studies) == list(study_names())
-    assert [one.order for one in studies] == sorted({one.order for one in studies})
-    for one in studies:
+    every = chosen_studies()
+    assert sorted(one.name for one in every) == list(study_names())
+    assert [one.order for one in every] == sorted({one.order for one in every})
+    for one in every:
         assert one.title
         assert one.place
         assert "{" not in one.quick
@@ -58,14 +59,13 @@ def test_every_study_states_where_the_paper_has_it():
 def test_those_that_are_named_are_chosen_and_others_refused():
     names = study_names()
     assert [one.name for one in chosen_studies(names[:1])] == [names[0]]
-    assert [one.name for one in chosen_studies(())] == [one.name for one in all_studies()]
     with pytest.raises(PaperError, match=r"no study 'fig99'; there are .*displacement"):
         chosen_studies(["displacement", "fig99"])
 
 
 def test_listing_the_studies_loads_nothing_heavy():
     code = (
-        "import sys; from cablesense_paper.study import all_studies; all_studies();"
+        "import sys; from cablesense_paper.study import chosen_studies; chosen_studies();"
         "print(*(m for m in ('rclpy', 'torch', 'mujoco', 'matplotlib', 'onnxruntime', 'jinja2')"
         " if m in sys.modules))"
     )
@@ -121,34 +121,50 @@ def test_a_missing_package_is_named_before_anything_runs(missing, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("ours", "theirs", "agreement"),
-    [(1.0, 1.1, Agreement.YES), (1.0, 1.2, Agreement.NO), (float("nan"), 1.0, Agreement.NO)],
+    ("ours", "rule", "agreement"),
+    [
+        (1.1, {"within": 0.1001}, "yes"),
+        (1.2, {"within": 0.1001}, "no"),
+        (1.2, {"within": 0.1001, "otherwise": "partly"}, "partly"),
+        (float("nan"), {"within": 0.1001}, "no"),
+        (0.9, {"at_most": "{limit}"}, "yes"),
+        (1.1, {"at_most": "{limit}"}, "no"),
+        (1.1, {"above": 1.0}, "yes"),
+        ([True, True], {"agrees": "{ours}"}, "yes"),
+        ([True, False], {"agrees": "{ours}"}, "partly"),
+        ([False], {"agrees": "{ours}"}, "no"),
+        (False, {"agrees": "{ours}", "otherwise": "partly"}, "partly"),
+        (0.0, {"agrees": "partly"}, "partly"),
+    ],
 )
-def test_two_numbers_agree_within_a_tolerance(ours, theirs, agreement):
-    assert Agreement.within(ours, theirs, 0.1001) is agreement
-
-
-@pytest.mark.parametrize(
-    ("parts", "agreement"),
-    [([True, True], Agreement.YES), ([True, False], Agreement.PARTLY), ([False], Agreement.NO)],
-)
-def test_a_whole_agrees_as_far_as_its_parts(parts, agreement):
-    assert Agreement.of_parts(parts) is agreement
+def test_a_comparison_agrees_by_its_rule(ours, rule, agreement, monkeypatch):
+    entry = {"what": "", "ours": "{ours}", "theirs": 1.0, "why": "", **rule}
+    text = {"lead": "", "pictures": {}, "comparisons": [entry]}
+    monkeypatch.setattr(studies, "read_study_text", lambda name: text)
+    result = study_result("any", {"ours": ours, "limit": 1.0}, {})
+    assert [c.agreement for c in result.comparisons] == [agreement]
 
 
 @pytest.mark.parametrize(
     ("template", "value"),
-    [("{a}", 1.25), ("{a} N", "1.25 N"), ("{a:.1f} N", "1.2 N"), ("none", "none"), (3.0, 3.0)],
+    [
+        ("{a}", 1.25),
+        ("{b[c]}", 2),
+        ("{a} N", "1.25 N"),
+        ("{a:.1f} N", "1.2 N"),
+        ("none", "none"),
+        (3.0, 3.0),
+    ],
 )
 def test_a_template_of_one_field_stands_for_its_value(template, value):
-    assert filled(template, {"a": 1.25}) == value
+    assert filled(template, {"a": 1.25, "b": {"c": 2}}) == value
 
 
 def test_a_result_is_made_of_text_numbers_and_figures(monkeypatch):
-    monkeypatch.setattr(study_result, "read_study_text", lambda name: TEXT)
+    monkeypatch.setattr(studies, "read_study_text", lambda name: TEXT)
     with style():
         figures = {"dot": plt.figure(figsize=(3.0, 2.0))}
-        result = study_result.study_result("any", NUMBERS, figures)
+        result = study_result("any", NUMBERS, figures)
     assert plt.get_fignums() == []
     assert result.lead == "It pulls 50.0 N."
     (picture,) = result.pictures

@@ -11,10 +11,8 @@ from cablesense_paper.servo_cable import (
     longest_bounded_step_s,
     longest_step_s,
     positions_at_rest_m,
-    series_stiffness_n_m,
     starting_force_n,
     stays_bounded,
-    steady_error_m,
     tension_at_rest_n,
 )
 
@@ -25,14 +23,12 @@ stiffnesses = st.floats(1e3, 1e9)
 @given(stiffnesses, stiffnesses, st.integers(1, 4), st.floats(-1e3, 1e3))
 def test_rest_is_where_every_servo_balances_the_cable(k, kp, servos, unyielding_n):
     tension = tension_at_rest_n(unyielding_n, k, kp, servos)
-    error = steady_error_m(unyielding_n, k, kp, servos)
-    assert kp * error == pytest.approx(tension)
-    assert unyielding_n - k * servos * error == pytest.approx(tension, rel=1e-6, abs=1e-6)
+    assert unyielding_n - k * servos * tension / kp == pytest.approx(tension, rel=1e-6, abs=1e-6)
 
 
 @given(stiffnesses, stiffnesses)
 def test_one_servo_and_the_cable_are_springs_in_series(k, kp):
-    assert 1.0 / series_stiffness_n_m(k, kp, 1) == pytest.approx(1.0 / k + 1.0 / kp)
+    assert 1.0 / tension_at_rest_n(k, k, kp, 1) == pytest.approx(1.0 / k + 1.0 / kp)
 
 
 def test_the_start_is_that_of_an_ode_solver():
@@ -86,7 +82,7 @@ def test_both_servos_rest_by_the_closed_form_short_of_their_commands(kp_n_m):
     commands = np.array([[0.0, 0.0], [0.0, 2e-5], [1e-5, -5e-6]])
     short = commands - positions_at_rest_m(kp_n_m, commands)
     unyielding = PRETENSION_N + STIFFNESS_N_M * commands.sum(axis=1)
-    expected = steady_error_m(unyielding, STIFFNESS_N_M, kp_n_m, 2)
+    expected = tension_at_rest_n(unyielding, STIFFNESS_N_M, kp_n_m, 2) / kp_n_m
     np.testing.assert_allclose(short, np.stack([expected, expected], axis=1), rtol=1e-6)
 
 

@@ -1,10 +1,10 @@
 """Fig. 13 and 14, on few samples: points recognised, errors that fall towards the tip."""
 
 import pytest
-from paper_studies import compared, quick_result
+from paper_studies import compared, result_of
 
-from cablesense_paper.studies import several_contacts
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.studies.several_contacts import several_contacts
+from cablesense_paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # answers samples, grows trees and draws
 
@@ -12,9 +12,7 @@ pytestmark = pytest.mark.slow  # answers samples, grows trees and draws
 @pytest.fixture(scope="module")
 def result():
     small = {"samples": 1024, "training_samples": 512, "rounds": 5}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(several_contacts, "study_size", lambda name, quick: small)
-        return quick_result("several_contacts")
+    return result_of("several_contacts", several_contacts, small)
 
 
 def test_over_99_percent_are_recognised_and_errors_fall_towards_the_tip(result):

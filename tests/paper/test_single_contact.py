@@ -2,35 +2,35 @@
 
 import numpy as np
 import pytest
-from paper_studies import compared, quick_result
+from paper_studies import compared, result_of
 
-from cablesense_paper.studies import single_contact
 from cablesense_paper.studies.single_contact import (
+    ALL_SETTINGS,
     FORCE_EDGES_N,
     LABELS,
-    SHIPPED,
     TITLES,
     TREES,
-    all_settings,
     answered_as_the_paper_tests,
     answered_setting,
+    single_contact,
 )
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 from cablesense_training.baselines import BoostingSettings
+from cablesense_training.evaluation.comparison import SHIPPED
 from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.session import read_model
 
 
 @pytest.fixture(scope="module")
 def straight():
-    return answered_setting(all_settings()[0], 512, 512, BoostingSettings(rounds=10, leaves=15))
+    return answered_setting(ALL_SETTINGS[0], 512, 512, BoostingSettings(rounds=10, leaves=15))
 
 
 def test_no_bundled_single_contact_model_is_left_out():
-    asked = {model for setting in all_settings() for model in setting.models.values()}
+    asked = {model for setting in ALL_SETTINGS for model in setting.models.values()}
     single = {name for name in bundled_models() if _from_single_samples(name)}
     assert asked == single
-    assert {setting.name for setting in all_settings()} == set(TITLES)
+    assert {setting.name for setting in ALL_SETTINGS} == set(TITLES)
 
 
 def _from_single_samples(name):
@@ -62,19 +62,18 @@ def test_the_shipped_model_comes_near_the_bound_and_trees_do_not(straight):
 
 
 def test_the_paper_tests_without_noise_and_with_contacts_alone():
-    tested = answered_as_the_paper_tests(all_settings()[0], 256)
+    tested = answered_as_the_paper_tests(ALL_SETTINGS[0], 256)
     assert sum(tested[SHIPPED].metrics.confusion[0]) == 0
     assert tested[SHIPPED].metrics.errors.magnitude_mae_n < 0.01
 
 
 @pytest.fixture(scope="module")
 def result():
-    chosen = [s for s in all_settings() if s.name in ("straight", "random_pose", "tensions_only")]
-    with pytest.MonkeyPatch.context() as patch:
-        small = {"samples": 512, "training_samples": 512, "rounds": 10, "trees_everywhere": False}
-        patch.setattr(single_contact, "study_size", lambda name, quick: small)
-        patch.setattr(single_contact, "all_settings", lambda: chosen)
-        return quick_result("single_contact")
+    chosen = [s for s in ALL_SETTINGS if s.name in ("straight", "random_pose", "tensions_only")]
+    small = {"samples": 512, "training_samples": 512, "rounds": 10, "trees_everywhere": False}
+    return result_of(
+        "single_contact", lambda size, progress: single_contact(size, progress, chosen), small
+    )
 
 
 @pytest.mark.slow

@@ -7,23 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper_studies import compared
+from paper_studies import compared, result_of
 
 from cablesense_gap.report.style import style
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import UNKNOWN
 from cablesense_paper import table_2_gap, tension_changes
-from cablesense_paper.studies import sim_to_real
 from cablesense_paper.studies.sim_to_real import (
     best_listed_n,
+    figures_of,
     gap_figure,
     numbers_of,
     proportion_figure,
     ranked_singles,
-    result_of,
     shares,
 )
-from cablesense_paper.study_result import PAPER, Agreement
+from cablesense_paper.study import PAPER, Agreement
 from cablesense_paper.table_2_gap import (
     KINDS,
     PRIOR_UNLISTED,
@@ -31,16 +30,15 @@ from cablesense_paper.table_2_gap import (
     Judged,
     Rehearsal,
     diagnose_table,
-    read_rehearsal,
     rehearse,
     table,
-    write_rehearsal,
 )
 from cablesense_paper.tension_changes import OneNumber, Scan, explain
 
 
 def counted(count, one, two, unlisted):
-    return Rehearsal(count, dict(zip(KINDS, (one, two, unlisted), strict=True)), 0, {})
+    unexplained = dict(zip(KINDS, (one, two, unlisted), strict=True))
+    return Rehearsal(count=count, unexplained=unexplained, named=0)
 
 
 @given(st.integers(1, 200))
@@ -53,12 +51,6 @@ def test_the_more_of_the_unlisted_are_left_the_more_probable_it_is():
     found = [counted(40, 0, 0, k).probability for k in range(41)]
     assert found == sorted(found)
     assert 0.0 < found[0] < found[-1] < 1.0
-
-
-def test_counts_come_back_from_a_file(tmp_path):
-    whole = Rehearsal(3, dict.fromkeys(KINDS, 1), 2, {("payload", "sensor_gain"): 1})
-    write_rehearsal(tmp_path / "counts.json", whole)
-    assert read_rehearsal(tmp_path / "counts.json") == whole
 
 
 class Unloaded:
@@ -93,7 +85,8 @@ def test_tables_of_all_kinds_are_drawn_judged_and_counted(monkeypatch):
     progress = []
     found = rehearse(Unloaded(), scans, Judged((), (), 0.5), 4, 1, progress.append)
     assert found.unexplained[KINDS[2]] == 4
-    assert found.named + sum(found.mistaken.values()) == 4
+    assert found.named + sum(times for *_, times in found.mistaken) == 4
+    assert Rehearsal.model_validate_json(found.model_dump_json()) == found
     assert progress == sorted(progress)
     assert progress[-1] == 1.0
 
@@ -115,14 +108,13 @@ def found():
 
 @pytest.fixture(scope="module")
 def result(found):
-    with style():
-        return result_of(found)
+    return result_of("sim_to_real", lambda _: (numbers_of(found), figures_of(found)))
 
 
 @pytest.mark.slow
 def test_the_verdict_is_unknown_by_the_counts_that_ship(found):
     assert found.verdict.effects == (UNKNOWN,)
-    assert found.rehearsal == read_rehearsal(REHEARSAL)
+    assert found.rehearsal == Rehearsal.model_validate_json(REHEARSAL.read_text())
     assert found.verdict.probability == found.rehearsal.probability > 0.5
     assert sum(c.probability for c in found.verdict.candidates) == pytest.approx(1.0)
 
@@ -196,10 +188,3 @@ def test_a_figure_shows_the_numbers_with_their_unit(found, draw, panels):
     assert len(figure.axes) == panels
     assert any(label.endswith("N") for label in labels)
     assert not bars or bars == pytest.approx(list(found.gap_n.ravel()))
-
-
-@pytest.mark.parametrize(("quick", "tables"), [(True, 0), (False, 40)])
-def test_the_quick_mode_takes_the_counts_that_ship(quick, tables, monkeypatch):
-    monkeypatch.setattr(sim_to_real, "result_of", lambda found: found)
-    monkeypatch.setattr(sim_to_real, "diagnose_table", lambda tables, progress, workers: tables)
-    assert sim_to_real.run(quick, lambda done: None) == tables
