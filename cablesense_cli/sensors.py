@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from cablesense_cli.options import refuse_given
+from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
 
 if TYPE_CHECKING:
     from cablesense_online.commissioning.sensor_calibration import SensorCalibration
@@ -60,7 +60,7 @@ def calibrate(
             help="Standard uncertainty that all loads share (gauge, set of weights), percent.",
         ),
     ] = 0.0,
-    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Find scale and zero of tension sensors from known loads, with uncertainty.
 
@@ -138,15 +138,11 @@ def calibrate(
 def _table(
     found: Mapping[str, SensorCalibration], known: Mapping[str, Sequence[KnownLoad]]
 ) -> Table:
-    from rich.table import Table
-
-    table = Table(title="± is 95 %; all else in N", title_justify="left", header_style="bold")
-    table.add_column("cable")
-    for heading in (
+    headings = (
         *("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"),
         *("nonlinearity", "hysteresis", "repeatability", "furthest off, line"),
-    ):
-        table.add_column(heading, justify="right")
+    )
+    table = titled_table("± is 95 %; all else in N", "cable", *headings, right=headings)
     for cable, sensor in found.items():
         line = known[cable][sensor.largest_residual_at].where.rpartition(" ")[2]
         table.add_row(
@@ -212,7 +208,7 @@ def check(
             show_default="four standard deviations of a reading",
         ),
     ] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
 
@@ -221,7 +217,6 @@ def check(
     Examples: cablesense sensors check recording.mcap --arm my_arm.yaml,
     cablesense sensors check --pull all
     """
-    import json
     from dataclasses import asdict, replace
 
     from rich.console import Console
@@ -263,8 +258,7 @@ def check(
         found = exercised_channel_findings(recorded, described)
         report = replace(report, findings=(*found, *report.findings))
     if json_output:
-        content = {"usable": report.usable, "expected": asdict(expected), **asdict(report)}
-        print(json.dumps(content, indent=2))
+        print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:
         console = Console()
         console.print(check_table(report, expected))
@@ -296,18 +290,14 @@ def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
         f"± 5 %), jitter {1e3 * timing.jitter_s:.2f} ms (≤ {1e3 * expected.jitter_s:.2f}), "
         f"{timing.lost} lost"
     )
-    table = Table(title=title, title_justify="left", header_style="bold")
     step = f"≤ {expected.step_n:.3f}" if expected.step_n else "any"
     pulled = {result.cable: f"{result.moved}, {result.verdict}" for result in report.pulls}
-    table.add_column("cable")
-    for heading in (
-        "at rest, N",
-        f"noise, N\n≤ {expected.noise_n:.3f}",
-        f"step, N\n{step}",
+    headings = (
+        *("at rest, N", f"noise, N\n≤ {expected.noise_n:.3f}", f"step, N\n{step}"),
         f"drift, N\n≤ {expected.drift_n:.2f}",
         *(["pulled, moved most\nitself"] if pulled else []),
-    ):
-        table.add_column(heading, justify="right")
+    )
+    table = titled_table(title, "cable", *headings, right=headings)
     wrong = {(finding.where, finding.kind) for finding in report.findings if finding.wrong}
     for channel in report.channels:
         cells = {
@@ -317,10 +307,9 @@ def check_table(report: SensorReport, expected: SensorExpectation) -> Table:
             "step": _newtons(channel.step_n, ".3f", "none seen"),
             "drift": _newtons(channel.drift_n, "+.2f", "unknown"),
         } | ({"swapped": pulled.get(channel.cable, "")} if pulled else {})
-        table.add_row(
-            *(
-                f"[red]{text}[/red]" if (channel.cable, kind) in wrong else text
-                for kind, text in cells.items()
-            )
+        marked = (
+            f"[red]{text}[/red]" if (channel.cable, kind) in wrong else text
+            for kind, text in cells.items()
         )
+        table.add_row(*marked)
     return table
