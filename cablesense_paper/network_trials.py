@@ -141,9 +141,9 @@ class TrialResults:
 
     def smallest_like_the_paper(self) -> Shape | None:
         """The decoupled shape of fewest parameters that is as good as the paper in all."""
-        errors = list(PAPER_ERRORS)
         decoupled = self.means.xs(DECOUPLED, drop_level=False)
-        reached = decoupled[(decoupled[errors] <= PAPER_ERRORS.values()).all(axis=1)]
+        good = decoupled[list(PAPER_ERRORS)] <= list(PAPER_ERRORS.values())
+        reached = decoupled[good.all(axis=1)]
         return None if reached.empty else Shape(*reached[PARAMETERS].idxmin())
 
     def ratios(self, ours: str, theirs: str) -> dict[str, float]:
