@@ -15,7 +15,7 @@ from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning
-from cablesense_online.page.panel import Actions, Push
+from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.node_process import (
     of_node,
@@ -64,9 +64,9 @@ class PageNode(Node):
             self._client.command(self._home_rad)
         self._page.show(self._live.snapshot(time.monotonic()))
 
-    def _push(self, push: Push) -> None:
+    def _push(self, segment: int, angle_deg: float, magnitude_n: float) -> None:
         try:
-            self._client.push(push.segment, push.angle_deg, push.magnitude_n)
+            self._client.push(segment, angle_deg, magnitude_n)
         except CableSenseError as error:
             self._page.notify("Not pushed", str(error))
 

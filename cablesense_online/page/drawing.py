@@ -8,7 +8,6 @@ without its darkest tenth; the two forces and the segments use the palette of Ok
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
 
@@ -26,28 +25,17 @@ ARROWS_APART_M = 0.022
 """True and estimated arrow stand side by side along the segment: neither hides the other."""
 
 
-@dataclass(frozen=True)
-class CablePieces:
-    """The straight pieces of all cables, from hole to hole.
-
-    Attributes:
-        ends_m: (P, 2, 3) both ends of each piece, base frame.
-        cable: (P,) position of the cable that each piece belongs to.
-    """
-
-    ends_m: Array
-    cable: NDArray[np.int64]
-
-
 def cable_pieces(
     mechanism: Mechanism, joint_positions_m: Array, segment_rotations: Array
-) -> CablePieces:
-    """The cables' paths through the guide holes, from the actuators to the anchors.
+) -> tuple[Array, NDArray[np.int64]]:
+    """The straight pieces of all cables, from actuator to anchor through the guide holes.
 
     Joint positions (N, 3) in the base frame; rotations (N, 3, 3) from segment to base frame.
+
+    Returns:
+        Both ends (P, 2, 3) of each piece, base frame, and the position (P,) of its cable.
     """
     ends: list[tuple[Array, Array]] = []
-    cables: list[int] = []
     for cable, last_segment in enumerate(mechanism.cable_segment):
         y, z = mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]
         points = [np.array([-mechanism.run_m, y, z]), np.array([0.0, y, z])]
@@ -58,10 +46,9 @@ def cable_pieces(
             points += [
                 joint_positions_m[n] + segment_rotations[n] @ np.array([x, y, z]) for x in holes_x
             ]
-        pairs = list(pairwise(points))
-        ends += pairs
-        cables += [cable] * len(pairs)
-    return CablePieces(np.array(ends), np.array(cables))
+        ends += pairwise(points)
+    pieces_each = 2 * mechanism.cable_segment
+    return np.array(ends), np.repeat(np.arange(mechanism.cable_count), pieces_each)
 
 
 def unit(vector: Array) -> Array:
@@ -69,20 +56,17 @@ def unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def arrow_length_m(magnitude_n: float) -> float:
-    """Length of a force's arrow: 2 mm per newton, within what can be seen and fits the view."""
-    return float(np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M))
-
-
 def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[Array, Array]:
     """Tail and tip (3,) of the arrow that pushes on a contact.
 
-    It points at the arm and ends `clearance_m` before its axis.
+    It points at the arm and ends `clearance_m` before its axis. Its length is 2 mm per newton,
+    within what can be seen and fits the view.
     """
-    magnitude = float(np.linalg.norm(force_n))
-    direction = force_n / magnitude
+    magnitude_n = float(np.linalg.norm(force_n))
+    direction = force_n / magnitude_n
     tip = contact_m - clearance_m * direction
-    return tip - arrow_length_m(magnitude) * direction, tip
+    length = np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M)
+    return tip - length * direction, tip
 
 
 def quaternion_z_to(direction: Array) -> Array:
@@ -109,12 +93,10 @@ _TENSION_STOPS = np.array([list(bytes.fromhex(stop[1:])) for stop in _TENSION_CS
 
 def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
     """Colours (..., 3) of tensions: violet at 0 N (slack), yellow from `full_scale_n` on."""
-    share = np.clip(np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n, 0.0, 1.0)
-    place = share * (len(_TENSION_STOPS) - 1)
-    low = np.minimum(place.astype(int), len(_TENSION_STOPS) - 2)
-    blend = (place - low)[..., None]
-    rgb = (1 - blend) * _TENSION_STOPS[low] + blend * _TENSION_STOPS[low + 1]
-    return np.rint(rgb).astype(np.uint8)
+    share = np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n
+    at = np.linspace(0.0, 1.0, len(_TENSION_STOPS))
+    rgb = [np.interp(share, at, channel) for channel in _TENSION_STOPS.T]
+    return np.rint(np.stack(rgb, axis=-1)).astype(np.uint8)
 
 
 def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -205,12 +187,6 @@ def body(mechanism: Mechanism, segment: int) -> trimesh.Trimesh:
     neck_end = length if last else length - 0.2 * offset
     neck = _disc((0.2 * offset + neck_end) / 2, 0.45 * radius, neck_end - 0.2 * offset)
     return _joined([spine, neck])
-
-
-def joint(mechanism: Mechanism) -> trimesh.Trimesh:
-    """A universal joint's cross in its ball."""
-    radius = BODY_SHARE * routing_radius_m(mechanism)
-    return trimesh.creation.icosphere(subdivisions=3, radius=0.62 * radius)
 
 
 def unit_arrow() -> dict[str, trimesh.Trimesh]:

@@ -7,8 +7,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -86,13 +85,10 @@ def angle_error_deg(a_deg: float, b_deg: float) -> float:
 
 @dataclass(frozen=True)
 class Errors:
-    """Mean errors over the moments compared so far.
+    """Mean errors over the `count` moments compared so far; None before the first of their kind.
 
-    Attributes:
-        count: moments compared.
-        segment_right: share of them, 0 … 1, with the right segment (or rightly none).
-        angle_mae_deg: over those with the right segment; None before the first.
-        magnitude_mae_n: likewise.
+    `segment_right` is the share, 0 … 1, of moments with the right segment (or rightly none); the
+    other two are over those with the right segment.
     """
 
     count: int
@@ -138,11 +134,12 @@ class Score:
 
     def _changed(self, snapshot: Snapshot) -> bool:
         """Whether load or pose differ from those since which the arm has stood still."""
-        still, true = self._still, snapshot.true
-        if still is not None and (still.true is None) == (true is None):
+        still = self._still
+        if still is not None and (still.true is None) == (snapshot.true is None):
             force_moved = 0.0
-            if still.true is not None and true is not None:
-                force_moved = float(np.abs(still.true.force_base_n - true.force_base_n).max())
+            if still.true is not None and snapshot.true is not None:
+                difference = still.true.force_base_n - snapshot.true.force_base_n
+                force_moved = float(np.abs(difference).max())
             pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
             if force_moved < STILL_N and pose_moved < STILL_RAD:
                 return False
@@ -160,20 +157,6 @@ class Score:
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
-
-
-@dataclass
-class _Latest:
-    """The latest of each message, with the time it came."""
-
-    tensions_s: float = -np.inf
-    tensions_n: Array | None = None
-    joint_angles_rad: Array | None = None
-    loads: dict[int, Array] = field(default_factory=dict)
-    estimate_s: float = -np.inf
-    estimate: tuple[int, Array] | None = None
-    probabilities: Array | None = None
-    health: dict[str, tuple[float, Level, str]] = field(default_factory=dict)
 
 
 class LiveArm:
@@ -198,20 +181,24 @@ class LiveArm:
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._motion = JointMotion(np.zeros(arm.joint_count), joint_speed_rad_s)
         self._motion_s: float | None = None
-        self._latest = _Latest()
+        self._tensions_s = self._estimate_s = -np.inf
+        self._tensions_n: Array | None = None
+        self._joint_angles_rad: Array | None = None
+        self._loads: dict[int, Array] = {}
+        self._estimate: tuple[int, Array] | None = None
+        self._probabilities: Array | None = None
+        self._health: dict[str, tuple[float, Level, str]] = {}
         self._lock = threading.Lock()
 
     def on_tensions(self, message: Any, now_s: float) -> None:
         """Takes a `cable_tensions` message."""
         tensions = self._cables.arrange(message.name, message.effort, "effort")
         with self._lock:
-            self._latest.tensions_n, self._latest.tensions_s = tensions, now_s
+            self._tensions_n, self._tensions_s = tensions, now_s
 
     def on_joint_states(self, message: Any) -> None:
         """Takes a `joint_states` message."""
-        angles = self._joints.arrange(message.name, message.position, "position")
-        with self._lock:
-            self._latest.joint_angles_rad = angles
+        self._joint_angles_rad = self._joints.arrange(message.name, message.position, "position")
 
     def on_joint_commands(self, message: Any) -> None:
         """Takes a `joint_commands` message: contact angles are counted at the commanded pose."""
@@ -223,7 +210,7 @@ class LiveArm:
         """Takes an `applied_wrench` message; it replaces the load on its segment."""
         load = read_load(message, self.frames)
         with self._lock:
-            self._latest.loads[load.segment] = load.force_base_n
+            self._loads[load.segment] = load.force_base_n
 
     def on_wrench(self, message: Any, now_s: float) -> None:
         """Takes the estimator's `wrench`: a force in the axes of its segment, or zero."""
@@ -233,14 +220,13 @@ class LiveArm:
         if local_n.any():
             estimate = (self.frames.segment_number(message.header.frame_id), local_n)
         with self._lock:
-            self._latest.estimate, self._latest.estimate_s = estimate, now_s
+            self._estimate, self._estimate_s = estimate, now_s
 
     def on_probabilities(self, message: Any) -> None:
         """Takes the estimator's `contact_probabilities`; another length is not this arm's."""
         probabilities = np.asarray(message.data, dtype=float)
         if probabilities.shape == (self.mechanism.segment_count + 1,):
-            with self._lock:
-                self._latest.probabilities = probabilities
+            self._probabilities = probabilities
 
     def on_diagnostics(self, message: Any, now_s: float) -> None:
         """Takes a `/diagnostics` message and keeps the estimator's own statuses."""
@@ -249,12 +235,11 @@ class LiveArm:
                 node, _, part = status.name.partition(": ")
                 if node.strip("/") == self._estimator and part:
                     level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
-                    self._latest.health[part] = (now_s, level, status.message)
+                    self._health[part] = (now_s, level, status.message)
 
     def content_with(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
-        with self._lock:
-            latest = self._latest.health.get(part)
+        latest = self._health.get(part)
         return latest is not None and latest[1] is Level.OK
 
     def loads_of(self, segment: int, angle_deg: float, magnitude_n: float) -> list[Load]:
@@ -265,7 +250,7 @@ class LiveArm:
         """
         with self._lock:
             command = self._motion.advance(0.0)
-            pushed = {number for number, force in self._latest.loads.items() if force.any()}
+            pushed = {number for number, force in self._loads.items() if force.any()}
         forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
         return [*released, Load(segment, forces[segment - 1])] if segment else released
@@ -275,57 +260,50 @@ class LiveArm:
         with self._lock:
             elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
             self._motion_s = now_s
-            latest, command = self._latest, self._motion.advance(elapsed_s)
-            rotations = segment_rotations(self.mechanism, command)
-            fresh = now_s - latest.estimate_s <= STALE_S
-            estimate = self._estimated(latest.estimate, command, rotations) if fresh else None
+            command = self._motion.advance(elapsed_s)
+            fresh = now_s - self._estimate_s <= STALE_S
+            estimate = self._estimated(command) if fresh else None
+            measured = self._joint_angles_rad
             return Snapshot(
-                time_s=latest.tensions_s if latest.tensions_n is not None else now_s,
-                joint_angles_rad=(
-                    command if latest.joint_angles_rad is None else latest.joint_angles_rad
-                ),
-                tensions_n=latest.tensions_n,
-                true=self._true(latest.loads, command),
+                time_s=self._tensions_s if self._tensions_n is not None else now_s,
+                joint_angles_rad=command if measured is None else measured,
+                tensions_n=self._tensions_n,
+                true=self._true(command),
                 estimate=estimate,
-                probabilities=latest.probabilities if fresh else None,
-                status=_status(latest, estimate, now_s),
+                probabilities=self._probabilities if fresh else None,
+                status=self._status(estimate, now_s),
             )
 
-    def _true(self, loads: Mapping[int, Array], command_rad: Array) -> Contact | None:
+    def _true(self, command_rad: Array) -> Contact | None:
         """The largest load, which is the only one as long as the page alone pushes."""
-        pushes = [(float(np.linalg.norm(f)), n, f) for n, f in loads.items() if f.any()]
+        pushes = [(float(np.linalg.norm(f)), n, f) for n, f in self._loads.items() if f.any()]
         if not pushes:
             return None
         magnitude, segment, force = max(pushes, key=lambda push: push[0])
         angle = float(contact_angle_deg(self.mechanism, command_rad, segment, force))
         return Contact(segment, angle, magnitude, force)
 
-    def _estimated(
-        self, estimate: tuple[int, Array] | None, command_rad: Array, rotations: Array
-    ) -> Contact | None:
-        if estimate is None:
+    def _estimated(self, command_rad: Array) -> Contact | None:
+        if self._estimate is None:
             return None
-        segment, local_n = estimate
-        force = rotations[segment - 1] @ local_n
+        segment, local_n = self._estimate
+        force = segment_rotations(self.mechanism, command_rad)[segment - 1] @ local_n
         angle = float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
         return Contact(segment, angle, float(np.linalg.norm(local_n)), force)
 
-
-def _status(latest: _Latest, estimate: Contact | None, now_s: float) -> Status:
-    """With the estimator's warnings as notes; where there are none, its first status."""
-    if latest.tensions_n is None:
-        return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
-    if now_s - latest.tensions_s > STALE_S:
-        age_s = now_s - latest.tensions_s
-        return Status(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
-    if not np.isfinite(latest.estimate_s):
-        return Status(Level.STALE, "Waiting for the estimator", ("no estimate has come yet",))
-    present = [h for h in latest.health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
-    present.sort(key=lambda status: -status[1])
-    warnings = tuple(text for _, level, text in present if level is not Level.OK)
-    notes = warnings[:3] or tuple(text for _, _, text in present[:1])
-    age_s = now_s - latest.estimate_s
-    if age_s > STALE_S:
-        return Status(Level.STALE, f"No estimate for {age_s:.1f} s", notes)
-    headline = "No contact" if estimate is None else f"Contact on segment {estimate.segment}"
-    return Status(present[0][1] if present else Level.OK, headline, notes)
+    def _status(self, estimate: Contact | None, now_s: float) -> Status:
+        """With the estimator's warnings as notes; where there are none, its first status."""
+        if self._tensions_n is None:
+            return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
+        if (age_s := now_s - self._tensions_s) > STALE_S:
+            return Status(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
+        if not np.isfinite(self._estimate_s):
+            return Status(Level.STALE, "Waiting for the estimator", ("no estimate has come yet",))
+        present = [h for h in self._health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
+        present.sort(key=lambda status: -status[1])
+        warnings = tuple(text for _, level, text in present if level is not Level.OK)
+        notes = warnings[:3] or tuple(text for _, _, text in present[:1])
+        if (age_s := now_s - self._estimate_s) > STALE_S:
+            return Status(Level.STALE, f"No estimate for {age_s:.1f} s", notes)
+        headline = "No contact" if estimate is None else f"Contact on segment {estimate.segment}"
+        return Status(present[0][1] if present else Level.OK, headline, notes)

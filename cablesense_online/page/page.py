@@ -62,7 +62,11 @@ class Page:
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
         )
         server.gui.set_panel_label("CableSense")
-        _place_camera(server, mechanism)
+        reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
+        server.initial_camera.position = (0.86 * reach, -1.66 * reach, 0.7 * reach)
+        server.initial_camera.look_at = (0.5 * reach, 0.0, -0.04 * reach)
+        server.initial_camera.fov = 0.75
+        server.initial_camera.near = 0.01
         self._scene = _ArmScene(server.scene, mechanism)
         if actions is not None:
             self._controls = Controls(server.gui, arm.segment_count, actions)
@@ -77,7 +81,8 @@ class Page:
             reset.on_click(lambda _: self._reset_errors())
             self._numbers.append(server.gui.add_html(""))
             self._traces = TracePlot(server.gui, mechanism)
-            server.gui.add_html(panel.traces_legend_html(arm.segment_count))
+            legend = panel.traces_legend_html(arm.segment_count)
+            server.gui.add_html(panel.style_html() + legend)
         dock.dock_left()
         dock.set_width(400)
 
@@ -154,33 +159,16 @@ def free_port(host: str, port: int) -> int:
     )
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches `host`; a name other than localhost may lead anywhere."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
 def exposure_warning(host: str, port: int, controls: bool) -> str:
     """A warning that others reach a page served on `host`; empty if this machine alone does."""
-    if is_loopback(host):
-        return ""
+    with contextlib.suppress(ValueError):  # a name other than localhost may lead anywhere
+        if host == "localhost" or ipaddress.ip_address(host).is_loopback:
+            return ""
     what = "see and move the arm" if controls else "see the arm"
     return (
         f"the page is served on {host}, port {port}, without a password: everyone who reaches "
         f"this machine can {what}"
     )
-
-
-def _place_camera(server: viser.ViserServer, mechanism: Mechanism) -> None:
-    reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-    server.initial_camera.position = (0.86 * reach, -1.66 * reach, 0.7 * reach)
-    server.initial_camera.look_at = (0.5 * reach, 0.0, -0.04 * reach)
-    server.initial_camera.fov = 0.75
-    server.initial_camera.near = 0.01
 
 
 _HEAD_LENGTH_M = 0.034
@@ -191,6 +179,7 @@ _BODY_RGB = (70, 80, 98)
 _JOINT_RGB = (188, 196, 208)
 _GROMMET_RGB = (28, 32, 40)
 _GROUND_RGB = (20, 23, 29)
+_Anchor = Literal["center-center", "bottom-center", "top-center", "bottom-left", "bottom-right"]
 _POSE_STEP_RAD = 2e-5
 """Joint angles that differ by less are the same picture."""
 
@@ -199,26 +188,19 @@ class _ArmScene:
     """The arm in a viser scene, made once; `pose`, `tensions` and `forces` move and colour it."""
 
     def __init__(self, scene: viser.SceneApi, mechanism: Mechanism) -> None:
+        self._scene = scene
         self._mechanism = mechanism
         self._clearance_m = 1.1 * drawing.BODY_SHARE * drawing.routing_radius_m(mechanism)
         self._pose_rad: Array | None = None
-        self._contacts_m = np.zeros((mechanism.segment_count, 3))
-        self._rotations = np.zeros((mechanism.segment_count, 3, 3))
-        self._add_ground(scene)
-        self._segments = [
-            self._add_segment(scene, n) for n in range(1, mechanism.segment_count + 1)
-        ]
-        self._add_base(scene)
+        self._add_ground_and_base()
+        self._segments = [self._add_segment(n) for n in range(1, mechanism.segment_count + 1)]
         straight = np.zeros(mechanism.joint_count)
-        pieces = drawing.cable_pieces(
-            mechanism,
-            joint_positions_m(mechanism, straight),
-            segment_rotations(mechanism, straight),
-        )
-        self._piece_cable = pieces.cable
-        self._colours = np.full((len(pieces.cable), 2, 3), 128, dtype=np.uint8)
+        positions = joint_positions_m(mechanism, straight)
+        rotations = segment_rotations(mechanism, straight)
+        ends_m, self._piece_cable = drawing.cable_pieces(mechanism, positions, rotations)
+        self._colours = np.full((len(ends_m), 2, 3), 128, dtype=np.uint8)
         self._cables = scene.add_line_segments(
-            "/cables", pieces.ends_m, self._colours, thickness=_CABLE_WIDTH_M
+            "/cables", ends_m, self._colours, thickness=_CABLE_WIDTH_M
         )
         self._true = _ForceArrow(scene, "/forces/true", TRUE_RGB, "bottom-right")
         self._estimate = _ForceArrow(scene, "/forces/estimate", ESTIMATE_RGB, "bottom-left")
@@ -229,16 +211,16 @@ class _ArmScene:
         before = self._pose_rad
         if before is not None and np.abs(joint_angles_rad - before).max() < _POSE_STEP_RAD:
             return
-        self._pose_rad = np.array(joint_angles_rad, dtype=float)
-        positions = joint_positions_m(self._mechanism, self._pose_rad)
-        self._rotations = rotations = segment_rotations(self._mechanism, self._pose_rad)
-        self._contacts_m = contact_points_m(self._mechanism, self._pose_rad)
+        self._pose_rad = pose = np.array(joint_angles_rad, dtype=float)
+        positions = joint_positions_m(self._mechanism, pose)
+        self._rotations = rotations = segment_rotations(self._mechanism, pose)
+        self._contacts_m = contact_points_m(self._mechanism, pose)
         turns = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
         for frame, position, turn in zip(self._segments, positions, turns, strict=True):
             frame.position = position
             frame.wxyz = turn
-        pieces = drawing.cable_pieces(self._mechanism, positions, rotations)
-        self._cables.points = pieces.ends_m.astype(np.float32)
+        ends_m, _ = drawing.cable_pieces(self._mechanism, positions, rotations)
+        self._cables.points = ends_m.astype(np.float32)
 
     def tensions(self, tensions_n: Array, full_scale_n: float) -> None:
         """Colours the cables; (M,) in N, against the legend's full scale."""
@@ -256,17 +238,17 @@ class _ArmScene:
         ):
             if contact is None or contact.magnitude_n <= 0.0:
                 arrow.hide()
-            else:
-                along = self._rotations[contact.segment - 1][:, 0]
-                arrow.show(
-                    self._contacts_m[contact.segment - 1] + aside_m * along,
-                    contact.force_base_n,
-                    self._clearance_m,
-                    f"{label} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
-                )
+                continue
+            along = self._rotations[contact.segment - 1][:, 0]
+            arrow.show(
+                self._contacts_m[contact.segment - 1] + aside_m * along,
+                contact.force_base_n,
+                self._clearance_m,
+                f"{label} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
+            )
 
-    def _add_ground(self, scene: viser.SceneApi) -> None:
-        scene.add_grid(
+    def _add_ground_and_base(self) -> None:
+        self._scene.add_grid(
             "/ground",
             width=3.0,
             height=3.0,
@@ -282,38 +264,45 @@ class _ArmScene:
             fade_strength=1.2,
             position=(0.25, 0.0, -0.32),
         )
-        _add_label(scene, "/ground/scale", "squares of 5 cm", (0.35, -0.3, 0.0), "center-center")
-
-    def _add_base(self, scene: viser.SceneApi) -> None:
-        _add_part(scene, "/base/plate", drawing.plates(self._mechanism, 0), _PLATE_RGB)
-        _add_part(scene, "/base/grommets", drawing.grommets(self._mechanism, 0), _GROMMET_RGB)
+        self._add_label("/ground/scale", "squares of 5 cm", (0.35, -0.3, 0.0), "center-center")
+        self._add_part("/base/plate", drawing.plates(self._mechanism, 0), _PLATE_RGB)
+        self._add_part("/base/grommets", drawing.grommets(self._mechanism, 0), _GROMMET_RGB)
         height_m = 1.5 * drawing.routing_radius_m(self._mechanism)
-        _add_label(scene, "/base/label", "base", (0.0, 0.0, height_m), "bottom-center")
+        self._add_label("/base/label", "base", (0.0, 0.0, height_m), "bottom-center")
 
-    def _add_segment(self, scene: viser.SceneApi, segment: int) -> viser.FrameHandle:
-        name = f"/arm/segment_{segment}"
-        frame = scene.add_frame(name, show_axes=False)
-        mechanism = self._mechanism
-        _add_part(scene, f"{name}/body", drawing.body(mechanism, segment), _BODY_RGB)
-        _add_part(scene, f"{name}/joint", drawing.joint(mechanism), _JOINT_RGB)
-        _add_part(scene, f"{name}/plates", drawing.plates(mechanism, segment), _PLATE_RGB, 0.55)
-        _add_part(scene, f"{name}/grommets", drawing.grommets(mechanism, segment), _GROMMET_RGB)
-        depth_m = -1.9 * drawing.routing_radius_m(mechanism)
-        place_m = (float(mechanism.contact_m[segment - 1]), 0.0, depth_m)
-        _add_label(scene, f"{name}/label", f"segment {segment}", place_m, "top-center")
+    def _add_segment(self, segment: int) -> viser.FrameHandle:
+        name, mechanism = f"/arm/segment_{segment}", self._mechanism
+        radius_m = drawing.routing_radius_m(mechanism)
+        frame = self._scene.add_frame(name, show_axes=False)
+        joint = trimesh.creation.icosphere(
+            subdivisions=3, radius=0.62 * drawing.BODY_SHARE * radius_m
+        )
+        self._add_part(f"{name}/body", drawing.body(mechanism, segment), _BODY_RGB)
+        self._add_part(f"{name}/joint", joint, _JOINT_RGB)
+        self._add_part(f"{name}/plates", drawing.plates(mechanism, segment), _PLATE_RGB, 0.55)
+        self._add_part(f"{name}/grommets", drawing.grommets(mechanism, segment), _GROMMET_RGB)
+        place_m = (float(mechanism.contact_m[segment - 1]), 0.0, -1.9 * radius_m)
+        self._add_label(f"{name}/label", f"segment {segment}", place_m, "top-center")
         return frame
+
+    def _add_part(
+        self, name: str, mesh: trimesh.Trimesh, rgb: Rgb, opacity: float | None = None
+    ) -> None:
+        if len(mesh.vertices):
+            self._scene.add_mesh_simple(
+                name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, side="double"
+            )
+
+    def _add_label(
+        self, name: str, text: str, place_m: tuple[float, float, float], anchor: _Anchor
+    ) -> None:
+        self._scene.add_label(name, text, position=place_m, anchor=anchor, font_screen_scale=0.75)
 
 
 class _ForceArrow:
     """One arrow of the scene, moved rather than made anew, so that nothing flickers."""
 
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        name: str,
-        rgb: Rgb,
-        label_anchor: Literal["bottom-left", "bottom-right"],
-    ) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, rgb: Rgb, label: _Anchor) -> None:
         self._root = scene.add_frame(name, show_axes=False, visible=False)
         self._shaft, self._head = (
             scene.add_mesh_simple(
@@ -326,9 +315,7 @@ class _ForceArrow:
             )
             for part, mesh in drawing.unit_arrow().items()
         )
-        self._label = scene.add_label(
-            f"{name}/label", "", anchor=label_anchor, font_screen_scale=1.05, visible=True
-        )
+        self._label = scene.add_label(f"{name}/label", "", anchor=label, font_screen_scale=1.05)
         self._shown: tuple[float, ...] | None = None
 
     def hide(self) -> None:
@@ -352,22 +339,3 @@ class _ForceArrow:
         self._label.text = label
         self._root.visible = True
         self._shown = shown
-
-
-def _add_part(
-    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, rgb: Rgb, opacity: float | None = None
-) -> None:
-    if len(mesh.vertices):
-        scene.add_mesh_simple(
-            name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, side="double"
-        )
-
-
-def _add_label(
-    scene: viser.SceneApi,
-    name: str,
-    text: str,
-    place_m: tuple[float, float, float],
-    anchor: Literal["center-center", "bottom-center", "top-center"],
-) -> None:
-    scene.add_label(name, text, position=place_m, anchor=anchor, font_screen_scale=0.75)

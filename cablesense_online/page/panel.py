@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,6 @@ from cablesense_online.page.drawing import (
     ESTIMATE_RGB,
     TENSION_GRADIENT_CSS,
     TRUE_RGB,
-    Rgb,
     css,
     segment_rgb,
 )
@@ -28,25 +29,17 @@ JOINT_LIMIT_DEG = 20.0
 
 
 @dataclass(frozen=True)
-class Push:
-    """A push on request, normal to the segment at the commanded pose.
+class Actions:
+    """Requests of the page to the nodes, from any thread.
 
     Attributes:
-        segment: 1 … N.
-        angle_deg: from the segment's +z towards its +y.
-        magnitude_n: newtons; 0 lets go.
+        push: takes segment 1 … N, contact angle in degrees from the segment's +z towards its +y
+            at the commanded pose, and force in N; 0 N lets go.
+        command: takes joint angles (2N,), rad.
+        tare: takes a tare.
     """
 
-    segment: int
-    angle_deg: float
-    magnitude_n: float
-
-
-@dataclass(frozen=True)
-class Actions:
-    """Requests of the page to the nodes, from any thread; `command` takes (2N,) angles, rad."""
-
-    push: Callable[[Push], None]
+    push: Callable[[int, float, float], None]
     command: Callable[[Array], None]
     tare: Callable[[], None]
 
@@ -95,7 +88,7 @@ class Controls:
     def _send_push(self) -> None:
         """The push as the sliders stand; 0 N unless the button is down."""
         force_n = float(self._newtons.value) if self._pushing else 0.0
-        self._actions.push(Push(int(self._segment.value), float(self._angle.value), force_n))
+        self._actions.push(int(self._segment.value), float(self._angle.value), force_n)
 
     def _send_command(self) -> None:
         self._actions.command(np.deg2rad([float(joint.value) for joint in self._joints]))
@@ -113,87 +106,71 @@ _LEVEL_CSS = {
     Level.ERROR: "#e8604c",
     Level.STALE: _GREY,
 }
-_DIM = f"color:{_GREY}"
-_SMALL = f"{_DIM};font-size:11px"
 
 
-def _box(content: str, style: str = "") -> str:
-    return (
-        "<div style='padding:2px 10px 10px 10px;font-size:13px;line-height:1.45;"
-        f"font-variant-numeric:tabular-nums;{style}'>{content}</div>"
-    )
+def style_html() -> str:
+    """The style of the panels, once for the page."""
+    text = files("cablesense_online.page").joinpath("panel.css").read_text(encoding="utf-8")
+    return f"<style>{text}</style>"
+
+
+def _panel(content: str) -> str:
+    return f"<div class='cablesense'>{content}</div>"
 
 
 def status_html(status: Status) -> str:
     """The estimator's state as a coloured badge with its notes."""
-    notes = "".join(f"<div style='{_DIM};font-size:12px'>{escape(n)}</div>" for n in status.notes)
-    return _box(
-        "<span style='display:inline-block;width:10px;height:10px;border-radius:5px;"
-        f"background:{_LEVEL_CSS[status.level]};margin-right:8px'></span>"
-        f"<b id='cablesense-status'>{escape(status.headline)}</b>{notes}",
-        "padding-top:8px",
+    notes = "".join(f"<div class='note'>{escape(note)}</div>" for note in status.notes)
+    return _panel(
+        f"<span class='level' style='background:{_LEVEL_CSS[status.level]}'></span>"
+        f"<b id='cablesense-status'>{escape(status.headline)}</b>{notes}"
     )
 
 
 def forces_html(true: Contact | None, estimate: Contact | None) -> str:
-    """True and estimated contact, side by side, with units."""
-    rows = _force_row("true", TRUE_RGB, true) + _force_row("estimated", ESTIMATE_RGB, estimate)
-    return _box(
-        "<table style='width:100%;border-collapse:collapse'>"
-        f"<tr style='{_SMALL};text-align:right'><td></td><td>segment</td>"
-        f"<td>angle</td><td>force</td></tr>{rows}</table>"
-    )
-
-
-def _force_row(word: str, rgb: Rgb, contact: Contact | None) -> str:
-    if contact is None:
-        cells = f"<td>none</td><td style='{_DIM}'>–</td><td style='{_DIM}'>0.0 N</td>"
-    else:
-        cells = (
-            f"<td>{contact.segment}</td><td>{contact.angle_deg:.1f}°</td>"
-            f"<td>{contact.magnitude_n:.1f} N</td>"
-        )
-    return (
-        f"<tr id='cablesense-{word}' style='text-align:right;font-size:15px'>"
-        f"<td style='text-align:left;color:{css(rgb)};font-weight:600'>▶ {word}</td>{cells}</tr>"
-    )
+    """True and estimated contact, one below the other, with units."""
+    rows = "<tr class='small'><td></td><td>segment</td><td>angle</td><td>force</td></tr>"
+    for name, rgb, contact in (("true", TRUE_RGB, true), ("estimated", ESTIMATE_RGB, estimate)):
+        cells = "<td>none</td><td class='dim'>–</td><td class='dim'>0.0 N</td>"
+        if contact is not None:
+            cells = (
+                f"<td>{contact.segment}</td><td>{contact.angle_deg:.1f}°</td>"
+                f"<td>{contact.magnitude_n:.1f} N</td>"
+            )
+        title = f"<td class='force' style='color:{css(rgb)}'>▶ {name}</td>"
+        rows += f"<tr id='cablesense-{name}'>{title}{cells}</tr>"
+    return _panel(f"<table>{rows}</table>")
 
 
 def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
     """One bar for no contact and one for each segment."""
-    bars = []
+    content = "<div class='small'>contact probability</div>"
     for segment in range(segment_count + 1):
-        share = 0.0 if probabilities is None else float(probabilities[segment])
         name = f"segment {segment}" if segment else "no contact"
         colour = css(segment_rgb(segment)) if segment else _GREY
-        percent = "–" if probabilities is None else f"{100 * share:.1f} %"
-        bars.append(
-            f"<div style='display:flex;align-items:center;gap:8px;font-size:12px'>"
-            f"<span style='width:74px'>{name}</span>"
-            "<span style='flex:1;height:9px;background:#30353f;border-radius:3px;overflow:hidden'>"
-            f"<span style='display:block;height:100%;width:{100 * share:.1f}%;"
-            f"background:{colour}'></span></span>"
-            f"<span style='width:52px;text-align:right'>{percent}</span></div>"
+        percent = None if probabilities is None else 100.0 * float(probabilities[segment])
+        content += (
+            f"<div class='probability'><span>{name}</span><span class='bar'>"
+            f"<span style='width:{percent or 0.0:.1f}%;background:{colour}'></span></span>"
+            f"<span>{'–' if percent is None else f'{percent:.1f} %'}</span></div>"
         )
-    return _box(f"<div style='{_SMALL}'>contact probability</div>{''.join(bars)}")
+    return _panel(content)
 
 
 def errors_html(errors: Errors) -> str:
     """Mean errors so far."""
-    right = errors.segment_right
+    right = None if errors.segment_right is None else 100.0 * errors.segment_right
     cells = "".join(
-        f"<div style='flex:1'><div style='{_SMALL}'>{name}</div><div style='font-size:16px;"
-        f"font-weight:600'>{'–' if value is None else text.format(value)}</div></div>"
+        f"<div><div class='small'>{name}</div>"
+        f"<b>{'–' if value is None else text.format(value)}</b></div>"
         for name, value, text in (
-            ("segment right", None if right is None else 100 * right, "{:.1f} %"),
+            ("segment right", right, "{:.1f} %"),
             ("direction error", errors.angle_mae_deg, "{:.2f}°"),
             ("force error", errors.magnitude_mae_n, "{:.2f} N"),
         )
     )
-    return _box(
-        f"<div style='display:flex;gap:6px'>{cells}</div>"
-        f"<div style='{_SMALL}'>mean over {errors.count} steady moments</div>"
-    )
+    count = f"<div class='small'>mean over {errors.count} steady moments</div>"
+    return _panel(f"<div class='errors'>{cells}</div>{count}")
 
 
 def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
@@ -201,29 +178,25 @@ def legend_html(full_scale_n: float, tensions_n: Array | None) -> str:
     now = ""
     if tensions_n is not None:
         now = f"now {round(float(tensions_n.min()))} to {round(float(tensions_n.max()))} N"
-    return _box(
-        "<div style='display:flex;justify-content:space-between'>"
-        f"<span>cable tension</span><span style='{_DIM}'>{now}</span></div>"
-        f"<div style='height:10px;border-radius:3px;background:{TENSION_GRADIENT_CSS}'></div>"
-        f"<div style='display:flex;justify-content:space-between;{_SMALL}'>"
-        f"<span>0 N (slack)</span><span>{full_scale_n / 2:.0f} N</span>"
-        f"<span>{full_scale_n:.0f} N</span></div>",
-        "padding-bottom:2px",
+    return _panel(
+        f"<div class='ends'><span>cable tension</span><span class='dim'>{now}</span></div>"
+        f"<div class='scale' style='background:{TENSION_GRADIENT_CSS}'></div>"
+        f"<div class='ends small'><span>0 N (slack)</span><span>{full_scale_n / 2:.0f} N</span>"
+        f"<span>{full_scale_n:.0f} N</span></div>"
     )
 
 
 def traces_legend_html(segment_count: int) -> str:
     """The legend of the traces: a colour for each segment that a cable ends on."""
     marks = " ".join(
-        "<span style='white-space:nowrap;margin-right:10px'>"
-        f"<b style='color:{css(segment_rgb(n))}'>━</b> ends on segment {n}</span>"
+        f"<span class='trace'><b style='color:{css(segment_rgb(n))}'>━</b> ends on segment {n}"
+        "</span>"
         for n in range(1, segment_count + 1)
     )
-    return _box(marks, f"{_SMALL};padding-bottom:4px")
+    return _panel(f"<div class='small'>{marks}</div>")
 
 
 _DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
-_AXIS_CSS = "#9aa3b2"
 _RANGE_N = {
     end: {"soft": soft, "mode": 1, "pad": 0.05} for end, soft in (("min", 0.0), ("max", 100.0))
 }
@@ -236,38 +209,34 @@ class TraceBuffer:
     def __init__(self, cable_count: int, window_s: float = 12.0, samples: int = 240) -> None:
         self._step_s = window_s / samples
         self._window_s = window_s
-        self._times_s = np.full(samples, np.nan)
-        self._tensions_n = np.full((samples, cable_count), np.nan)
-        self._newest_s = -np.inf
+        self._cable_count = cable_count
+        self._rows: deque[Array] = deque(maxlen=samples)  # time, then tensions
 
     def add(self, time_s: float, tensions_n: Array) -> bool:
         """Keeps a sample unless it follows too closely; a clock that jumps back starts anew."""
-        if time_s < self._newest_s - self._window_s:
-            self._times_s[:] = np.nan
-        elif time_s - self._newest_s < self._step_s:
+        since_s = time_s - self._rows[-1][0] if self._rows else np.inf
+        if since_s < -self._window_s:
+            self._rows.clear()
+        elif since_s < self._step_s:
             return False
-        self._times_s = np.roll(self._times_s, -1)
-        self._tensions_n = np.roll(self._tensions_n, -1, axis=0)
-        self._times_s[-1], self._tensions_n[-1] = time_s, tensions_n
-        self._newest_s = time_s
+        self._rows.append(np.append(time_s, tensions_n))
         return True
 
     @property
     def peak_n(self) -> float:
         """The largest tension kept, 0 before the first."""
-        known = self._tensions_n[np.isfinite(self._times_s)]
-        return float(known.max()) if known.size else 0.0
+        return float(max((row[1:].max() for row in self._rows), default=0.0))
 
     @property
     def columns(self) -> tuple[Array, ...]:
         """Seconds before the newest sample, then N of each cable; at least two samples long."""
-        known = np.isfinite(self._times_s)
-        if known.sum() < 2:
+        if len(self._rows) < 2:
             empty = np.array([-self._window_s, 0.0])
-            return (empty, *(np.full(2, np.nan) for _ in range(self._tensions_n.shape[1])))
-        times = self._times_s[known] - self._newest_s
+            return (empty, *np.full((self._cable_count, 2), np.nan))
+        times, *tensions = np.array(self._rows).T
+        times = times - times[-1]
         inside = times >= -self._window_s
-        return (times[inside], *np.ascontiguousarray(self._tensions_n[known][inside].T))
+        return (times[inside], *(cable[inside] for cable in tensions))
 
 
 class TracePlot:
@@ -275,11 +244,29 @@ class TracePlot:
 
     def __init__(self, gui: viser.GuiApi, mechanism: Mechanism) -> None:
         self.buffer = TraceBuffer(mechanism.cable_count)
+        segments = mechanism.cable_segment.tolist()
+        series: list[Any] = [
+            {
+                "label": f"cable_{cable + 1}",
+                "stroke": css(segment_rgb(segment)),
+                "width": 1.5,
+                "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
+                "points": {"show": False},
+            }
+            for cable, segment in enumerate(segments)
+        ]
+        line = {"stroke": "#2c323c", "width": 1}
+        font = "11px sans-serif"
+        look = {"labelSize": 18, "labelFont": font, "font": font, "stroke": "#9aa3b2"}
+        axes: list[Any] = [
+            {"scale": scale, "label": label, "size": size, "grid": line, "ticks": line, **look}
+            for scale, label, size in (("x", "time, s", 28), ("y", "tension, N", 46))
+        ]
         self._plot = gui.add_uplot(
             self.buffer.columns,
-            ({"label": "s"}, *_series(mechanism)),
+            ({"label": "s"}, *series),
             scales={"x": {"time": False}, "y": {"range": _RANGE_N}},
-            axes=(_axis("x", "time, s", 28), _axis("y", "tension, N", 46)),
+            axes=tuple(axes),
             legend={"show": False},
             cursor={"show": False},
             height=290,
@@ -289,31 +276,3 @@ class TracePlot:
     def draw(self) -> None:
         """Sends the traces to the page."""
         self._plot.data = self.buffer.columns
-
-
-def _series(mechanism: Mechanism) -> list[Any]:
-    segments = mechanism.cable_segment.tolist()
-    return [
-        {
-            "label": f"cable_{cable + 1}",
-            "stroke": css(segment_rgb(segment)),
-            "width": 1.5,
-            "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
-            "points": {"show": False},
-        }
-        for cable, segment in enumerate(segments)
-    ]
-
-
-def _axis(scale: str, label: str, size: int) -> Any:
-    return {
-        "scale": scale,
-        "label": label,
-        "labelSize": 18,
-        "labelFont": "11px sans-serif",
-        "font": "11px sans-serif",
-        "size": size,
-        "stroke": _AXIS_CSS,
-        "grid": {"stroke": "#2c323c", "width": 1},
-        "ticks": {"stroke": "#2c323c", "width": 1},
-    }

@@ -112,11 +112,9 @@ def _draw_arm(figure: Any, place: Any, mechanism: Mechanism, snapshot: Snapshot)
     _draw_plates(axes, mechanism, joints, rotations)
     tensions = snapshot.tensions_n if snapshot.tensions_n is not None else mechanism.pretension_n
     scale_n = full_scale_n(float(tensions.max()))
-    pieces = cable_pieces(mechanism, joints, rotations)
-    colours = tension_rgb(tensions, scale_n)[pieces.cable] / 255.0
-    axes.add_collection3d(
-        Line3DCollection(pieces.ends_m, colors=colours, linewidths=1.9, zorder=4)
-    )
+    ends_m, cable = cable_pieces(mechanism, joints, rotations)
+    colours = tension_rgb(tensions, scale_n)[cable] / 255.0
+    axes.add_collection3d(Line3DCollection(ends_m, colors=colours, linewidths=1.9, zorder=4))
     points = contact_points_m(mechanism, pose)
     for contact, rgb, kind, aside_m in (
         (snapshot.true, TRUE_RGB, "true", -ARROWS_APART_M / 2),

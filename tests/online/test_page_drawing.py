@@ -9,7 +9,6 @@ from hypothesis.extra.numpy import arrays
 from cablesense_online.page.drawing import (
     ARROW_LONGEST_M,
     ARROW_METRES_PER_NEWTON,
-    arrow_length_m,
     arrow_tail_m,
     cable_pieces,
     full_scale_n,
@@ -28,35 +27,40 @@ def mechanism(request):
     return mechanism_of(open_arm(request.param))
 
 
+def drawn_cables(mechanism, q):
+    positions, rotations = joint_positions_m(mechanism, q), segment_rotations(mechanism, q)
+    return cable_pieces(mechanism, positions, rotations)
+
+
 def test_drawn_cables_are_as_long_as_the_mechanism_says(mechanism):
     rng = np.random.default_rng(4)
     for _ in range(20):
         q = rng.uniform(-0.35, 0.35, mechanism.joint_count)
-        pieces = cable_pieces(
-            mechanism, joint_positions_m(mechanism, q), segment_rotations(mechanism, q)
-        )
-        lengths = np.linalg.norm(pieces.ends_m[:, 1] - pieces.ends_m[:, 0], axis=-1)
-        drawn = np.bincount(pieces.cable, lengths, mechanism.cable_count)
+        ends_m, cable = drawn_cables(mechanism, q)
+        lengths = np.linalg.norm(ends_m[:, 1] - ends_m[:, 0], axis=-1)
+        drawn = np.bincount(cable, lengths, mechanism.cable_count)
         np.testing.assert_allclose(drawn, cable_lengths_m(mechanism, q), atol=1e-12)
 
 
 def test_a_cable_is_drawn_without_gaps_and_ends_on_its_own_segment(mechanism):
     q = np.full(mechanism.joint_count, 0.1)
-    pieces = cable_pieces(
-        mechanism, joint_positions_m(mechanism, q), segment_rotations(mechanism, q)
-    )
+    ends_m, of_cable = drawn_cables(mechanism, q)
     for cable, segment in enumerate(mechanism.cable_segment):
-        ends = pieces.ends_m[pieces.cable == cable]
+        ends = ends_m[of_cable == cable]
         np.testing.assert_array_equal(ends[1:, 0], ends[:-1, 1])
         joint = joint_positions_m(mechanism, q)[segment - 1]
         assert np.linalg.norm(ends[-1, 1] - joint) < 0.1
 
 
 def test_arrow_length_is_proportional_to_force_within_its_limits():
-    assert arrow_length_m(100.0) == pytest.approx(100.0 * ARROW_METRES_PER_NEWTON)
-    assert arrow_length_m(60.0) == pytest.approx(2.0 * arrow_length_m(30.0))
-    assert arrow_length_m(1e6) == ARROW_LONGEST_M
-    assert 0.0 < arrow_length_m(1e-3) < arrow_length_m(20.0)
+    def length_m(newtons):
+        tail, tip = arrow_tail_m(np.zeros(3), np.array([0.0, 0.0, newtons]), 0.0)
+        return np.linalg.norm(tip - tail)
+
+    assert length_m(100.0) == pytest.approx(100.0 * ARROW_METRES_PER_NEWTON)
+    assert length_m(60.0) == pytest.approx(2.0 * length_m(30.0))
+    assert length_m(1e6) == ARROW_LONGEST_M
+    assert 0.0 < length_m(1e-3) < length_m(20.0)
 
 
 forces = arrays(float, 3, elements=st.floats(-300.0, 300.0)).filter(
