@@ -26,9 +26,7 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.admittance.controller import (
-    AdmittanceController,
-)
+from cablesense_online.admittance.controller import AdmittanceController
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
     check_probabilities,
