@@ -37,7 +37,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import sensings
-from cablesense_sim.urdf import urdf_xml
+from cablesense_sim.model import urdf_xml
 
 TIMESTEP_S = 1e-3
 JOINT_STATES_HZ = 100.0

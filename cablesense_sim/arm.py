@@ -8,15 +8,15 @@ wrong unit, not to judge a design. A bundled arm is found by its name, any other
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
+from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
@@ -171,16 +171,13 @@ class Arm(FilePart):
             )
         self._check_cables_span_every_joint()
         self._check_holes_are_apart()
-        self._check_effects()
-        return self
-
-    def _check_effects(self) -> None:
-        for listed in self.effects:
-            sizes = self.segment_count, self.cable_count
-            try:
+        try:
+            for listed in self.effects:
+                sizes = self.segment_count, self.cable_count
                 checked_entry(listed.effect, listed.at, listed.parameters, *sizes)
-            except CableSenseError as error:
-                raise ValueError(f"effects: {error}") from error
+        except CableSenseError as error:
+            raise ValueError(f"effects: {error}") from error
+        return self
 
     def _check_cables_span_every_joint(self) -> None:
         """Cables only pull: around a segment no half-turn may be free of holes."""
@@ -195,22 +192,28 @@ class Arm(FilePart):
 
     def _check_holes_are_apart(self) -> None:
         """All cables pass the plates at joint 1, each in a hole of its own."""
-        count, each, angles = self.segments.count, self.cables.per_segment, self.cables.angle_deg
-        radii = per_segment(self.cables.routing_radius_m, count)
-        holes = [
-            (radii[n], math.radians(angles.first + angles.per_segment * n + angles.per_cable * k))
-            for n in range(count)
-            for k in range(each)
-        ]
-        places = [(r * math.sin(angle), r * math.cos(angle)) for r, angle in holes]
-        for i, j in itertools.combinations(range(len(places)), 2):
-            if math.dist(places[i], places[j]) < LEAST_HOLE_DISTANCE_M:
-                raise ValueError(
-                    f"cables.angle_deg puts cable_{i + 1} and cable_{j + 1} into one hole, "
-                    f"{holes[i][0]:g} m from the axis at {math.degrees(holes[i][1]) % 360.0:g} "
-                    f"degrees; {each} cables on each of {count} segments are apart, for example, "
-                    f"with per_cable = {-360.0 / each:g}, per_segment = {360.0 / len(holes):g}"
-                )
+        radius, angle = self.holes
+        places = np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=-1)
+        apart = np.linalg.norm(places[:, None] - places, axis=-1)
+        near = np.argwhere(np.triu(apart < LEAST_HOLE_DISTANCE_M, 1))
+        if len(near):
+            (i, j), each = near[0], self.cables.per_segment
+            raise ValueError(
+                f"cables.angle_deg puts cable_{i + 1} and cable_{j + 1} into one hole, "
+                f"{radius[i]:g} m from the axis at {np.rad2deg(angle[i]) % 360.0:g} "
+                f"degrees; {each} cables on each of {self.segments.count} segments are apart, for "
+                f"example, with per_cable = {-360.0 / each:g}, per_segment = "
+                f"{360.0 / len(places):g}"
+            )
+
+    @property
+    def holes(self) -> tuple[Array, Array]:
+        """Each cable's holes in the plates: (M,) m from the axis and (M,) rad from +z to +y."""
+        segment, cable = np.divmod(np.arange(self.cable_count), self.cables.per_segment)
+        radius = np.array(per_segment(self.cables.routing_radius_m, self.segments.count))
+        angles = self.cables.angle_deg
+        degrees = angles.first + angles.per_segment * segment + angles.per_cable * cable
+        return radius[segment], np.deg2rad(degrees)
 
     @property
     def segment_count(self) -> int:
@@ -279,18 +282,11 @@ def parse_arm(text: str, source: str = "arm description") -> Arm:
 _BUNDLED = BundledFiles("arm", "arms", (".yaml", ".yml"), ArmFileError)
 
 
-def bundled_arms() -> list[str]:
-    """Names of the bundled arms, for example `cdsm`."""
-    return _BUNDLED.names()
+bundled_arms = _BUNDLED.names
+"""Names of the bundled arms, for example `cdsm`."""
 
-
-def find_arm(name_or_path: str | Path) -> Path:
-    """The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) stands for.
-
-    Raises:
-        ArmFileError: neither a bundled arm nor a file; the message lists the bundled names.
-    """
-    return _BUNDLED.find(name_or_path)
+find_arm = _BUNDLED.find
+"""The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) stands for; else `ArmFileError`."""
 
 
 def open_arm(name_or_path: str | Path) -> Arm:

@@ -13,10 +13,7 @@ def mechanism_of(arm: Arm) -> Mechanism:
     """The mechanism that an arm file describes, as it was drawn: without the effects it lists."""
     count, each = arm.segment_count, arm.cables.per_segment
     segment = np.repeat(np.arange(1, count + 1), each)
-    k = np.tile(np.arange(each), count)
-    angles = arm.cables.angle_deg
-    angle = np.deg2rad(angles.first + angles.per_segment * (segment - 1) + angles.per_cable * k)
-    radius = np.asarray(per_segment(arm.cables.routing_radius_m, count))[segment - 1]
+    radius, angle = arm.holes
     length = np.asarray(per_segment(arm.segments.length_m, count))
     offset = arm.segments.plate_offset_m
     joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])

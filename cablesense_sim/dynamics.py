@@ -23,7 +23,7 @@ from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Actuation
 from cablesense_sim.effects.registry import actuations, amended, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.loads import checked_load
+from cablesense_sim.loads import LoadError
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 from cablesense_sim.quasi_static import QuasiStaticArm
@@ -75,21 +75,30 @@ class _CommandedArm(ABC):
         Raises:
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
         """
-        command = self.checked_command(joint_angles_rad)
-        self._command_rad = command
-        self._hold(_held_m(self._nominal, command, self._actuations, self.time_s))
+        self._command_rad = self.checked_command(joint_angles_rad)
+        self._hold(self._actuated_m(self._command_rad, self._actuations, self.time_s))
 
     @abstractmethod
     def _hold(self, held_m: Array) -> None:
         """Let the actuators hold cable lengths (M,), relative to the straight arm."""
 
-    def checked_command(self, joint_angles_rad: ArrayLike) -> Array:
-        """Joint angles (2N,) that the arm can be commanded to; changes nothing.
+    def _actuated_m(
+        self, command_rad: Array, through: Sequence[Actuation], time_s: float
+    ) -> Array:
+        held = held_lengths_m(self._nominal, command_rad)[None]
+        for actuation in through:
+            held = actuation.step(time_s, held)
+        return np.asarray(held[0])
+
+    def checked_command(self, joint_angles_rad: ArrayLike | None) -> Array:
+        """Joint angles (2N,) that the arm can be commanded to, straight if None.
 
         Raises:
             EquilibriumError: as `command`.
         """
-        return checked_command(self._nominal, joint_angles_rad)
+        straight = np.zeros(self.arm.joint_count)
+        angles = straight if joint_angles_rad is None else joint_angles_rad
+        return checked_command(self._nominal, angles)
 
     def load(self, segment: int, force_base_n: ArrayLike) -> None:
         """Push segment 1..N at its contact point with a force (3,) in base axes, N, from now on.
@@ -97,7 +106,12 @@ class _CommandedArm(ABC):
         Raises:
             LoadError: no such segment, or a force that is not three finite numbers.
         """
-        self._forces_n[segment - 1] = checked_load(self._nominal, segment, force_base_n)
+        force = np.asarray(force_base_n, dtype=float)
+        if not 1 <= segment <= self.arm.segment_count:
+            raise LoadError(f"no segment {segment}; this arm has 1 to {self.arm.segment_count}")
+        if force.shape != (3,) or not np.isfinite(force).all():
+            raise LoadError(f"a load is three finite force components in N, not {force!r}")
+        self._forces_n[segment - 1] = force
 
     @property
     def forces_n(self) -> Array:
@@ -133,22 +147,17 @@ class ArmDynamics(_CommandedArm):
         self.model.opt.timestep = timestep_s
         self.data = mujoco.MjData(self.model)
         self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
-        self._segments = np.array(
-            [self.model.body(f"segment_{n + 1}").id for n in range(arm.segment_count)]
-        )
-        self._contacts = np.array(
-            [self.model.site(f"contact_{n + 1}").id for n in range(arm.segment_count)]
-        )
+        numbers = range(1, arm.segment_count + 1)
+        self._segments = np.array([self.model.body(f"segment_{n}").id for n in numbers])
+        self._contacts = np.array([self.model.site(f"contact_{n}").id for n in numbers])
         self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
         self.reset()
 
     def reset(self, command_rad: ArrayLike | None = None) -> None:
         """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
-        command = self.checked_command(
-            np.zeros(self.arm.joint_count) if command_rad is None else command_rad
-        )
+        command = self.checked_command(command_rad)
         fresh = actuations([self._entries])
-        held = _held_m(self._nominal, command, fresh, 0.0)
+        held = self._actuated_m(command, fresh, 0.0)
         rest = solve_equilibrium(self.mechanism, command, held_m=held)
         mujoco.mj_resetData(self.model, self.data)
         self._forces_n[:] = 0.0
@@ -186,8 +195,7 @@ class ArmDynamics(_CommandedArm):
     def advance(self, duration_s: float) -> None:
         """Step time by `duration_s`, rounded to whole steps, at least one."""
         for _ in range(max(1, round(duration_s / self.model.opt.timestep))):
-            self._apply_forces()
-            mujoco.mj_step(self.model, self.data)
+            self._step()
         self._measure_tendons()
 
     def settle(self, speed_rad_s: float = 1e-9, longest_s: float = 60.0) -> int:
@@ -197,23 +205,23 @@ class ArmDynamics(_CommandedArm):
             EquilibriumError: still moving after `longest_s` of simulated time.
         """
         for steps in range(1, round(longest_s / self.model.opt.timestep) + 1):
-            self._apply_forces()
-            mujoco.mj_step(self.model, self.data)
+            self._step()
             if np.abs(self.data.qvel).max() < speed_rad_s:
                 self._measure_tendons()
                 return steps
         raise EquilibriumError(f"the arm still moves after {longest_s} s of simulated time")
 
-    def _measure_tendons(self) -> None:
-        """A step leaves cable lengths as they were at its start; take them where it ended."""
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_tendon(self.model, self.data)
-
-    def _apply_forces(self) -> None:
+    def _step(self) -> None:
         """MuJoCo takes forces at centres of mass; a force elsewhere brings its moment along."""
         arm = self.data.site_xpos[self._contacts] - self.data.xipos[self._segments]
         self.data.xfrc_applied[self._segments, :3] = self._forces_n
         self.data.xfrc_applied[self._segments, 3:] = np.cross(arm, self._forces_n)
+        mujoco.mj_step(self.model, self.data)
+
+    def _measure_tendons(self) -> None:
+        """A step leaves cable lengths as they were at its start; take them where it ended."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_tendon(self.model, self.data)
 
 
 class RestToRestArm(_CommandedArm):
@@ -233,11 +241,9 @@ class RestToRestArm(_CommandedArm):
         Raises:
             EquilibriumError: as `command`, or the arm finds no rest there.
         """
-        command = self.checked_command(
-            np.zeros(self.arm.joint_count) if command_rad is None else command_rad
-        )
+        command = self.checked_command(command_rad)
         actuating = actuations([self._entries])
-        held = _held_m(self._nominal, command, actuating, 0.0)
+        held = self._actuated_m(command, actuating, 0.0)
         resting = QuasiStaticArm([self.mechanism], [self._entries])
         tensions = resting.step(0.0, held[None], np.zeros_like(self._forces_n))[0]
         self._actuations, self._resting = actuating, resting
@@ -274,9 +280,8 @@ class RestToRestArm(_CommandedArm):
             return
         self._rested_s = self._time_s
         try:
-            self._tensions_n = self._resting.step(
-                self._time_s, self._held_m[None], self._forces_n
-            )[0]
+            tensions = self._resting.step(self._time_s, self._held_m[None], self._forces_n)
+            self._tensions_n = tensions[0]
         except EquilibriumError:
             self._tensions_n = np.full(self.arm.cable_count, np.nan)
 
@@ -300,16 +305,3 @@ def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
             f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
         )
     return command.copy()
-
-
-def _held_m(
-    nominal: Mechanism, command_rad: Array, through: Sequence[Actuation], time_s: float
-) -> Array:
-    """Lengths (M,), relative to the straight arm, that actuators hold under a command (2N,).
-
-    They are commanded those of the `nominal` arm: its controller knows of no effects.
-    """
-    held = held_lengths_m(nominal, command_rad)[None]
-    for actuation in through:
-        held = actuation.step(time_s, held)
-    return np.asarray(held[0])

@@ -47,22 +47,17 @@ class JointMotion:
         duration = move_duration_s(float(np.abs(target_rad - angle).max()), self._speed_rad_s)
         hardest = _PEAK_ACCELERATION * self._speed_rad_s / duration
         acceleration = np.clip(acceleration, -hardest, hardest)
-        rest = target_rad - angle - speed * duration - 0.5 * acceleration * duration**2
-        lost_speed = -speed - acceleration * duration
-        lost_acceleration = -acceleration
-        self._coefficients = np.stack(
-            [
-                angle,
-                speed,
-                0.5 * acceleration,
-                (10 * rest - 4 * lost_speed * duration + 0.5 * lost_acceleration * duration**2)
-                / duration**3,
-                (-15 * rest + 7 * lost_speed * duration - lost_acceleration * duration**2)
-                / duration**4,
-                (6 * rest - 3 * lost_speed * duration + 0.5 * lost_acceleration * duration**2)
-                / duration**5,
-            ]
-        )
+        t = duration
+        rest = target_rad - angle - speed * t - 0.5 * acceleration * t**2
+        to_lose, to_ease = -speed - acceleration * t, -acceleration
+        self._coefficients = np.stack([
+            angle,
+            speed,
+            0.5 * acceleration,
+            (10 * rest - 4 * to_lose * t + 0.5 * to_ease * t**2) / t**3,
+            (-15 * rest + 7 * to_lose * t - to_ease * t**2) / t**4,
+            (6 * rest - 3 * to_lose * t + 0.5 * to_ease * t**2) / t**5,
+        ])  # fmt: skip
         self._elapsed_s, self._duration_s = 0.0, duration
         self._target_rad = np.array(target_rad, dtype=np.float64)
 

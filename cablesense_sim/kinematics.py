@@ -173,11 +173,6 @@ def load_arms(mechanism: Mechanism, forces_n: Any) -> Any:
     return centre[..., None] * weight + reach[..., None] * forces_n + length[..., None] * beyond
 
 
-def load_torques_n_m(mechanism: Mechanism, joint_angles_rad: Any, forces_n: Any) -> Any:
-    """Joint torques (..., 2N) of gravity and of contact forces (..., N, 3) in base axes."""
-    return axis_torques_n_m(chain(mechanism, joint_angles_rad), load_arms(mechanism, forces_n))
-
-
 def axis_torques_n_m(pose: Chain, load_arms_n_m: Any) -> Any:
     """Joint torques (..., 2N) of generalised forces (..., N, 3) on the segments' axis vectors."""
     xp = array_namespace(load_arms_n_m)
@@ -185,14 +180,6 @@ def axis_torques_n_m(pose: Chain, load_arms_n_m: Any) -> Any:
     distal = xp.flip(xp.cumulative_sum(xp.flip(moment, axis=-2), axis=-2), axis=-2)
     per_joint = xp.repeat(distal, 2, axis=-2)
     return xp.sum(pose.joint_axis * per_joint, axis=-1)
-
-
-def gravity_torques_n_m(mechanism: Mechanism, joint_angles_rad: Any) -> Any:
-    """Joint torques (..., 2N) of the segments' weight."""
-    xp = array_namespace(joint_angles_rad)
-    shape = (*joint_angles_rad.shape[:-1], mechanism.segment_count, 3)
-    none = xp.zeros(shape, dtype=joint_angles_rad.dtype)
-    return load_torques_n_m(mechanism, joint_angles_rad, none)
 
 
 def contact_jacobians_m(mechanism: Mechanism, joint_angles_rad: Any) -> Any:

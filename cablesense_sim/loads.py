@@ -15,20 +15,6 @@ class LoadError(CableSenseError):
     """A load that the arm cannot bear: names the segment or the number and what would be valid."""
 
 
-def checked_load(mechanism: Mechanism, segment: int, force_base_n: ArrayLike) -> Array:
-    """A force (3,) in base axes on a segment 1..N, as an array.
-
-    Raises:
-        LoadError: no such segment, or a force that is not three finite numbers.
-    """
-    force = np.asarray(force_base_n, dtype=float)
-    if not 1 <= segment <= mechanism.segment_count:
-        raise LoadError(f"no segment {segment}; this arm has 1 to {mechanism.segment_count}")
-    if force.shape != (3,) or not np.isfinite(force).all():
-        raise LoadError(f"a load is three finite force components in N, not {force!r}")
-    return force
-
-
 def normal_force_n(
     mechanism: Mechanism,
     command_rad: ArrayLike,
@@ -45,11 +31,8 @@ def normal_force_n(
         LoadError: a segment outside 0..N, a negative or non-finite magnitude, a non-finite angle.
     """
     command = np.asarray(command_rad, dtype=float)
-    number, angle, magnitude = np.broadcast_arrays(
-        np.asarray(segment),
-        np.asarray(angle_deg, dtype=float),
-        np.asarray(magnitude_n, dtype=float),
-    )
+    angle, magnitude = np.asarray(angle_deg, dtype=float), np.asarray(magnitude_n, dtype=float)
+    number, angle, magnitude = np.broadcast_arrays(np.asarray(segment), angle, magnitude)
     count = mechanism.segment_count
     if not np.issubdtype(number.dtype, np.integer) or (number < 0).any() or (number > count).any():
         raise LoadError(f"segment must be a whole number from 0 (no contact) to {count}")

@@ -87,15 +87,15 @@ class Mechanism:
     @property
     def plate_holes_m(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Holes (y, z) in the plates before and after each joint, each (M, 1) or (M, N)."""
-        y, z = self.hole_y_m[..., None], self.hole_z_m[..., None]
-        if self.segment_hole_y_m is None or self.segment_hole_z_m is None:
-            return (y, z), (y, z)
-        after = self.segment_hole_y_m, self.segment_hole_z_m
-        before = (
-            np.concatenate([y, after[0][..., :-1]], axis=-1),
-            np.concatenate([z, after[1][..., :-1]], axis=-1),
+        base = self.hole_y_m[..., None], self.hole_z_m[..., None]
+        after = _carried_holes_m(self)
+        if self.segment_hole_y_m is None:
+            return base, after
+        y, z = (
+            np.concatenate([first, others[..., :-1]], axis=-1)
+            for first, others in zip(base, after, strict=True)
         )
-        return before, after
+        return (y, z), after
 
     @property
     def joint_position_straight_m(self) -> Array:
@@ -105,24 +105,14 @@ class Mechanism:
     @property
     def straight_length_m(self) -> Array:
         """(M,) length of each cable from its actuator to its anchor with the arm straight."""
-        return (
-            self.run_m
-            + self.joint_position_straight_m[self.cable_segment - 1]
-            + self.plate_offset_m
-        )
+        joint_m = self.joint_position_straight_m[self.cable_segment - 1]
+        return self.run_m + joint_m + self.plate_offset_m
 
 
 _STACKED = (
-    "gravity_m_s2",
-    "mass_kg",
-    "centre_of_mass_m",
-    "contact_m",
-    "hole_y_m",
-    "hole_z_m",
-    "stiffness_n_m",
-    "pretension_n",
-    "joint_stiffness_n_m_rad",
-)
+    "gravity_m_s2", "mass_kg", "centre_of_mass_m", "contact_m", "hole_y_m", "hole_z_m",
+    "stiffness_n_m", "pretension_n", "joint_stiffness_n_m_rad",
+)  # fmt: skip
 
 
 def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
@@ -131,19 +121,10 @@ def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
         name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED
     }
     if any(m.segment_hole_y_m is not None for m in mechanisms):
-        shape = (mechanisms[0].cable_count, mechanisms[0].segment_count)
-        for name in ("y", "z"):
-            fields[f"segment_hole_{name}_m"] = np.stack(
-                [np.broadcast_to(_plates(m, name), shape) for m in mechanisms]
-            )
+        shape = mechanisms[0].cable_count, mechanisms[0].segment_count
+        carried = [np.broadcast_to(_carried_holes_m(m), (2, *shape)) for m in mechanisms]
+        fields["segment_hole_y_m"], fields["segment_hole_z_m"] = np.stack(carried, axis=1)
     return replace(mechanisms[0], **fields)
-
-
-def _plates(mechanism: Mechanism, axis: str) -> Array:
-    plates = getattr(mechanism, f"segment_hole_{axis}_m")
-    if plates is None:
-        plates = getattr(mechanism, f"hole_{axis}_m")[:, None]
-    return np.asarray(plates)
 
 
 Numbers = NDArray[np.floating[Any]]
@@ -153,24 +134,23 @@ def with_cables_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numb
     """Every hole of a cable further out and turned from +z towards +y, each (M,)."""
     y, z = _moved_m(mechanism.hole_y_m, mechanism.hole_z_m, outward_m, turned_rad)
     moved = replace(mechanism, hole_y_m=y, hole_z_m=z)
-    if mechanism.segment_hole_y_m is None or mechanism.segment_hole_z_m is None:
+    if mechanism.segment_hole_y_m is None:
         return moved
-    y, z = _moved_m(
-        mechanism.segment_hole_y_m,
-        mechanism.segment_hole_z_m,
-        outward_m[:, None],
-        turned_rad[:, None],
-    )
-    return replace(moved, segment_hole_y_m=y, segment_hole_z_m=z)
+    return with_plates_moved(moved, outward_m[:, None], turned_rad[:, None])
 
 
 def with_plates_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
     """Every hole in the plates that a segment carries further out and turned, each (N,)."""
+    y, z = _moved_m(*_carried_holes_m(mechanism), outward_m, turned_rad)
+    return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
+
+
+def _carried_holes_m(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Holes (y, z) in the plates that segments carry, each (M, N), or (M, 1) where all alike."""
     y, z = mechanism.segment_hole_y_m, mechanism.segment_hole_z_m
     if y is None or z is None:
-        y, z = mechanism.hole_y_m[:, None], mechanism.hole_z_m[:, None]
-    y, z = _moved_m(y, z, outward_m, turned_rad)
-    return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
+        return mechanism.hole_y_m[..., None], mechanism.hole_z_m[..., None]
+    return y, z
 
 
 def _moved_m(y: Array, z: Array, outward_m: Numbers, turned_rad: Numbers) -> tuple[Array, Array]:

@@ -1,16 +1,21 @@
-"""The arm as a MuJoCo model, built with `mujoco.MjSpec` from its mechanism.
+"""The arm as a model for others: for MuJoCo by `mujoco.MjSpec`, and as a URDF.
 
-Cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing below, so
-they pull and never push. An actuator of finite stiffness is a slide joint under a position servo
-at the cable's far end; a rigid one is a mocap body that sits exactly where it is commanded.
+In MuJoCo cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing
+below, so they pull and never push. An actuator of finite stiffness is a slide joint under a
+position servo at the cable's far end; a rigid one is a mocap body that sits exactly where it is
+commanded.
 """
 
 from __future__ import annotations
+
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism
 
 ACTUATOR_MASS_KG = 0.5
@@ -148,3 +153,58 @@ def _add_servo(spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, 
         name=f"servo_{i + 1}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
     servo.set_to_position(kp=stiffness_n_m, kv=2.0 * np.sqrt(stiffness_n_m * ACTUATOR_MASS_KG))
+
+
+def urdf_xml(arm: Arm) -> str:
+    """The URDF text of an arm for `robot_description` (RViz, robot_state_publisher).
+
+    Cables have no place in a URDF; it carries the links `base_link`, `segment_n` and the joints
+    that `joint_states` names.
+    """
+    mechanism = mechanism_of(arm)
+    radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+    parent, position, offset = "base_link", mechanism.plate_offset_m, mechanism.plate_offset_m
+    parts = [f'<link name="base_link">{_disc(0.0, radius)}</link>']
+    for n in range(arm.segment_count):
+        middle, child = f"segment_{n + 1}_pitched", f"segment_{n + 1}"
+        limit = float(mechanism.bend_limit_rad[n])
+        length, mass = float(mechanism.segment_length_m[n]), float(mechanism.mass_kg[n])
+        centre = float(mechanism.centre_of_mass_m[n])
+        across = mass * (3.0 * radius**2 + length**2) / 12.0
+        inertial = _inertial(mass, centre, 0.5 * mass * radius**2, across)
+        plates = [offset, length - offset] if n + 1 < arm.segment_count else [offset]
+        parts += [
+            f'<link name="{middle}">{_inertial(1e-6, 0.0, 1e-9, 1e-9)}</link>',
+            _joint(f"joint_{n + 1}_pitch", parent, middle, position, "0 1 0", limit),
+            f'<link name="{child}">{inertial}{_cylinder(0.5 * length, length, 0.12 * length)}',
+            *(_disc(x, radius) for x in plates),
+            "</link>",
+            _joint(f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit),
+        ]
+        parent, position = child, length
+    robot = ElementTree.fromstring(f'<robot name="{arm.name}">{"".join(parts)}</robot>')
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True)
+
+
+def _joint(name: str, parent: str, child: str, x_m: float, axis: str, limit_rad: float) -> str:
+    return f"""<joint name="{name}" type="revolute">
+        <parent link="{parent}"/><child link="{child}"/><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/>
+        <axis xyz="{axis}"/>
+        <limit lower="{-limit_rad:.6g}" upper="{limit_rad:.6g}" effort="1000" velocity="3"/>
+        </joint>"""
+
+
+def _inertial(mass_kg: float, x_m: float, along: float, across: float) -> str:
+    return f"""<inertial><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/><mass value="{mass_kg:.6g}"/>
+        <inertia ixx="{along:.6g}" iyy="{across:.6g}" izz="{across:.6g}" ixy="0" ixz="0" iyz="0"/>
+        </inertial>"""
+
+
+def _disc(x_m: float, radius_m: float) -> str:
+    return _cylinder(x_m, 2 * _PLATE_HALF_THICKNESS_M, 1.08 * radius_m)
+
+
+def _cylinder(x_m: float, length_m: float, radius_m: float) -> str:
+    return f"""<visual><origin xyz="{x_m:.6g} 0 0" rpy="0 {np.pi / 2:.9g} 0"/><geometry>
+        <cylinder length="{length_m:.6g}" radius="{radius_m:.6g}"/></geometry></visual>"""

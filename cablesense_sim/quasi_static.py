@@ -58,17 +58,15 @@ class QuasiStaticArm:
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
         self._transmissions = transmissions(variants)
-        straight = np.zeros((len(self._each), self._mechanism.joint_count))
-        spans = kinematics.spans(self._mechanism, straight).length_m.sum(-1)
+        self._angles_rad = np.zeros((len(self._each), self._mechanism.joint_count))
+        spans = kinematics.spans(self._mechanism, self._angles_rad).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
-        self._angles_rad: Array | None = None
+        self._begun = False
         self._last: tuple[Array, Array, _Pose] | None = None
 
     @property
     def joint_angles_rad(self) -> Array:
         """(P, 2N) where the arms rest; straight before the first step."""
-        if self._angles_rad is None:
-            return np.zeros((len(self._each), self._mechanism.joint_count))
         return self._angles_rad.copy()
 
     def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
@@ -82,24 +80,25 @@ class QuasiStaticArm:
         """
         rest_m = self._straight_m + held_m
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
-        if self._angles_rad is None:
-            for transmission in self._transmissions:
-                transmission.hold(rest_m)
+        if not self._begun:
+            self._hold(rest_m)
             self._begin(time_s, held_m, forces)
         for transmission in self._transmissions:
             longer = transmission.lengthening_m(time_s)
             if longer is not None:
                 rest_m = rest_m + longer
-        arms = kinematics.load_arms(self._mechanism, forces)
-        for transmission in self._transmissions:
-            transmission.hold(rest_m)
-        pose = self._next(rest_m, arms)
+        self._hold(rest_m)
+        pose = self._next(rest_m, kinematics.load_arms(self._mechanism, forces))
         self._require_room(pose.angles_rad)
         self._angles_rad = pose.angles_rad
         rest = Rest(time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n)
         for transmission in self._transmissions:
             transmission.settle(rest)
         return pose.tensions_n
+
+    def _hold(self, rest_m: Array) -> None:
+        for transmission in self._transmissions:
+            transmission.hold(rest_m)
 
     def _next(self, rest_m: Array, arms: Array) -> _Pose:
         """The next rest, which is the last one where nothing has changed."""
@@ -120,7 +119,6 @@ class QuasiStaticArm:
 
         Where cables are slack, Newton's method does not know how far the others were drawn.
         """
-        assert self._angles_rad is not None
         angles = self._angles_rad
         if self._last is None:
             return angles
@@ -132,10 +130,8 @@ class QuasiStaticArm:
         for _ in range(_FOLLOWING_STEPS):
             span = kinematics.spans(self._mechanism, angles)
             jacobian = kinematics.interleave(span)
-            pull = (
-                np.swapaxes(jacobian, -1, -2)
-                * np.broadcast_to(stiffness, wanted.shape)[..., None, :]
-            )
+            every = np.broadcast_to(stiffness, wanted.shape)[..., None, :]
+            pull = np.swapaxes(jacobian, -1, -2) * every
             missing = (wanted - span.length_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
@@ -146,52 +142,45 @@ class QuasiStaticArm:
             return start
         last_m, last_arms, pose = self._last
         along = pose.tension_by_m * (last_m - rest_m)[..., None]
-        torque = np.empty_like(start)
-        torque[..., 0::2] = (along * pose.span.by_pitch).sum(-2)
-        torque[..., 1::2] = (along * pose.span.by_yaw).sum(-2)
+        torque = _cable_torques_n_m(pose.span, along)
         torque -= kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
         return pose.angles_rad + _step_rad(pose._replace(torque_n_m=torque))
 
     def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
         """The same rest by way of others, which change no state."""
-        assert self._angles_rad is not None
         angles = self._angles_rad
         last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
         for share in np.linspace(0.0, 1.0, _SMALL_STEPS + 1)[1:]:
             on_the_way_m = last_m + share * (rest_m - last_m)
-            for transmission in self._transmissions:
-                transmission.hold(on_the_way_m)
+            self._hold(on_the_way_m)
             pose = self._search(angles, on_the_way_m, last_arms + share * (arms - last_arms))
             angles = pose.angles_rad
         return pose
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
         """The state begins where an arm without history-dependent effects would rest."""
-        self._angles_rad, tensions = self._without_past(held_m, forces_n)
+        straight = np.zeros_like(self._angles_rad)
+        if all(mechanism is self._each[0] for mechanism in self._each):
+            found = solve_equilibrium(self._each[0], straight, forces_n, held_m=held_m)
+            self._angles_rad, tensions = found.joint_angles_rad, found.tensions_n
+        else:
+            cases = zip(self._each, straight, forces_n, held_m, strict=True)
+            rests = [solve_equilibrium(m, q, force, held_m=held) for m, q, force, held in cases]
+            self._angles_rad = np.stack([r.joint_angles_rad for r in rests])
+            tensions = np.stack([r.tensions_n for r in rests])
         span = kinematics.spans(self._mechanism, self._angles_rad)
         bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
         rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
         for transmission in self._transmissions:
             transmission.begin(self._mechanism, rest)
-
-    def _without_past(self, held_m: Array, forces_n: Array) -> tuple[Array, Array]:
-        """Angles (P, 2N) and tensions (P, M); equal mechanisms are solved at once."""
-        straight = np.zeros((len(self._each), self._mechanism.joint_count))
-        if all(mechanism is self._each[0] for mechanism in self._each):
-            rest = solve_equilibrium(self._each[0], straight, forces_n, held_m=held_m)
-            return rest.joint_angles_rad, rest.tensions_n
-        cases = zip(self._each, straight, forces_n, held_m, strict=True)
-        rests = [solve_equilibrium(m, q, force, held_m=held) for m, q, force, held in cases]
-        angles, tensions = zip(*((r.joint_angles_rad, r.tensions_n) for r in rests), strict=True)
-        return np.stack(angles), np.stack(tensions)
+        self._begun = True
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
         step, fraction = np.zeros_like(start), np.ones(len(start))
         driven = np.zeros(len(start))
         for _ in range(_MOST_STEPS):
-            unbalanced = np.abs(pose.torque_n_m).max(-1)
-            if unbalanced.max() <= _ENOUGH_N_M:
+            if np.abs(pose.torque_n_m).max() <= _ENOUGH_N_M:
                 return pose
             # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
             # step is cut while the torques at its end drive the arm back as hard as it was driven
@@ -231,21 +220,22 @@ class QuasiStaticArm:
         mechanism = self._mechanism
         span, chain = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
         bends = _bends_rad(mechanism, angles, span.length_m)
-        kept = self._kept(span.length_m, bends)
+        kept = Kept.all_of(span.length_m)
+        for transmission in self._transmissions:
+            other = transmission.kept_tension(span.length_m, bends)
+            if other is not None:
+                kept = kept.and_then(other)
         stretch = np.maximum(span.length_m.sum(-1) - rest_m, 0.0)
         stiffness = mechanism.stiffness_n_m * (stretch > 0.0) / kept.mean
         tension = stiffness * stretch
         along = kept.spans * tension[..., None]
-        torque = np.empty_like(angles)
-        torque[..., 0::2] = (along * span.by_pitch).sum(-2)
-        torque[..., 1::2] = (along * span.by_yaw).sum(-2)
-        torque -= kinematics.axis_torques_n_m(chain, arms)
+        torque = _cable_torques_n_m(span, along) - kinematics.axis_torques_n_m(chain, arms)
         tension_by_m = stiffness[..., None] - (tension / kept.mean)[..., None] * kept.mean_by_m
         by_span = (
             kept.spans[..., None] * tension_by_m[..., None, :]
             + tension[..., None, None] * kept.spans_by_m
         )
-        slope = self._slope(span, along, by_span) - load_hessian(chain, arms)
+        slope = _cable_slopes_n_m(span, along, by_span) - load_hessian(chain, arms)
         spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
         torque += spring * angles
         diagonal = np.arange(angles.shape[-1])
@@ -258,27 +248,24 @@ class QuasiStaticArm:
         along_by_m = kept.spans * stiffness[..., None]
         return _Pose(angles, span, chain, bends, tension, along_by_m, torque, slope)
 
-    def _kept(self, spans_m: Array, bends_rad: Array) -> Kept:
-        """What friction of all kinds leaves of the tension along the cables."""
-        kept = Kept.all_of(spans_m)
-        for transmission in self._transmissions:
-            other = transmission.kept_tension(spans_m, bends_rad)
-            if other is not None:
-                kept = kept.and_then(other)
-        return kept
 
-    def _slope(self, span: kinematics.Spans, along: Array, by_span: Array) -> Array:
-        """Derivative (P, 2N, 2N) of the cables' torques by the joint angles."""
-        count = along.shape[-1]
-        slope = np.empty((len(along), 2 * count, 2 * count))
-        joints = np.arange(count)
-        for row, left in enumerate((span.by_pitch, span.by_yaw)):
-            for column, right in enumerate((span.by_pitch, span.by_yaw)):
-                block = (left[..., :, None] * by_span * right[..., None, :]).sum(-3)
-                slope[..., row::2, column::2] = block
-        for row, column, second in span.second_derivatives:
-            slope[..., 2 * joints + row, 2 * joints + column] += (along * second).sum(-2)
-        return slope
+def _cable_torques_n_m(span: kinematics.Spans, along_n: Array) -> Array:
+    """(P, 2N) joint torques of the spans' tensions (P, M, N)."""
+    both = [(along_n * by).sum(-2) for by in (span.by_pitch, span.by_yaw)]
+    return np.stack(both, axis=-1).reshape(len(along_n), -1)
+
+
+def _cable_slopes_n_m(span: kinematics.Spans, along_n: Array, by_span: Array) -> Array:
+    """Their derivative (P, 2N, 2N) by the joint angles."""
+    joints = np.arange(along_n.shape[-1])
+    slope = np.empty((len(along_n), 2 * len(joints), 2 * len(joints)))
+    for row, left in enumerate((span.by_pitch, span.by_yaw)):
+        for column, right in enumerate((span.by_pitch, span.by_yaw)):
+            block = (left[..., :, None] * by_span * right[..., None, :]).sum(-3)
+            slope[..., row::2, column::2] = block
+    for row, column, second in span.second_derivatives:
+        slope[..., 2 * joints + row, 2 * joints + column] += (along_n * second).sum(-2)
+    return slope
 
 
 def _step_rad(pose: _Pose) -> Array:

@@ -19,15 +19,9 @@ class ActuatorBacklash(Effect):
     advice = "Check couplings and nuts of these actuators, or approach poses from one side."
     parameters = (
         Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
-        shape(
-            "start",
-            "1",
-            -1.0,
-            1.0,
-            1.0,
-            "where in the play it begins, from the short to the long side",
-        ),
-    )
+        shape("start", "1", -1.0, 1.0, 1.0,
+              "where in the play it begins, from the short to the long side"),
+    )  # fmt: skip
 
     def actuation(self, place: str, values: Values) -> Actuation:
         return _Play(place, values["play_m"], values["start"])

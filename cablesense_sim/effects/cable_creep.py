@@ -33,29 +33,15 @@ class CableCreep(Effect):
     needs_time = True
     parameters = (
         Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
-        shape(
-            "time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0, starts=(5.0, 20.0, 80.0)
-        ),
+        shape("time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0,
+              starts=(5.0, 20.0, 80.0)),
         shape("spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, starts=(1.0,)),
-        shape(
-            "settled",
-            "1",
-            -1.0,
-            1.0,
-            0.5,
-            "share of the creep under pretension that was over before the cables were tensioned",
-            starts=(0.5,),
-        ),
-        shape(
-            "begun",
-            "1",
-            0.0,
-            1.0,
-            0.5,
-            "share of the creep to come that was over before the first sample",
-            starts=(0.5,),
-        ),
-    )
+        shape("settled", "1", -1.0, 1.0, 0.5,
+              "share of the creep under pretension that was over before the cables were tensioned",
+              starts=(0.5,)),
+        shape("begun", "1", 0.0, 1.0, 0.5,
+              "share of the creep to come that was over before the first sample", starts=(0.5,)),
+    )  # fmt: skip
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Creep(place, values)

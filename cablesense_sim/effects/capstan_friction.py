@@ -38,49 +38,20 @@ class CapstanFriction(Effect):
     )
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
-        shape(
-            "pulley_wrap_rad",
-            "rad",
-            0.0,
-            20.0,
-            1.0,
-            "wrap angle at the actuator's pulley",
-            starts=(0.5,),
-            trials=(0.0, 1.0),
-        ),
-        shape(
-            "give_m",
-            "m",
-            1e-6,
-            2e-3,
-            5e-5,
-            "of cable drawn past from rest to slip",
-            2e-5,
-            starts=(2e-5,),
-            trials=(1e-5, 1e-4),
-        ),
-        shape(
-            "run_share",
-            "1",
-            0.0,
-            1.0,
-            0.5,
-            "share of the cable's give that lies beyond the actuator's pulley",
-            trials=(0.0, 1.0),
-        ),
+        shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
+              starts=(0.5,), trials=(0.0, 1.0)),
+        shape("give_m", "m", 1e-6, 2e-3, 5e-5, "of cable drawn past from rest to slip", 2e-5,
+              starts=(2e-5,), trials=(1e-5, 1e-4)),
+        shape("run_share", "1", 0.0, 1.0, 0.5,
+              "share of the cable's give that lies beyond the actuator's pulley",
+              trials=(0.0, 1.0)),
         ROUNDED,
-    )
+    )  # fmt: skip
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
+        about = "share of what its guides hold that the past left on"
         return tuple(
-            shape(
-                f"start_{cable}",
-                "1",
-                -1.0,
-                1.0,
-                0.5,
-                f"share of what its guides hold that the past left on {cable}",
-            )
+            shape(f"start_{cable}", "1", -1.0, 1.0, 0.5, f"{about} {cable}")
             for cable in cables(cable_count)
         )
 

@@ -115,13 +115,13 @@ class Effect:
         return None
 
 
-def _numbered(kind: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{kind}_{i + 1}" for i in range(count))
-
-
 def cables(cable_count: int) -> tuple[str, ...]:
     """`cable_1` and so on."""
     return _numbered("cable", cable_count)
+
+
+def _numbered(kind: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{kind}_{i + 1}" for i in range(count))
 
 
 def chosen(place: str, count: int) -> NDArray[np.bool_]:

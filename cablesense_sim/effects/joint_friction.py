@@ -34,21 +34,12 @@ class JointFriction(Effect):
     advice = "Move the joint by hand with slack cables; look for dry or jammed bearings."
     parameters = (
         Parameter("torque_n_m", "N·m", 0.0, 20.0, 0.1, "at which an axis breaks away"),
-        shape(
-            "give_rad",
-            "rad",
-            1e-5,
-            0.05,
-            1e-3,
-            "turn from rest to breaking away",
-            3e-4,
-            starts=(3e-4,),
-            trials=(1e-4, 1e-3),
-        ),
+        shape("give_rad", "rad", 1e-5, 0.05, 1e-3, "turn from rest to breaking away", 3e-4,
+              starts=(3e-4,), trials=(1e-4, 1e-3)),
         ROUNDED,
         shape("start_pitch", "1", -1.0, 1.0, 0.5, "share of the torque at first, about y"),
         shape("start_yaw", "1", -1.0, 1.0, 0.5, "share of the torque at first, about z"),
-    )
+    )  # fmt: skip
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _DryJoints(place, values)

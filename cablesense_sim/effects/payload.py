@@ -22,15 +22,9 @@ class Payload(Effect):
     advice = "Weigh what was added there: tools, hoses, covers."
     parameters = (
         Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
-        shape(
-            "beyond_middle",
-            "1",
-            -0.5,
-            0.5,
-            0.3,
-            "its distance beyond the segment's middle, as a share of the segment's length",
-        ),
-    )
+        shape("beyond_middle", "1", -0.5, 0.5, 0.3,
+              "its distance beyond the segment's middle, as a share of the segment's length"),
+    )  # fmt: skip
 
     def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
         here = chosen(place, mechanism.segment_count)

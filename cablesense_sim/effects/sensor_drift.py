@@ -30,16 +30,12 @@ class SensorDrift(Effect):
         Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning"),
         *(
             Parameter(
-                f"rise_{k + 1}_n",
-                "N",
-                -20.0,
-                20.0,
-                0.7,
+                f"rise_{k + 1}_n", "N", -20.0, 20.0, 0.7,
                 f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
             )
             for k in range(_INTERVALS)
         ),
-    )
+    )  # fmt: skip
 
     def sensing(self, place: str, values: Values) -> Sensing:
         rises_n = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)

@@ -25,16 +25,10 @@ class SensorLag(Effect):
     needs_time = True
     parameters = (
         Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
-        shape(
-            "second_share",
-            "1",
-            0.0,
-            1.0,
-            0.5,
-            "time constant of a second lag behind the first, of the first one's",
-            starts=(0.0, 1.0),
-        ),
-    )
+        shape("second_share", "1", 0.0, 1.0, 0.5,
+              "time constant of a second lag behind the first, of the first one's",
+              starts=(0.0, 1.0)),
+    )  # fmt: skip
 
     def sensing(self, place: str, values: Values) -> Sensing:
         return _Lagging(place, values["time_constant_s"], values["second_share"])

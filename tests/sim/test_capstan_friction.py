@@ -9,6 +9,7 @@ import pytest
 from effect_arms import MECHANISM, bent, course, entry, readings, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import Rest
@@ -161,7 +162,7 @@ def test_what_joints_feel_lies_within_what_guides_can_hold() -> None:
         angles = arm.joint_angles_rad[0]
         span = kinematics.spans(MECHANISM, angles)
         jacobian = kinematics.interleave(span)
-        torque = kinematics.load_torques_n_m(MECHANISM, angles, load)
+        torque = load_torques_n_m(MECHANISM, angles, load)
         # a cable turns at both guides of a joint by at most the joint's own bend, twice
         bend = np.abs(angles.reshape(-1, 2)).sum(-1)
         most = np.expm1(mu * 2.0 * np.cumsum(bend))

@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings
+from joint_torques import load_torques_n_m
 from scipy.spatial.transform import Rotation
 
 from cablesense_sim import kinematics
@@ -28,7 +29,7 @@ def unbalanced_n_m(mechanism: Mechanism, rest, forces: np.ndarray) -> np.ndarray
     """J'T less the torques of weight and loads (B, 8), with the geometry of `mechanism`."""
     jacobian = kinematics.cable_jacobian_m(mechanism, rest.joint_angles_rad)
     forces = np.broadcast_to(forces, (len(POSES), 4, 3))
-    torque = kinematics.load_torques_n_m(mechanism, rest.joint_angles_rad, forces)
+    torque = load_torques_n_m(mechanism, rest.joint_angles_rad, forces)
     return np.einsum("bmj,bm->bj", jacobian, rest.tensions_n) - torque
 
 

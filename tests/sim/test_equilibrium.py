@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from arm_variants import variant
+from joint_torques import gravity_torques_n_m, load_torques_n_m
 from random_cases import HARD, SOFT, STIFF, STRAIGHT, Cases, random_cases
 
 from cablesense_base.errors import CableSenseError
@@ -45,7 +46,7 @@ def test_tensions_balance_loads_by_virtual_work(hard: Equilibrium) -> None:
     jacobian = kinematics.cable_jacobian_m(STIFF, q)
     cables = np.einsum("bij,bi->bj", jacobian, hard.tensions_n)
     loads = np.einsum("bncj,bnc->bj", kinematics.contact_jacobians_m(STIFF, q), HARD.forces_n)
-    weight = kinematics.gravity_torques_n_m(STIFF, q)
+    weight = gravity_torques_n_m(STIFF, q)
     np.testing.assert_allclose(cables, weight + loads, atol=1e-6)
 
 
@@ -67,7 +68,7 @@ def test_the_stiffness_matrix_is_the_slope_of_the_torques() -> None:
         stretch = kinematics.cable_lengths_m(SOFT, q) - unstretched
         tensions = SOFT.stiffness_n_m * np.maximum(stretch, 0)
         cables = np.einsum("bij,bi->bj", kinematics.cable_jacobian_m(SOFT, q), tensions)
-        return cables - kinematics.load_torques_n_m(SOFT, q, cases.forces_n)
+        return cables - load_torques_n_m(SOFT, q, cases.forces_n)
 
     q, h = rest.joint_angles_rad, 1e-7
     slope = np.stack([(torques(q + d) - torques(q - d)) / (2 * h) for d in h * np.eye(8)], -1)

@@ -7,6 +7,7 @@ import pytest
 from effect_arms import MECHANISM, STRAIGHT, course, entry, push, readings, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import Rest
@@ -84,7 +85,7 @@ def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> N
     for load in up_and_down(segment=4):
         tensions = arm.step(0.0, np.zeros((1, 12)), load)[0]
         angles = arm.joint_angles_rad[0]
-        torque = kinematics.load_torques_n_m(MECHANISM, angles, load)
+        torque = load_torques_n_m(MECHANISM, angles, load)
         missing = torque - kinematics.cable_jacobian_m(MECHANISM, angles).T @ tensions
         assert np.abs(missing).max() <= 0.15 + 1e-5
         np.testing.assert_allclose(np.delete(missing, where), 0.0, atol=1e-5)

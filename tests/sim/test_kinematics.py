@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from arm_variants import variant
+from joint_torques import gravity_torques_n_m, load_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
@@ -60,7 +61,7 @@ def test_mujoco_agrees(arm: Arm) -> None:
     centres = kinematics.joint_positions_m(mechanism, q)
     points = kinematics.contact_points_m(mechanism, q)
     contact = kinematics.contact_jacobians_m(mechanism, q)
-    gravity = kinematics.gravity_torques_n_m(mechanism, q)
+    gravity = gravity_torques_n_m(mechanism, q)
     moved = np.zeros((3, model.nv))
     for i, angles in enumerate(q):
         data.qpos[at] = angles
@@ -84,9 +85,9 @@ def test_load_torques_are_gravity_and_the_contact_jacobian(arm: Arm) -> None:
     mechanism = mechanism_of(arm)
     q = poses(mechanism, 20)
     forces = np.random.default_rng(1).normal(0, 50, (20, arm.segment_count, 3))
-    torques = kinematics.load_torques_n_m(mechanism, q, forces)
+    torques = load_torques_n_m(mechanism, q, forces)
     by_jacobian = np.einsum("bncj,bnc->bj", kinematics.contact_jacobians_m(mechanism, q), forces)
-    gravity = kinematics.gravity_torques_n_m(mechanism, q)
+    gravity = gravity_torques_n_m(mechanism, q)
     np.testing.assert_allclose(torques, gravity + by_jacobian, atol=1e-10)
 
 
@@ -172,7 +173,7 @@ FUNCTIONS = (
     kinematics.joint_positions_m,
     kinematics.contact_points_m,
     kinematics.contact_jacobians_m,
-    kinematics.gravity_torques_n_m,
+    gravity_torques_n_m,
 )
 
 

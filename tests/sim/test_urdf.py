@@ -6,11 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 from arm_variants import variant
+from joint_torques import gravity_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.urdf import urdf_xml
+from cablesense_sim.model import urdf_xml
 
 ARMS = {
     "cdsm": open_arm("cdsm"),
@@ -125,7 +126,7 @@ def test_mujoco_reads_it_and_finds_the_same_weight(arm: Arm) -> None:
     for name, angle in zip(arm.joint_names, q, strict=True):
         data.joint(name).qpos = angle
     mujoco.mj_forward(model, data)
-    gravity = kinematics.gravity_torques_n_m(mechanism, q)
+    gravity = gravity_torques_n_m(mechanism, q)
     np.testing.assert_allclose(-data.qfrc_bias, gravity, atol=1e-4)
 
 

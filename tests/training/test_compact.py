@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_torques import gravity_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
@@ -93,7 +94,7 @@ def test_frames_levers_and_weight_agree_for_any_arm_at_any_pose(mechanism, seed)
     contact = kinematics.contact_jacobians_m(mechanism, loaded)
     torques = _pitch_first(np.einsum("bsik,bsic->bsck", contact, normals))
     np.testing.assert_allclose(lever.numpy(), torques, atol=1e-12)
-    gravity = _pitch_first(kinematics.gravity_torques_n_m(mechanism, loaded))
+    gravity = _pitch_first(gravity_torques_n_m(mechanism, loaded))
     np.testing.assert_allclose(weight.numpy()[..., 0], gravity, atol=1e-11)
 
 

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joint_torques import gravity_torques_n_m
 
 from cablesense_sim.arm import load_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, gravity_torques_n_m
+from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_training.data.dataset import Dataset, summarise
 from cablesense_training.data.generation import draw_dataset
