@@ -23,10 +23,8 @@ from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)
 """Commands beyond this are refused: no universal joint between guide plates reaches it."""
-
 MAX_LOAD_N = 2_000.0
 """A larger force is a wrong unit or a slip, not a push."""
-
 ARROW_M_PER_N = 0.004
 """Length of the arrow per newton: 50 N are 0.2 m."""
 
@@ -79,14 +77,14 @@ class NamedOrder:
             "unknown": [name for name in counts if name not in self.names],
             "more than once": [name for name, count in counts.items() if count > 1],
         }
-        problems = [
+        problems = "; ".join(
             f"{kind} {some_of([repr(name[:40]) for name in names])}"
             for kind, names in wrong.items()
             if names
-        ]
+        )
         if problems:
             raise ContractError(
-                f"name: {'; '.join(problems)}; the {len(self.names)} {self._what} of this arm are "
+                f"name: {problems}; the {len(self.names)} {self._what} of this arm are "
                 f"{self.names[0]} … {self.names[-1]}, in any order, each once"
             )
         return itemgetter(*(given.index(name) for name in self.names))
@@ -142,16 +140,10 @@ class Contact(NamedTuple):
         return math.sin(angle), math.cos(angle)
 
     @property
-    def force_n(self) -> tuple[float, float, float]:
-        """The force, in the segment's frame."""
-        y, z = self.direction
-        return 0.0, self.magnitude_n * y, self.magnitude_n * z
-
-    @property
     def wrench(self) -> tuple[float, float, float, float, float, float]:
         """The force, N, and its moment about the origin of the segment's frame, N·m."""
-        x, y, z = self.force_n
-        return x, y, z, 0.0, -self.contact_m * z, self.contact_m * y
+        y, z = (self.magnitude_n * component for component in self.direction)
+        return 0.0, y, z, 0.0, -self.contact_m * z, self.contact_m * y
 
 
 NO_CONTACT = Contact()

@@ -24,21 +24,16 @@ class Qos:
 
 PUBLISHER: Final = Qos(depth=10, reliable=True)
 """Every output: the system default, so that reliable and best-effort subscribers both match."""
-
 WRENCH: Final = Qos(depth=10, reliable=True, lease_s=0.05)
 """The estimator's answer: as every output, and a subscriber that asks for a liveliness lease of
 0.05 s or more is notified by its own middleware when the estimator's process has died."""
-
 SENSOR: Final = Qos(depth=500, reliable=False)
 """High-rate input: sensor data, best effort. Half a second at 1 kHz, so that no pause of a
 process loses a sample; ROS's own sensor profile keeps five."""
-
 COMMAND: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
-
 LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
 """What a late subscriber must still receive: the robot description."""
-
 JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
 """The estimator's journal: a recorder that comes late gets the latest entries too."""
 
@@ -52,11 +47,11 @@ NUMBER_TYPE: Final = "std_msgs/msg/Int32"
 
 @dataclass(frozen=True)
 class TopicType:
-    """One topic: its message's full name, how it is offered, and how a recorder subscribes."""
+    """One topic: its message's full name, QoS offered, and QoS requested by a recorder."""
 
     kind: str
     offered: Qos
-    heard: Qos = _RECORDED
+    requested: Qos = _RECORDED
 
 
 INPUTS: Final = {

@@ -18,11 +18,11 @@ from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
-
-_ENCAPSULATION_BYTES = 4
-_HEAD_AT = 12
+_STAMP_AT, _HEAD_AT = 4, 12
+"""After the encapsulation, and after the stamp."""
 _KNOWN_HEADS = 16
 _BYTE_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
+_STAMPS = {encapsulation: struct.Struct(f"{o}iI") for encapsulation, o in _BYTE_ORDERS.items()}
 
 
 class Efforts(NamedTuple):
@@ -57,7 +57,7 @@ class EffortReader:
         self._known: dict[bytes, _Head] = {}
         self._values_at = 0
         self._encapsulation = b""
-        self._stamp = struct.Struct("<iI")
+        self._stamp = _STAMPS[b"\0\1"]
 
     def read(self, raw: bytes) -> Efforts:
         """Read one message, of either byte order.
@@ -76,7 +76,7 @@ class EffortReader:
                 f"effort: {layout.size // 8} values announced, "
                 f"{max(0, len(raw) - at) // 8} left in the message"
             )
-        seconds, nanoseconds = self._stamp.unpack_from(raw, _ENCAPSULATION_BYTES)
+        seconds, nanoseconds = self._stamp.unpack_from(raw, _STAMP_AT)
         if nanoseconds >= 1_000_000_000:
             raise ContractError(
                 f"header.stamp.nanosec is {nanoseconds}; it must be below 1000000000"
@@ -97,7 +97,7 @@ class EffortReader:
         if not same_kind or len(self._known) >= _KNOWN_HEADS:
             self._known.clear()
             self._values_at, self._encapsulation = head.values_at, encapsulation
-            self._stamp = struct.Struct(order + "iI")
+            self._stamp = _STAMPS[encapsulation]
         self._known[raw[_HEAD_AT : head.values_at]] = head
         return head
 
@@ -118,12 +118,8 @@ def _decode_head(raw: bytes, order: str) -> _Head:
     return _Head(tuple(names), struct.Struct(f"{order}{count}d"), at)
 
 
-def _aligned(at: int, size: int) -> int:
-    return at + (_ENCAPSULATION_BYTES - at) % size
-
-
 def _count(raw: bytes, at: int, order: str, field: str) -> tuple[int, int]:
-    at = _aligned(at, 4)
+    at += -at % 4
     if at + 4 > len(raw):
         raise ContractError(f"{field}: the message ends after {len(raw)} bytes, before its length")
     (count,) = struct.unpack_from(order + "I", raw, at)
@@ -150,15 +146,12 @@ def _doubles(raw: bytes, at: int, order: str, field: str) -> tuple[int, int]:
     """How many values, and where the first lies."""
     count, at = _count(raw, at, order, field)
     if count:
-        at = _aligned(at, 8)
+        at += (_STAMP_AT - at) % 8  # aligned from after the encapsulation
     if 8 * count > len(raw) - at:
         raise ContractError(
             f"{field}: {count} values announced, {max(0, len(raw) - at) // 8} left in the message"
         )
     return count, at
-
-
-_LITTLE_ENDIAN = b"\0\1\0\0"
 
 
 class WrenchWriter:
@@ -169,26 +162,18 @@ class WrenchWriter:
         before = 4 + 8 + 4 + len(text)
         padding = (4 - before) % 8  # numbers of eight bytes align from after the encapsulation
         self._layout = struct.Struct(f"<4siII{len(text)}s{padding}x6d")
-        self._length = len(text)
         self._text = text
 
     def write(self, stamp_ns: int, wrench: Sequence[float]) -> bytes:
         """A stamped message of a force, N, and a torque, N·m: (6,) together."""
-        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-        return self._layout.pack(
-            _LITTLE_ENDIAN, seconds, nanoseconds, self._length, self._text, *wrench
-        )
+        stamp = divmod(stamp_ns, 1_000_000_000)
+        return self._layout.pack(b"\0\1", *stamp, len(self._text), self._text, *wrench)
 
 
 def wrench_writers(frames: Frames) -> list[WrenchWriter]:
     """Writers in the base frame, for no contact, and in the frames of segments 1 … N."""
     names = (frames.base, *(frames.segment(n + 1) for n in range(frames.segment_count)))
     return [WrenchWriter(name) for name in names]
-
-
-_AT = 4
-_END = 12
-_STAMPS = {b"\0\0": struct.Struct(">iI"), b"\0\1": struct.Struct("<iI")}
 
 
 def stamp_ns(raw: bytes) -> int:
@@ -198,11 +183,11 @@ def stamp_ns(raw: bytes) -> int:
         ContractError: the bytes are no message with a header.
     """
     layout = _STAMPS.get(raw[:2])
-    if layout is None or len(raw) < _END:
+    if layout is None or len(raw) < _HEAD_AT:
         raise ContractError(
             f"{len(raw)} bytes beginning {raw[:4].hex()} are no message with a stamp in plain CDR"
         )
-    seconds, nanoseconds = layout.unpack_from(raw, _AT)
+    seconds, nanoseconds = layout.unpack_from(raw, _STAMP_AT)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
@@ -213,4 +198,4 @@ def restamped(raw: bytes, stamp: int) -> bytes:
         ContractError: the bytes are no message with a header.
     """
     stamp_ns(raw)
-    return raw[:_AT] + _STAMPS[raw[:2]].pack(*divmod(stamp, 1_000_000_000)) + raw[_END:]
+    return raw[:_STAMP_AT] + _STAMPS[raw[:2]].pack(*divmod(stamp, 1_000_000_000)) + raw[_HEAD_AT:]

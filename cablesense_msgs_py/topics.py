@@ -14,59 +14,41 @@ from cablesense_base.errors import CableSenseError
 
 CABLE_TENSIONS: Final = "cable_tensions"
 """`sensor_msgs/JointState`: cable names, `effort` in N, stamped with the time of the sample."""
-
 SIMULATED_TENSIONS: Final = "simulated_tensions"
 """As `cable_tensions`, from a sim whose output is played out as CAN frames by `can_emulator`."""
-
 JOINT_COMMANDS: Final = "joint_commands"
 """`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
-
 JOINT_STATES: Final = "joint_states"
 """`sensor_msgs/JointState`: joint names, `position` in rad as they are in the simulation."""
-
 APPLIED_WRENCH: Final = "applied_wrench"
 """`geometry_msgs/WrenchStamped`: a known force on segment N (frame `segment_N`), base axes, N."""
-
 TRIAL: Final = "trial"
 """`std_msgs/Int32`, optional: what is recorded from now on belongs to the trial of this number."""
-
 ROBOT_DESCRIPTION: Final = "robot_description"
 """`std_msgs/String`, transient local: the URDF generated from the arm file."""
-
 DIAGNOSTICS: Final = "/diagnostics"
 """`diagnostic_msgs/DiagnosticArray`, 1 Hz."""
-
 CONTACT_POINT: Final = "~/contact_point"
 """`geometry_msgs/PointStamped` in frame `segment_N`, only during a contact."""
-
 FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
-
 WRENCH: Final = "~/wrench"
 """`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
-
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 """`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one."""
-
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
-
 JOURNAL: Final = "~/journal"
 """`diagnostic_msgs/DiagnosticArray`, transient local: what the estimator's answers rest on beside
-the samples, from the sample in `header.stamp` on (`cablesense_msgs_py.journal`)."""
-
+the samples, from the sample in `header.stamp` on (`cablesense_online.state`)."""
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
-
 TARE_UNDO: Final = "~/tare_undo"
 """`std_srvs/Trigger`: go back to the tare before the last one."""
 
 
 class ContractError(CableSenseError):
     """A message that breaks the contract: names the field, its content, what would be right."""
-
-
-_SHOWN_CHARACTERS = 40
 
 
 @dataclass(frozen=True)
@@ -94,9 +76,8 @@ class Frames:
         match = re.fullmatch(re.escape(self.prefix) + r"segment_([1-9][0-9]{0,3})", frame_id)
         number = int(match.group(1)) if match else 0
         if not 1 <= number <= self.segment_count:
-            shown = frame_id[:_SHOWN_CHARACTERS]
             raise ContractError(
-                f"header.frame_id is {shown!r}; it must be one of {self.segment(1)} … "
+                f"header.frame_id is {frame_id[:40]!r}; it must be one of {self.segment(1)} … "
                 f"{self.segment(self.segment_count)}"
             )
         return number

@@ -92,7 +92,7 @@ class Recorder:
                     kind,
                     resolved(topic, node.get_namespace()),
                     partial(self._take, topic, kind),
-                    **overridable(of.heard),
+                    **overridable(of.requested),
                     raw=True,
                 )
 

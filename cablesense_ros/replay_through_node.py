@@ -88,7 +88,7 @@ class LiveEstimator:
             WrenchStamped,
             self._name(topics.WRENCH),
             lambda raw: self.answers.update({stamp_ns(raw): raw}),
-            qos_profile(CONTRACT[topics.WRENCH].heard),
+            qos_profile(CONTRACT[topics.WRENCH].requested),
             raw=True,
         )
         self._clients: dict[str, Client] = {

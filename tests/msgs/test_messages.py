@@ -105,12 +105,12 @@ FRAMES = Frames(4)
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, 90.0, 200.0, 359.0])
 def test_force_and_moment_are_those_of_a_push_at_the_contact_point(angle_deg):
     contact = Contact(2, angle_deg, 40.0, 0.065)
-    assert np.linalg.norm(contact.force_n) == pytest.approx(40.0)
-    assert np.degrees(np.arctan2(contact.force_n[1], contact.force_n[2])) % 360 == pytest.approx(
+    assert np.linalg.norm(contact.wrench[:3]) == pytest.approx(40.0)
+    assert np.degrees(np.arctan2(contact.wrench[1], contact.wrench[2])) % 360 == pytest.approx(
         angle_deg
     )
     np.testing.assert_allclose(
-        contact.wrench[3:], np.cross([0.065, 0.0, 0.0], contact.force_n), atol=1e-12
+        contact.wrench[3:], np.cross([0.065, 0.0, 0.0], contact.wrench[:3]), atol=1e-12
     )
 
 
