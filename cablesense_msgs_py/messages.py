@@ -27,7 +27,6 @@ MAX_LOAD_N = 2_000.0
 """A larger force is a wrong unit or a slip, not a push."""
 ARROW_M_PER_N = 0.004
 """Length of the arrow per newton: 50 N are 0.2 m."""
-
 _SPHERE_DIAMETER_M = 0.03
 _ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
 _COLOUR = (0.95, 0.35, 0.1, 1.0)

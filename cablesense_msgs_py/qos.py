@@ -36,10 +36,8 @@ LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
 """What a late subscriber must still receive: the robot description."""
 JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
 """The estimator's journal: a recorder that comes late gets the latest entries too."""
-
 _RECORDED: Final = Qos(depth=2000, reliable=True)
 _ESTIMATOR: Final = "estimator"
-
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER_TYPE: Final = "std_msgs/msg/Int32"

@@ -18,13 +18,10 @@ from cablesense_online.state import EstimatorState, EventKind, state_of
 
 MOST_CHANGES = 1_000_000
 """A hundred commands a second for hours; more would fill the memory."""
-
 _WINDOW_NS = 2_000_000_000
 """An answer that has not come this long after its sample never came; far longer than any takes."""
-
 _STATE_AFTER_NS = 1_000_000_000
 """A state is published with the answer to its sample, so it is not recorded much later."""
-
 _WRENCH = Struct("<6d")
 
 

@@ -28,7 +28,6 @@ from cablesense_sim.mechanism import Mechanism
 OWN_COMMANDS_KEPT = 16
 REPEAT_S = 0.5
 """While estimates are awaited, the command in force is repeated this often."""
-
 _PROBABILITIES_FOR_FREE = 2
 """One message of probabilities could still be of the time before the command."""
 

@@ -24,11 +24,9 @@ from cablesense_online.can.slcan import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
 """Those that are tried or documented here; python-can's others may well work."""
-
 NMT_ID = 0x000
 START_REMOTE_NODE = 0x01
 HEARTBEAT_ID = 0x700
-
 CONTROLLER_CLASS, BUS_OFF_CLASS, BUS_ERROR_CLASS, RESTARTED_CLASS = 0x04, 0x40, 0x80, 0x100
 _CLASSES = {
     0x01: "transmit timeout",
@@ -53,10 +51,8 @@ _CONTROLLER_BITS = {
 
 SAME_CLOCK_S = 0.05
 """Timestamps that lag this machine's clock by no more are of that clock, as SocketCAN's are."""
-
 DRIFT = 200e-6
 """The most by which two quartz clocks drift apart, with a margin."""
-
 JUMP_S = 2.0
 """A lag that changes by more than this at once is a clock that was set, not a busy machine."""
 
@@ -260,7 +256,6 @@ def booted_node(frame: can.Message, nodes: Sequence[int]) -> int | None:
 
 PLACES_KEPT = 32
 """Places counted by name for each kind; a bus full of unknown ids must not fill the memory."""
-
 ELSEWHERE = "elsewhere"
 
 

@@ -34,15 +34,12 @@ from cablesense_online.can.tension_reader import TensionReader
 FIRST_BACK_OFF_S = 0.05
 LAST_BACK_OFF_S = 0.5
 """Short enough that samples are there again within a second of the interface's return."""
-
 WAKE_S = 0.05
 WAITS_OF_SILENCE = 2
 """The first wait may have ended in a pause of this process, with frames already there: only what
 the next one still does not find has not come."""
-
 REOPEN_AFTER_SILENCE_S = 2.0
 """Adapters that lost power at times neither raise nor deliver; opening them anew sets them up."""
-
 UNREADABLE_IN_A_ROW = 10
 """So many lines that are no frames, one after the other, are an adapter out of step."""
 

@@ -20,7 +20,6 @@ from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, PlannedF
 from cablesense_online.can.slcan import SlcanPort
 
 COMMAND_EVERY_S = 1.0
-
 PAUSE_S = 0.5
 """Between the end of a recording and its next beginning."""
 

@@ -32,10 +32,8 @@ from cablesense_base.errors import CableSenseError
 FRAME_COMMANDS = b"tTrR"
 MAX_LINE_BYTES = 64
 """More without an end is no line: the longest frame has 26 characters, and a stamp four."""
-
 TICK_S = 1e-6
 """Least time from one frame to the next: stamps ascend."""
-
 _STAMP_DIGITS = 4
 _CLOCK_SET_BACK_S = 0.1
 _OK, _BELL = b"\r", b"\a"

@@ -25,10 +25,8 @@ from cablesense_online.can.decoder import FrameDecoder, Sample, SampleAssembler
 SCATTER_OF_READING_S = 0.1
 """Skew limit where frames bear the time of reading: any pause of the process would look late. The
 order of the frames then bounds the skew, as no channel comes twice in a sample: to one cycle."""
-
 KNOWN_EXCESS = 2.0
 """Frames of the map may come at this many times their rate; what exceeds it is dropped."""
-
 ALLOWANCE_S = 0.5
 """So long a burst may last before it counts: a process that was held up reads its backlog in one
 go, and loses none of it."""

@@ -50,7 +50,6 @@ LARGEST_SCALE_U95 = 0.1
 """A scale that is known no better than to this share is none: the sensor does not follow."""
 FEWEST_SAMPLES = 10
 """In a window; the mean of fewer is hardly better than one reading."""
-
 _WEIGHT_ROUNDS = 4
 """The weights depend on the slope so weakly that it stands after two."""
 

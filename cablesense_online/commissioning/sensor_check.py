@@ -262,7 +262,6 @@ def _of_pull(result: PullResult, expected: SensorExpectation) -> _Findings:
 
 MOST_ROWS = 20_000
 """Predicted within a second or two; longer recordings are thinned out."""
-
 _KINDS = ("swapped", "stuck", "arm", "unit")
 """The others show in the sensors' own statistics."""
 

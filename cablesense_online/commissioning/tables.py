@@ -21,19 +21,15 @@ from cablesense_base.files import read_bounded_text
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """3rd CGPM (1901)."""
-
 GRAVITY_RELATIVE_U = 0.0015
 """Standard uncertainty of the standard value where the local one is not given: normal gravity goes
 from 9.7803 m/s² at the equator to 9.8322 at the poles (WGS 84); half of that over root 3."""
-
 MAX_TABLE_BYTES = 1_000_000
 """Far more rows than anybody writes."""
-
 HEAVIEST_N = 20_000.0
 LARGEST_RAW = 1e11
 LATEST_S = 1e7
 """A hundred days; beyond it a time is a date."""
-
 _WINDOW_COLUMNS = ("start_s", "end_s")
 _LOAD_COLUMNS = ("mass_kg", "mass_u_kg", "force_n", "force_u_n", "raw", "raw_u", *_WINDOW_COLUMNS)
 
