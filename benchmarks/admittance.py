@@ -27,7 +27,6 @@ from cablesense_online.admittance.wall import (
     ElasticWall,
     WallPressing,
     compliance_m_n,
-    contact_point_m,
     wall_beside,
 )
 from cablesense_sim import kinematics
@@ -137,7 +136,7 @@ def run_loop(
         for _ in range(MOST_ITERATIONS):
             before_n = pressing.force_n
             angles = solve_equilibrium(mechanism, command, loads).joint_angles_rad
-            point = contact_point_m(mechanism, angles, segment)
+            point = kinematics.contact_points_m(mechanism, angles)[segment - 1]
             loads[segment - 1] = pressing.update(point, advance_m, 0.0)
             if abs(pressing.force_n - before_n) <= BALANCED_N:
                 break

@@ -20,7 +20,6 @@ from cablesense_online.admittance.wall import (
     Approach,
     WallPressing,
     compliance_m_n,
-    contact_point_m,
     wall_beside,
 )
 from cablesense_ros.node_process import (
@@ -30,6 +29,7 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 
@@ -86,7 +86,7 @@ class ObstacleNode(Node):
             compliance = compliance_m_n(self._mechanism, angles, self._segment, wall.normal)
             self._pressing = WallPressing(wall, compliance)
             self._since_s = now_s
-        point = contact_point_m(self._mechanism, angles, self._segment)
+        point = kinematics.contact_points_m(self._mechanism, angles)[self._segment - 1]
         advance_m = self._approach.advance_m
         if now_s - self._since_s >= self._given["delay_s"]:
             advance_m = self._approach.towards(self._given["depth_m"], elapsed_s)

@@ -55,7 +55,6 @@ class AdmittanceController:
         self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
         self._arrived_s = self._stepped_s = now_s
         self._yield_until_s = self._repeated_s = float("-inf")
-        self._await_command = settings.await_command
         self._in_force = False
         self.contact: ContactForce | None = None
         self.at_limit = False
@@ -90,8 +89,7 @@ class AdmittanceController:
         age_s = (clock_ns - stamp_ns) * 1e-9
         fresh = self.watch.received_wrench(bool(segment), age_s, now_s)
         state = self.watch.update(now_s)
-        waiting = self.awaiting or self.yielding(now_s) or self.beyond_reach
-        if not fresh or state is ContactState.STOPPED or waiting:
+        if not fresh or state is ContactState.STOPPED or self._waits_for(now_s):
             self._average.clear()
             return None
         if now_s - age_s < self._arrived_s:
@@ -114,24 +112,21 @@ class AdmittanceController:
             now_s
         ):
             return None
-        if not self._in_force or self.yielding(now_s) or now_s - self._repeated_s < REPEAT_S:
+        due_s = max(self._yield_until_s, self._repeated_s + REPEAT_S)
+        if not self._in_force or now_s < due_s:
             return None
         self._repeated_s = now_s
         return self.command_rad
 
-    def yielding(self, now_s: float) -> bool:
-        """Whether another node commanded a short while ago."""
-        return now_s < self._yield_until_s
-
-    @property
-    def awaiting(self) -> bool:
-        """Whether the first command of another node is awaited."""
-        return self._await_command and not self._in_force
-
-    @property
-    def beyond_reach(self) -> bool:
-        """Whether the command in force is one that this controller would not give."""
-        return not self.law.reach.holds(self.command_rad)
+    def _waits_for(self, now_s: float) -> str:
+        """Why no step is taken at present, whatever touches; empty where one may be."""
+        if self._settings.await_command and not self._in_force:
+            return "waits for a first command"
+        if now_s < self._yield_until_s:
+            return "another node commands; quiet"
+        if not self.law.reach.holds(self.command_rad):
+            return "the arm was commanded beyond joint_limit_deg; no step is taken"
+        return ""
 
     def status(self, active: bool, commanders: int, now_s: float) -> Status:
         """Phase, last contact and pose; `commanders` publish joint commands, this node too."""
@@ -158,12 +153,9 @@ class AdmittanceController:
             return Level.OK, "configured, not active: no commands are sent"
         if self.watch.state is ContactState.STOPPED:
             return Level.ERROR, f"stopped: {self.watch.reason}"
-        if self.awaiting:
-            return Level.WARN, "waits for a first command"
-        if self.yielding(now_s):
-            return Level.WARN, "another node commands; quiet"
-        if self.beyond_reach:
-            return Level.WARN, "the arm was commanded beyond joint_limit_deg; no step is taken"
+        waits = self._waits_for(now_s)
+        if waits:
+            return Level.WARN, waits
         if self.contact is not None and self.at_limit:
             return Level.WARN, "at joint_limit_deg: what force is left stays"
         if commanders > 1:

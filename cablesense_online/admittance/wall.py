@@ -29,10 +29,6 @@ class ElasticWall:
     stiffness_n_m: float
     damping_n_s_m: float = 0.0
 
-    def penetration_m(self, contact_point_m: Array, advance_m: float) -> float:
-        """How deep a point (3,) is in the wall that has advanced so far; negative outside."""
-        return advance_m - float(self.normal @ (contact_point_m - self.point_m))
-
 
 class WallPressing:
     """The wall's force from one reading of the arm's pose to the next.
@@ -58,7 +54,7 @@ class WallPressing:
             advance_m: of the wall along its normal.
             elapsed_s: since the last update.
         """
-        penetration = self.wall.penetration_m(contact_point_m, advance_m)
+        penetration = advance_m - float(self.wall.normal @ (contact_point_m - self.wall.point_m))
         depth = max(0.0, penetration)
         growth, self._depth_m = depth - self._depth_m, depth
         damping = self.wall.damping_n_s_m / elapsed_s if elapsed_s > 0.0 else 0.0
@@ -86,11 +82,6 @@ class Approach:
         return self.advance_m
 
 
-def contact_point_m(mechanism: Mechanism, joint_angles_rad: Array, segment: int) -> Array:
-    """(3,) contact point of segment 1..N, base frame."""
-    return np.asarray(kinematics.contact_points_m(mechanism, joint_angles_rad)[segment - 1])
-
-
 def wall_beside(
     mechanism: Mechanism,
     joint_angles_rad: Array,
@@ -108,7 +99,7 @@ def wall_beside(
         LoadError: no such segment, or an angle that is not finite.
     """
     push = normal_force_n(mechanism, joint_angles_rad, segment, angle_deg, 1.0)
-    point = contact_point_m(mechanism, joint_angles_rad, segment)
+    point = np.asarray(kinematics.contact_points_m(mechanism, joint_angles_rad)[segment - 1])
     return ElasticWall(point, push[segment - 1], stiffness_n_m, damping_n_s_m)
 
 

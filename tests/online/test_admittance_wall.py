@@ -20,12 +20,12 @@ from cablesense_online.admittance.wall import (
     ElasticWall,
     WallPressing,
     compliance_m_n,
-    contact_point_m,
     wall_beside,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.kinematics import contact_points_m
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -42,7 +42,7 @@ def test_compliance_is_how_far_a_small_push_moves_the_contact(arm, segment):
     forces = np.zeros((4, 3))
     forces[segment - 1] = 0.1 * wall.normal
     moved = [
-        contact_point_m(mechanism, rest.joint_angles_rad, segment)
+        contact_points_m(mechanism, rest.joint_angles_rad)[segment - 1]
         for rest in (solve_equilibrium(mechanism, POSE, f) for f in (forces, -forces))
     ]
     expected = wall.normal @ (moved[0] - moved[1]) / 0.2
@@ -54,10 +54,11 @@ def test_compliance_is_how_far_a_small_push_moves_the_contact(arm, segment):
 def test_a_wall_touches_at_advance_zero_and_pushes_as_the_contact_angle_says():
     mechanism = mechanism_of(open_arm("cdsm"))
     wall = wall_beside(mechanism, np.zeros(8), 3, 90.0, 1e4, 0.0)
-    point = contact_point_m(mechanism, np.zeros(8), 3)
+    point = contact_points_m(mechanism, np.zeros(8))[2]
     assert np.allclose(wall.normal, [0.0, 1.0, 0.0])
-    assert wall.penetration_m(point, 0.0) == 0.0
-    assert wall.penetration_m(point, 0.002) == pytest.approx(0.002)
+    pressing = WallPressing(wall, 0.0)
+    assert not pressing.update(point, 0.0, 0.01).any()
+    assert np.allclose(pressing.update(point, 0.002, 0.01), 20.0 * wall.normal)
 
 
 def test_a_segment_that_is_not_there_is_refused():
