@@ -314,7 +314,7 @@ def _use_model(path: Path) -> None:
     estimator = Estimator.load(path)
     command = np.zeros(estimator.metadata.arm.joint_count)
     for scale in (0.0, 1.0, 50.0):
-        row = np.linspace(-scale, scale, len(estimator.cable_names))
+        row = np.linspace(-scale, scale, len(estimator.metadata.cable_names))
         estimate = estimator.estimate(row, command)
         if not np.isfinite([*estimate.probabilities, *estimate[2:]]).all():
             raise FalseAnswerError(f"a model estimates {estimate}")

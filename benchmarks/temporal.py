@@ -26,8 +26,8 @@ from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import Sequences, draw_sequences
-from cablesense_training.evaluation.metrics import ContactAnswer
-from cablesense_training.evaluation.sequence_metrics import (
+from cablesense_training.evaluation.metrics import (
+    ContactAnswer,
     SequenceMetrics,
     sequence_answer,
     sequence_metrics,

@@ -27,14 +27,12 @@ from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
     MultiContactMetrics,
+    SequenceMetrics,
     SingleContactMetrics,
     multi_contact_metrics,
-    single_contact_metrics,
-)
-from cablesense_training.evaluation.sequence_metrics import (
-    SequenceMetrics,
     sequence_answer,
     sequence_metrics,
+    single_contact_metrics,
 )
 from cablesense_training.export import export_model
 from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit

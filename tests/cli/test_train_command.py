@@ -78,7 +78,7 @@ def test_an_amended_arm_is_trained_for_as_any_other(tmp_path):
     path.write_text(yaml.safe_dump(arm.model_dump()), encoding="utf-8")
     result = _run(*SMALL, "--arm", str(path), "--out", str(out))
     assert result.exit_code == 0, result.output
-    assert Estimator.load(out, arm).arm_identity == arm.identity
+    assert Estimator.load(out, arm).metadata.arm_identity == arm.identity
 
 
 def test_samples_on_arms_drawn_at_random_stand_in_the_command(tmp_path):

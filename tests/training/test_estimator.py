@@ -62,13 +62,6 @@ def test_nothing_is_told_as_no_contact(estimator):
     assert estimator.estimate(np.zeros(12), np.zeros(8)).segment == 0
 
 
-def test_it_says_what_it_is(estimator, tensions_only):
-    assert estimator.arm_identity == CDSM.identity
-    assert estimator.cable_names == CDSM.cable_names
-    assert estimator.pose_aware
-    assert not tensions_only.pose_aware
-
-
 def test_a_model_of_several_contacts_is_no_estimator_of_one():
     with pytest.raises(ModelFileError, match="multi-contact"):
         Estimator.load(find_model("cdsm_multi"))

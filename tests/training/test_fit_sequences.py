@@ -8,7 +8,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import draw_sequences
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.sequence_metrics import sequence_metrics
+from cablesense_training.evaluation.metrics import sequence_metrics
 from cablesense_training.fit_sequences import SequenceFitSettings, SequenceSamples, fit_sequences
 from cablesense_training.networks.temporal import TemporalNetwork
 

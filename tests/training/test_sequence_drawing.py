@@ -11,7 +11,7 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.data.dataset import contact_forces_n
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import draw_sequences
-from cablesense_training.evaluation.sequence_metrics import unsettled
+from cablesense_training.evaluation.metrics import unsettled
 
 CDSM, FRICTION = open_arm("cdsm"), open_arm("cdsm_friction")
 SHORT = MotionProtocol(sequences=2, duration_s=4.0, noise=False)

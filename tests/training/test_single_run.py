@@ -11,7 +11,7 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_training.inference.estimator import OUTPUTS
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.session import ModelSession
+from cablesense_training.inference.session import COMMAND, TENSION, ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
 CDSM = open_arm("cdsm")
@@ -53,7 +53,7 @@ def expected(session, readings):
     """The whole graph's outputs for every pose and push."""
     commands, differences = readings
     return [
-        session.run(pushes, np.repeat(command[None], PUSHES, axis=0))
+        session.run({TENSION: pushes, COMMAND: np.repeat(command[None], PUSHES, axis=0)})
         for command, pushes in zip(commands, differences, strict=True)
     ]
 
@@ -95,7 +95,7 @@ def test_a_model_of_tensions_alone_runs_without_a_command(readings):
     session = ModelSession.open(find_model("cdsm_tensions_only"), OUTPUTS, CDSM)
     single = SingleRun(session)
     _, differences = readings
-    whole = session.run(differences[0], None)
+    whole = session.run({TENSION: differences[0]})
     for push in range(PUSHES):
         single.tension_difference_n[:] = differences[0, push]
         single.run()

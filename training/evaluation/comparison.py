@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -48,7 +48,7 @@ TABLE2_MODELS = {
 WEAKEST_MULTI_N = 5.0
 """Recognition of several contacts is judged on forces of at least this."""
 
-FIRM_N = 2.0
+_FIRM_N = 2.0
 """Below this force errors are not compared with the noise bound: noise decides them."""
 
 
@@ -79,35 +79,18 @@ class Setting:
         return SingleContact(samples=samples, pose=self.pose)
 
 
-def _models(shipped: str, **baselines: str) -> dict[str, str]:
-    return {SHIPPED: shipped, **{name: f"peers/{model}" for name, model in baselines.items()}}
+def _setting(name: str, arm: str, pose: Pose, shipped: str, **baselines: str) -> Setting:
+    models = {baseline: f"peers/{arm}_{model}" for baseline, model in baselines.items()}
+    return Setting(name, arm, pose, {SHIPPED: shipped, **models})
 
 
+_BOTH = {"closed_form": "closed_form", "two_stage": "two_stage"}
+_STRAIGHT = _BOTH | {"two_stage": "straight_two_stage"}
 SETTINGS = (
-    Setting(
-        "straight",
-        "cdsm",
-        "straight",
-        _models("cdsm", closed_form="cdsm_closed_form", two_stage="cdsm_straight_two_stage"),
-    ),
-    Setting(
-        "random_pose",
-        "cdsm",
-        "random",
-        _models("cdsm", closed_form="cdsm_closed_form", two_stage="cdsm_two_stage"),
-    ),
-    Setting(
-        "compliant",
-        "cdsm_lab",
-        "random",
-        _models("cdsm_lab", closed_form="cdsm_lab_closed_form", two_stage="cdsm_lab_two_stage"),
-    ),
-    Setting(
-        "tensions_only",
-        "cdsm",
-        "random",
-        _models("cdsm_tensions_only", two_stage="cdsm_two_stage"),
-    ),
+    _setting("straight", "cdsm", "straight", "cdsm", **_STRAIGHT),
+    _setting("random_pose", "cdsm", "random", "cdsm", **_BOTH),
+    _setting("compliant", "cdsm_lab", "random", "cdsm_lab", **_BOTH),
+    _setting("tensions_only", "cdsm", "random", "cdsm_tensions_only", two_stage="two_stage"),
 )
 
 
@@ -116,16 +99,14 @@ def multi_protocol(samples: int) -> MultiContact:
     return MultiContact(samples=samples, pose="straight")
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(NamedTuple):
     """An estimator's answers on a single-contact dataset, and their errors."""
 
     answer: ContactAnswer
     metrics: SingleContactMetrics
 
 
-@dataclass(frozen=True, eq=False)
-class MultiEvaluation:
+class MultiEvaluation(NamedTuple):
     """Touched segments (B, N), forces (B, N) on a multi-contact dataset, and their errors."""
 
     touched: NDArray[Any]
@@ -133,13 +114,11 @@ class MultiEvaluation:
     metrics: MultiContactMetrics
 
 
-@dataclass(frozen=True)
-class SettingEvaluation:
+class SettingEvaluation(NamedTuple):
     """One setting: its models by name, and the bound, all on the same samples.
 
     Attributes:
-        firm_ratio: magnitude MAE of the shipped model over that of the bound, contacts above
-            `FIRM_N`.
+        firm_ratio: magnitude MAE of the shipped model over that of the bound, contacts above 2 N.
     """
 
     setting: str
@@ -148,8 +127,7 @@ class SettingEvaluation:
     firm_ratio: float
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """All settings and the models for several contacts, for one seed."""
 
     seed: int
@@ -212,14 +190,15 @@ def evaluate_multi_models(dataset: Dataset) -> dict[str, MultiEvaluation]:
 
 def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
     """A setting's models on its samples, beside the noise bound."""
-    models = evaluate_models(setting.models, dataset)
-    firm = dataset.select(dataset.magnitude_n > FIRM_N)
-    shipped = evaluate_models({SHIPPED: setting.models[SHIPPED]}, firm)[SHIPPED]
+    evaluations = evaluate_models(setting.models, dataset)
+    firm = dataset.magnitude_n > _FIRM_N
+    known = dataset.select(firm)
+    shipped = evaluate_answer(evaluations[SHIPPED].answer.select(firm), known).metrics
     return SettingEvaluation(
         setting=setting.name,
-        models={name: evaluation.metrics for name, evaluation in models.items()},
+        models={name: evaluation.metrics for name, evaluation in evaluations.items()},
         bound=noise_bound(dataset),
-        firm_ratio=shipped.metrics.errors.magnitude_mae_n / noise_bound(firm).magnitude_mae_n,
+        firm_ratio=shipped.errors.magnitude_mae_n / noise_bound(known).magnitude_mae_n,
     )
 
 
@@ -255,7 +234,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         for name, metrics in evaluation.models.items():
             if name != SHIPPED:
                 baselines.setdefault(name, {})[evaluation.setting] = metrics_json(metrics)
-    multi = comparison.multi[SHIPPED]
+    multi = asdict(comparison.multi[SHIPPED])
     return {
         "seed": comparison.seed,
         "samples": comparison.samples,
@@ -264,9 +243,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             for s in settings
         },
         "multi": {
-            "recognition_accuracy": multi.recognition_accuracy,
-            "macro_f1": multi.macro_f1,
-            "magnitude_mae_n": list(multi.magnitude_mae_n),
+            name: multi[name] for name in ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
         },
         "bound": {s.setting: asdict(s.bound) for s in settings},
         "peers": baselines,
@@ -276,30 +253,19 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
 
 def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
     """One model's errors in one setting; None where there was nothing to average."""
-    errors = metrics.errors
-    overall = {
+
+    def chosen(values: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+        return {name: None if math.isnan(values[name]) else values[name] for name in names}
+
+    errors = asdict(metrics.errors) | {
         "contact_accuracy": metrics.contact_accuracy,
-        **{name: getattr(errors, name) for name in (*_MAE, "magnitude_rmse_n")},
         "macro_f1": metrics.macro_f1,
-        "coverage95": errors.magnitude_coverage95,
+        "coverage95": metrics.errors.magnitude_coverage95,
     }
+    mae = ("contact_accuracy", "direction_mae_deg", "magnitude_mae_n")
     by_force = [
-        {
-            "low_n": part.low_n,
-            "high_n": part.high_n,
-            **{
-                name: getattr(part.errors, name)
-                for name in ("contacts", "contact_accuracy", *_MAE)
-            },
-        }
+        chosen(asdict(part) | asdict(part.errors), ("low_n", "high_n", "contacts", *mae))
         for part in metrics.bins
     ]
-    return {**_none_for_nan(overall), "by_force": [_none_for_nan(part) for part in by_force]}
-
-
-_MAE = ("direction_mae_deg", "magnitude_mae_n")
-
-
-def _none_for_nan(values: dict[str, float]) -> dict[str, float | None]:
-    """JSON has no NaN."""
-    return {name: None if math.isnan(value) else value for name, value in values.items()}
+    overall = chosen(errors, (*mae, "magnitude_rmse_n", "macro_f1", "coverage95"))
+    return {**overall, "by_force": by_force}

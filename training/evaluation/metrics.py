@@ -1,16 +1,21 @@
-"""Metrics: contacts recognised, errors of direction and magnitude, coverage of the intervals."""
+"""Metrics of answers: contacts recognised, errors of direction and magnitude, coverage.
+
+For single contacts, for several at once, and for sequences in motion and at rest.
+"""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base.arrays import Array
-from cablesense_training.data.dataset import Dataset
-from cablesense_training.inference.estimator import Estimates
+from cablesense_training.data.sequences import Sequences
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 Integers = NDArray[np.int64]
 
@@ -30,25 +35,26 @@ class ContactTruth:
     magnitude_n: Array
 
     @classmethod
-    def of(cls, dataset: Dataset) -> ContactTruth:
-        """The labels of a single-contact dataset."""
-        return cls(dataset.segment, dataset.angle_deg, dataset.magnitude_n)
+    def of(cls, answered: Any) -> Self:
+        """The labels of a single-contact dataset or of sequences, all axes as one."""
+        return cls(*(getattr(answered, part.name).ravel() for part in fields(cls)))
+
+    def select(self, rows: NDArray[np.bool_]) -> Self:
+        """Some of the samples."""
+        return type(self)(*(column[rows] for column in vars(self).values()))
+
+    @property
+    def force_n(self) -> Array:
+        """(B,) magnitude where a segment is touched, else 0."""
+        return np.where(self.segment > 0, self.magnitude_n, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class ContactAnswer:
+class ContactAnswer(ContactTruth):
     """Answered contacts of B samples, with the stated standard deviations."""
 
-    segment: Integers
-    angle_deg: Array
-    magnitude_n: Array
     magnitude_std_n: Array
     angle_std_deg: Array
-
-    @classmethod
-    def of(cls, estimates: Estimates) -> ContactAnswer:
-        """Of an estimator's answers with any leading axes."""
-        return cls(*(getattr(estimates, part.name).ravel() for part in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -156,16 +162,15 @@ def single_contact_metrics(
     truth: ContactTruth, answer: ContactAnswer, segment_count: int
 ) -> SingleContactMetrics:
     """Compare answers with the truth, row by row."""
-    classes = segment_count + 1
-    confusion = confusion_matrix(truth.segment, answer.segment, classes)
+    confusion = confusion_matrix(truth.segment, answer.segment, segment_count + 1)
     touched = truth.segment > 0
     place = np.searchsorted(FORCE_EDGES_N, truth.magnitude_n, side="right") - 1
     place = np.minimum(place, len(FORCE_EDGES_N) - 2)
     return SingleContactMetrics(
         samples=len(truth.segment),
         contact_accuracy=_mean(truth.segment == answer.segment),
-        macro_f1=macro_f1(truth.segment, answer.segment, classes),
-        confusion=tuple(tuple(int(count) for count in row) for row in confusion),
+        macro_f1=macro_f1(truth.segment, answer.segment, segment_count + 1),
+        confusion=tuple(tuple(row) for row in confusion.tolist()),
         errors=_errors(truth, answer, touched),
         bins=tuple(
             ForceBin(low, high, _errors(truth, answer, touched & (place == i)))
@@ -204,10 +209,72 @@ def multi_contact_metrics(
     )
 
 
+SETTLED_S = 0.5
+"""After so long without motion an arm counts as at rest, as the estimator node waits."""
+
+
+@dataclass(frozen=True)
+class SequenceMetrics:
+    """Metrics over sequences.
+
+    Attributes:
+        every, moving, rest: over all ticks, those in motion or just after it, and the others.
+        false_force_n, false_force_moving_n, false_force_rest_n: mean force answered where nothing
+            touches.
+    """
+
+    every: SingleContactMetrics
+    moving: SingleContactMetrics
+    rest: SingleContactMetrics
+    false_force_n: float
+    false_force_moving_n: float
+    false_force_rest_n: float
+
+
+def sequence_answer(
+    estimator: Estimator | TemporalEstimator, sequences: Sequences
+) -> ContactAnswer:
+    """Answers (S · T,) of an estimator; a memoryless one receives the set-point at every tick."""
+    if isinstance(estimator, TemporalEstimator):
+        found = estimator.estimate_sequences(
+            sequences.tension_difference_n,
+            sequences.joint_command_rad,
+            sequences.joint_speed_rad_s,
+            sequences.joint_acceleration_rad_s2,
+            sequences.before_rad,
+        )
+    else:
+        found = estimator.estimate_batch(
+            sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
+            sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
+        )
+    return ContactAnswer.of(found)
+
+
+def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:
+    """The metrics of answers (S · T,), in motion and at rest."""
+    truth, moving = ContactTruth.of(sequences), unsettled(sequences).ravel()
+    segments = sequences.arm.segment_count
+    metrics, false_force_n = [], []
+    for rows in (np.ones_like(moving), moving, ~moving):
+        metrics.append(single_contact_metrics(truth.select(rows), answer.select(rows), segments))
+        force = answer.force_n[rows & (truth.segment == 0)]
+        false_force_n.append(_mean(force) if force.size else 0.0)
+    return SequenceMetrics(*metrics, *false_force_n)
+
+
+def unsettled(sequences: Sequences) -> NDArray[np.bool_]:
+    """(S, T) whether the set-point moves, or did within the last `SETTLED_S`."""
+    moving = (sequences.joint_speed_rad_s != 0.0).any(axis=-1)
+    ticks = max(1, round(SETTLED_S / sequences.protocol.tick_s))
+    padded = np.pad(moving, ((0, 0), (ticks - 1, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, ticks, axis=1)
+    return np.asarray(windows.any(axis=-1))
+
+
 def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_]) -> ErrorMetrics:
     found = chosen & (answer.segment > 0)
-    magnitude = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
-    magnitude_error = np.abs(magnitude - truth.magnitude_n)
+    magnitude_error = np.abs(answer.force_n - truth.magnitude_n)
     angle_error = np.abs(angle_difference_deg(answer.angle_deg, truth.angle_deg))
     return ErrorMetrics(
         contacts=int(chosen.sum()),
@@ -223,14 +290,10 @@ def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_
 
 def _mean_f1(hits: Integers, invented: Integers, missed: Integers) -> float:
     """Mean F1 of the classes that occur; NaN where none does."""
-    scores = []
-    for hit, extra, lost in zip(hits.tolist(), invented.tolist(), missed.tolist(), strict=True):
-        if hit:
-            precision, recall = hit / (hit + extra), hit / (hit + lost)
-            scores.append(2.0 * precision * recall / (precision + recall))
-        elif extra or lost:
-            scores.append(0.0)
-    return float(np.mean(scores)) if scores else float("nan")
+    with np.errstate(invalid="ignore"):
+        precision, recall = hits / (hits + invented), hits / (hits + missed)
+        scores = 2.0 * precision * recall / (precision + recall)
+    return _mean(np.where(hits > 0, scores, 0.0)[hits + invented + missed > 0])
 
 
 def _mean(values: NDArray[np.bool_] | Array) -> float:

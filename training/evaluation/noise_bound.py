@@ -22,7 +22,7 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import angle_difference_deg
 
-DRAWS = 64
+_DRAWS = 64
 
 
 @dataclass(frozen=True)
@@ -42,29 +42,34 @@ class NoiseBound:
 
 def force_covariance_n2(dataset: Dataset) -> Array:
     """Bound (C, 2, 2) on the covariance of the (y, z) force of the dataset's C contacts."""
-    touched = np.flatnonzero(dataset.segment > 0)
+    touched = dataset.select(dataset.segment > 0)
+    gain = _gain_n_n(touched)[np.arange(len(touched)), :, touched.segment - 1]
+    return np.asarray(_variance_n2(dataset) * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
+
+
+def _gain_n_n(dataset: Dataset) -> Array:
+    """(B, M, N, 2) tensions by force components in the plane normal to each segment, (y, z)."""
     mechanism = mechanism_of(dataset.arm)
-    command, forces = dataset.command_rad[touched], dataset.forces_n[touched]
+    command, forces = dataset.command_rad, dataset.forces_n
     rest = solve_equilibrium(mechanism, command, forces)
     gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
-    rows, place = np.arange(len(touched)), dataset.segment[touched] - 1
-    normals = kinematics.segment_rotations(mechanism, command)[rows, place][:, :, 1:]
-    gain = gain[rows, :, place] @ normals
-    variance = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
-    return np.asarray(variance * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
+    normals = kinematics.segment_rotations(mechanism, command)[..., 1:]
+    return np.moveaxis(np.moveaxis(gain, 1, 2) @ normals, 1, 2)
+
+
+def _variance_n2(dataset: Dataset) -> float:
+    return difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
 
 
 def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> NoiseBound:
     """The bound over a single-contact dataset's contacts of at least `weakest_n`."""
-    touched = dataset.segment > 0
-    magnitude, angle_deg = dataset.magnitude_n[touched], dataset.angle_deg[touched]
+    dataset = dataset.select((dataset.segment > 0) & (dataset.magnitude_n >= weakest_n))
+    magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
     covariance = force_covariance_n2(dataset)
-    kept = magnitude >= weakest_n
-    magnitude, angle_deg, covariance = magnitude[kept], angle_deg[kept], covariance[kept]
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     root = np.linalg.cholesky(covariance)
-    normal = np.random.default_rng(seed).normal(size=(DRAWS, len(force), 2, 1))
+    normal = np.random.default_rng(seed).normal(size=(_DRAWS, len(force), 2, 1))
     drawn = force + (root @ normal)[..., 0]
     magnitude_error = np.hypot(drawn[..., 0], drawn[..., 1]) - magnitude
     drawn_deg = np.rad2deg(np.arctan2(drawn[..., 0], drawn[..., 1]))
@@ -82,16 +87,10 @@ def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
     All contacts of a sample are unknown at once, and which segments are touched is known. A
     magnitude's error is taken as Gaussian along its force, as it is for forces far above noise.
     """
-    mechanism = mechanism_of(dataset.arm)
-    command, forces, contacts = dataset.command_rad, dataset.forces_n, dataset.contacts
-    rest = solve_equilibrium(mechanism, command, forces)
-    gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
-    normals = kinematics.segment_rotations(mechanism, command)[..., 1:]
-    gain = np.moveaxis(gain, 1, 2) @ normals
-    gain = np.moveaxis(gain, 1, 2) * contacts[:, None, :, None]
+    contacts = dataset.contacts
+    gain = _gain_n_n(dataset) * contacts[:, None, :, None]
     flat = gain.reshape(*gain.shape[:2], -1)
-    variance = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
-    information = np.swapaxes(flat, 1, 2) @ flat / variance
+    information = np.swapaxes(flat, 1, 2) @ flat / _variance_n2(dataset)
     untouched = np.repeat(~contacts, 2, axis=1)
     information[:, np.arange(flat.shape[2]), np.arange(flat.shape[2])] += untouched
     covariance = np.linalg.pinv(information, hermitian=True)

@@ -8,8 +8,8 @@ answers segment, direction and newtons.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ DOWN_DEG = 180.0
 CABLES = 9
 
 
-@dataclass(frozen=True)
-class HungLoad:
+class HungLoad(NamedTuple):
     """One row of Table II.
 
     Attributes:
@@ -46,8 +45,7 @@ class HungLoad:
     tension_difference_n: Array
 
 
-@dataclass(frozen=True)
-class HungLoadAnswer:
+class HungLoadAnswer(NamedTuple):
     """True load against estimate.
 
     Attributes:
@@ -86,10 +84,9 @@ def read_table2(path: Path | None = None) -> list[HungLoad]:
                 )
                 for row in csv.DictReader(file)
             ]
-        if not rows:
-            raise ValueError("no rows")
-        if not all(np.isfinite([*row.tension_difference_n, row.weight_n]).all() for row in rows):
-            raise ValueError("a number is not finite")
+        numbers = [(*row.tension_difference_n, row.weight_n) for row in rows]
+        if not numbers or not np.isfinite(numbers).all():
+            raise ValueError("no rows, or a number that is not finite")
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise CableSenseError(
             f"{path}: not Table II ({error}); needed are source, load_kg, load_segment and "
@@ -104,25 +101,19 @@ def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[Hung
     Raises:
         ModelFileError: the model is for an arm of other cables.
     """
-    if len(estimator.cable_names) != CABLES:
+    metadata = estimator.metadata
+    if metadata.arm.cable_count != CABLES:
         raise ModelFileError(
-            f"a model of arm {estimator.arm_identity} with {len(estimator.cable_names)} cables; "
+            f"a model of arm {metadata.arm_identity} with {metadata.arm.cable_count} cables; "
             f"Table II was measured on one with {CABLES}, such as cdsm_table2"
         )
-    straight = np.zeros(estimator.metadata.arm.joint_count)
+    straight = np.zeros(metadata.arm.joint_count)
     answers = []
     for load in read_table2():
         if load.source != source:
             continue
         found = estimator.estimate(load.tension_difference_n, straight)
-        answers.append(
-            HungLoadAnswer(
-                load=load,
-                segment=found.segment,
-                angle_deg=found.angle_deg,
-                magnitude_n=found.magnitude_n,
-                angle_error_deg=float(angle_difference_deg(found.angle_deg, DOWN_DEG)),
-                magnitude_error=found.magnitude_n / load.weight_n - 1.0,
-            )
-        )
+        angle_error_deg = float(angle_difference_deg(found.angle_deg, DOWN_DEG))
+        error = found.magnitude_n / load.weight_n - 1.0
+        answers.append(HungLoadAnswer(load, *found[1:4], angle_error_deg, error))
     return answers

@@ -1,14 +1,13 @@
 """Estimators that answer each sample by itself: one contact, or several, from a model file.
 
-`Estimator` gives one contact with its direction; `MultiEstimator` gives the touched segments with
-their forces. Both take tension differences against the unloaded arm, N, and pose-aware models the
-commanded joint angles, rad.
+They take tension differences against the unloaded arm, N; pose-aware models also the commanded
+joint angles, rad.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
@@ -20,7 +19,7 @@ from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import ModelSession
+from cablesense_training.inference.session import COMMAND, TENSION, ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
@@ -115,27 +114,16 @@ class OpenedModel:
         return cls(ModelSession.open(path, cls.outputs, arm))
 
     @property
-    def arm_identity(self) -> str:
-        """Of the arm that the model was made for."""
-        return self.metadata.arm_identity
-
-    @property
     def pose_aware(self) -> bool:
         """Whether the model needs the commanded joint angles."""
         return self.metadata.pose_aware
 
-    @property
-    def cable_names(self) -> tuple[str, ...]:
-        """Order of the tension differences."""
-        return self.metadata.cable_names
-
     def _answers(self, tensions_n: ArrayLike, commands_rad: ArrayLike | None) -> list[Array]:
         """The outputs for tension differences (B, M) or (M,) and commands (B, 2N) or (2N,)."""
-        tension = self._tensions(tensions_n)
-        commands = self._commands(commands_rad, len(tension)) if self.pose_aware else None
-        outputs = self._session.run(tension, commands)
-        require_finite(outputs)
-        return outputs
+        inputs = {TENSION: self._tensions(tensions_n)}
+        if self.pose_aware:
+            inputs[COMMAND] = self._commands(commands_rad, len(inputs[TENSION]))
+        return finite_answers(self._session, inputs)
 
     def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
         count = self.metadata.arm.cable_count
@@ -168,9 +156,7 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
     if table.ndim == 1:
         table = table[None]
     if table.ndim != 2 or not len(table):
-        raise EstimateError(
-            f"{what} of shape {table.shape}; needed is at least one row of numbers"
-        )
+        raise EstimateError(f"{what} of shape {table.shape}; needed is at least one row")
     if table.shape[1] != columns or (rows is not None and len(table) != rows):
         raise EstimateError(f"{what} of shape {np.shape(values)}; this model needs {columns}")
     if not np.isfinite(table).all():
@@ -178,14 +164,16 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
     return table
 
 
-def require_finite(outputs: Sequence[Array]) -> None:
-    """Refuse answers that are not numbers.
+def finite_answers(session: ModelSession, inputs: Mapping[str, Array]) -> list[Array]:
+    """A model's outputs.
 
     Raises:
-        EstimateError: one is not finite.
+        EstimateError: an answer is not finite.
     """
+    outputs = session.run(inputs)
     if not all(np.isfinite(output).all() for output in outputs):
         raise EstimateError(NO_ANSWER)
+    return outputs
 
 
 class Estimator(OpenedModel):
@@ -215,8 +203,8 @@ class Estimator(OpenedModel):
             and tension_difference_n.shape == single.tension_difference_n.shape
         ):  # what is not finite shows in the answer
             tension_difference_n = self._tensions(tension_difference_n, 1)[0]
-        if self.metadata.pose_aware:
-            self._follow(joint_command_rad)
+        if self.pose_aware:
+            self._set_command(joint_command_rad)
         single.tension_difference_n[:] = tension_difference_n
         single.run()
         estimate = Estimate.of_outputs(single.outputs)
@@ -235,7 +223,7 @@ class Estimator(OpenedModel):
         """
         return Estimates.of_outputs(self._answers(tension_differences_n, joint_commands_rad))
 
-    def _follow(self, joint_command_rad: ArrayLike | None) -> None:
+    def _set_command(self, joint_command_rad: ArrayLike | None) -> None:
         """Compute what depends on the command alone, if it is not the one before."""
         if (
             isinstance(joint_command_rad, np.ndarray)
@@ -249,8 +237,7 @@ class Estimator(OpenedModel):
         self._command = command.tobytes()
 
 
-@dataclass(frozen=True)
-class MultiEstimates:
+class MultiEstimates(NamedTuple):
     """B estimates of an arm with N segments, all (B, N).
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -42,7 +42,7 @@ _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class ModelFileError(CableSenseError):
-    """A model file that does not fit: says what it is, and what was needed."""
+    """A model file that does not fit: what it is, and what was needed."""
 
 
 class ModelMetadata(BaseModel):
@@ -91,9 +91,10 @@ class ModelMetadata(BaseModel):
     version: str
 
     def to_properties(self) -> dict[str, str]:
-        """As ONNX metadata properties; a model without memory does not speak of it."""
+        """As ONNX metadata properties; without memory, what describes it is left out."""
         left_out = set() if self.memory else {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
-        content = _without_infinities(self.model_dump(mode="json", exclude=left_out))
+        # JSON has no infinity: pydantic writes a rigid actuator's stiffness as null
+        content = json.loads(self.model_dump_json(exclude=left_out))
         return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
 
     @classmethod
@@ -113,8 +114,7 @@ class ModelMetadata(BaseModel):
             if isinstance(content, dict) and content.get("format") != FORMAT:
                 raise ModelFileError(
                     f"{source}: format {str(content.get('format'))[:80]!r}; this version reads "
-                    f"{FORMAT!r}, "
-                    "so train the model again"
+                    f"{FORMAT!r}, so train the model again"
                 )
             metadata = cls.model_validate(_with_infinities(content))
         except (ValueError, ValidationError, RecursionError) as error:
@@ -124,29 +124,21 @@ class ModelMetadata(BaseModel):
             ) from error
         if metadata.arm.identity != metadata.arm_identity:
             raise ModelFileError(
-                f"{source}: says arm {metadata.arm_identity[:80]!r} but describes "
+                f"{source}: states arm {metadata.arm_identity[:80]!r} but describes "
                 f"{metadata.arm.identity}; the file was altered, so train the model again"
             )
-        order = (metadata.arm.cable_names, metadata.arm.joint_names)
-        if (metadata.cable_names, metadata.joint_names) != order:
-            raise ModelFileError(
-                f"{source}: orders its inputs {', '.join(metadata.cable_names)[:200]!r} and "
-                f"{', '.join(metadata.joint_names)[:200]!r}; its arm has them as "
-                f"{', '.join(order[0])} and {', '.join(order[1])}, so train the model again"
-            )
+        for key in ("cable_names", "joint_names"):
+            stated, right = getattr(metadata, key), getattr(metadata.arm, key)
+            if stated != right:
+                raise ModelFileError(
+                    f"{source}: {key} are {', '.join(stated)[:200]!r}; its arm has "
+                    f"{', '.join(right)}, so train the model again"
+                )
         return metadata
 
 
-def _without_infinities(content: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity; a rigid actuator's stiffness is written as null."""
-    actuators = content["arm"]["actuators"]
-    if actuators["kp_n_m"] == float("inf"):
-        actuators["kp_n_m"] = None
-    return content
-
-
 def _with_infinities(content: object) -> object:
-    """The inverse of `_without_infinities`."""
+    """A rigid actuator's stiffness, null in JSON, as it is."""
     if isinstance(content, dict) and isinstance(content.get("arm"), dict):
         actuators = content["arm"].get("actuators")
         if isinstance(actuators, dict) and actuators.get("kp_n_m", 0.0) is None:

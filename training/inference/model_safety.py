@@ -7,7 +7,6 @@ memory and work for a sample (`require_bounded`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 
 import onnx
 from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
@@ -32,15 +31,18 @@ hundred more, and each is native code that a file could feed."""
 MAX_ELEMENTS = 2**24
 """Largest tensor of a file; ours stay far below a thousandth of it."""
 
-_TENSOR_ATTRIBUTES = (AttributeProto.TENSOR, AttributeProto.TENSORS)
-_PLAIN_ATTRIBUTES = (
-    AttributeProto.FLOAT,
-    AttributeProto.INT,
-    AttributeProto.STRING,
-    AttributeProto.FLOATS,
-    AttributeProto.INTS,
-    AttributeProto.STRINGS,
-)
+_PLAIN_ATTRIBUTES = ("FLOAT", "INT", "STRING", "FLOATS", "INTS", "STRINGS", "TENSOR", "TENSORS")
+
+MAX_NODES = 10_000
+"""Ours have at most some hundred."""
+
+MAX_ELEMENTS_A_SAMPLE = 2**16
+"""Largest tensor that a model may make for one sample; ours stay below 4,000."""
+
+MAX_WORK = 2**26
+"""Multiplications for one sample, about a tenth of a second; ours stay below a million."""
+
+_Shapes = dict[str, list[int]]
 
 
 def require_harmless(model: ModelProto, source: str) -> None:
@@ -55,59 +57,34 @@ def require_harmless(model: ModelProto, source: str) -> None:
             f"{source}: has functions, sparse tensors or training steps of its own; "
             "needed is one plain graph, as `cablesense train` writes it"
         )
+    tensors = list(graph.initializer)
     for node in graph.node:
         domain = "" if node.domain == "ai.onnx" else node.domain
         if node.op_type not in OPERATORS.get(domain, ()):
+            shown = f"{node.domain}.{node.op_type}".lstrip(".")[:80]
             raise ModelFileError(
-                f"{source}: uses operator {_shown(node)}; needed are plain arithmetic and "
+                f"{source}: uses operator {shown!r}; needed are plain arithmetic and "
                 "layers of networks, as `cablesense train` writes them"
             )
         for attribute in node.attribute:
-            if attribute.type not in (*_PLAIN_ATTRIBUTES, *_TENSOR_ATTRIBUTES):
+            if AttributeProto.AttributeType.Name(attribute.type) not in _PLAIN_ATTRIBUTES:
                 raise ModelFileError(
                     f"{source}: operator {node.op_type} holds a graph of its own; "
                     "needed is one plain graph, as `cablesense train` writes it"
                 )
-    for tensor in _tensors(model):
+            tensors += [attribute.t] if attribute.HasField("t") else []
+            tensors += attribute.tensors
+    for tensor in tensors:
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise ModelFileError(
                 f"{source}: keeps tensor {tensor.name[:80]!r} in another file; "
                 "needed is one file that holds all its numbers"
             )
-        _require_size(tensor.name, tensor.dims, source)
-
-
-def _shown(node: NodeProto) -> str:
-    return repr(f"{node.domain}.{node.op_type}".lstrip(".")[:80])
-
-
-def _tensors(model: ModelProto) -> Iterator[TensorProto]:
-    yield from model.graph.initializer
-    for node in model.graph.node:
-        for attribute in node.attribute:
-            if attribute.type == AttributeProto.TENSOR:
-                yield attribute.t
-            yield from attribute.tensors
-
-
-def _require_size(name: str, dims: Sequence[int], source: str) -> None:
-    if any(dim < 0 for dim in dims) or math.prod(dims) > MAX_ELEMENTS:
-        raise ModelFileError(
-            f"{source}: tensor {name!r} has shape {list(dims)}; "
-            f"a model's tensors hold at most {MAX_ELEMENTS} numbers each"
-        )
-
-
-MAX_NODES = 10_000
-"""Ours have at most some hundred."""
-
-MAX_ELEMENTS_A_SAMPLE = 2**16
-"""Largest tensor that a model may make for one sample; ours stay below 4,000."""
-
-MAX_WORK = 2**26
-"""Multiplications for one sample, about a tenth of a second; ours stay below a million."""
-
-Shapes = dict[str, list[int]]
+        if any(dim < 0 for dim in tensor.dims) or math.prod(tensor.dims) > MAX_ELEMENTS:
+            raise ModelFileError(
+                f"{source}: tensor {tensor.name!r} has shape {list(tensor.dims)}; "
+                f"a model's tensors hold at most {MAX_ELEMENTS} numbers each"
+            )
 
 
 def require_bounded(model: ModelProto, source: str) -> None:
@@ -144,7 +121,7 @@ def require_bounded(model: ModelProto, source: str) -> None:
         )
 
 
-def _terms(node: NodeProto, shapes: Shapes) -> int:
+def _terms(node: NodeProto, shapes: _Shapes) -> int:
     """How many products go into a number that the operator makes, at most."""
     taken = [shapes.get(name, []) for name in node.input]
     if node.op_type in ("MatMul", "Gemm", "Inverse"):
@@ -156,8 +133,8 @@ def _terms(node: NodeProto, shapes: Shapes) -> int:
     return 1
 
 
-def _shapes_of_one_sample(model: ModelProto) -> Shapes:
-    """Shapes of all tensors that onnx can tell, every open dimension of the inputs taken as 1."""
+def _shapes_of_one_sample(model: ModelProto) -> _Shapes:
+    """_Shapes of all tensors that onnx can tell, every open dimension of the inputs taken as 1."""
     one = ModelProto()
     one.CopyFrom(model)
     del one.graph.value_info[:]  # claims, which are to be found out

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import onnxruntime
-from onnx import TensorProto
 
 from cablesense_base.arrays import Array
 from cablesense_base.files import read_bounded_bytes
@@ -40,7 +39,7 @@ class ModelSession:
 
     Attributes:
         source: the file, for messages.
-        metadata: what the file says about itself.
+        metadata: what the file states about itself.
         model: the graph.
         outputs: names of what it answers.
     """
@@ -71,8 +70,7 @@ class ModelSession:
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
             )
-        _require_outputs(model, metadata, outputs, source)
-        _require_inputs(model, metadata, source)
+        _require_signature(model, metadata, outputs, source)
         try:
             require_bounded(model, source)
             session = cls(source, metadata, model, tuple(outputs), open_session(model))
@@ -80,7 +78,7 @@ class ModelSession:
             raise
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
             raise cannot_run(source, error) from error
-        session._require_answers(dict(zip(outputs, _widths(outputs, metadata), strict=True)))
+        session._require_answers()
         return session
 
     @property
@@ -88,21 +86,14 @@ class ModelSession:
         """Whether the model gives `TAUT` beside its answers."""
         return any(entry.name == TAUT for entry in self.model.graph.output)
 
-    def run(self, tension_differences_n: Array, joint_commands_rad: Array | None) -> list[Array]:
-        """The model's `outputs` for tension differences (B, M) and, if pose-aware, (B, 2N).
+    def run(
+        self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
+    ) -> list[Array]:
+        """The model's `outputs` for the inputs that `input_widths` names, each (B, width).
 
         Raises:
             ModelFileError: ONNX Runtime cannot run the model.
         """
-        inputs = {TENSION: tension_differences_n}
-        if self.metadata.pose_aware and joint_commands_rad is not None:
-            inputs[COMMAND] = joint_commands_rad
-        return self.run_inputs(inputs)
-
-    def run_inputs(
-        self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
-    ) -> list[Array]:
-        """The same for all the inputs that `input_widths` names, each (B, width)."""
         parts = []
         for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
@@ -113,18 +104,25 @@ class ModelSession:
                 raise cannot_run(self.source, error) from error
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
 
-    def _require_answers(self, widths: Mapping[str, tuple[int, ...]]) -> None:
+    def _require_answers(self) -> None:
         """A file that opens may still not run; two idle arms at once show it."""
-        arm = self.metadata.arm
-        if self.gives_taut:
-            widths = {**widths, TAUT: (arm.cable_count,)}
+        arm, segments = self.metadata.arm, self.metadata.arm.segment_count
+        shapes: dict[str, tuple[int, ...]] = {
+            "contact_probability": (segments + 1,),
+            "direction": (2,),
+            NEXT_STATE: (self.metadata.memory,),
+            TAUT: (arm.cable_count,),
+        }
+        if self.metadata.kind == "multi-contact":
+            shapes |= dict.fromkeys(self.outputs, (segments,))
+        names = [*self.outputs, TAUT] if self.gives_taut else self.outputs
         idle = {name: np.zeros((2, width)) for name, width in input_widths(self.metadata).items()}
-        answers = self.run_inputs(idle, list(widths))
-        for (name, width), answer in zip(widths.items(), answers, strict=True):
-            if answer.dtype != np.float64 or answer.shape != (2, *width):
+        for name, answer in zip(names, self.run(idle, names), strict=True):
+            shape = (2, *shapes.get(name, ()))
+            if answer.dtype != np.float64 or answer.shape != shape:
                 raise ModelFileError(
                     f"{self.source}: gives {name} as {answer.dtype} of shape {answer.shape} for "
-                    f"two samples; needed is float64 of shape {(2, *width)}"
+                    f"two samples; needed is float64 of shape {shape}"
                 )
             if not np.isfinite(answer).all():
                 raise ModelFileError(
@@ -145,7 +143,7 @@ def input_widths(metadata: ModelMetadata) -> dict[str, int]:
 
 
 def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
-    """The graph in a model file, and what the file says about itself; nothing is run.
+    """The graph in a model file, and what the file states about itself; nothing is run.
 
     Raises:
         ModelFileError: unreadable, not ONNX, or not a CableSense model.
@@ -166,7 +164,7 @@ def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
     return model, ModelMetadata.from_properties(properties, str(path))
 
 
-def _require_outputs(
+def _require_signature(
     model: onnx.ModelProto, metadata: ModelMetadata, outputs: Sequence[str], source: str
 ) -> None:
     given = [output.name for output in model.graph.output]
@@ -175,37 +173,21 @@ def _require_outputs(
             f"{source}: a {metadata.kind} model that gives {', '.join(given)}; "
             f"needed are {', '.join(outputs)}"
         )
-
-
-def _require_inputs(model: onnx.ModelProto, metadata: ModelMetadata, source: str) -> None:
-    expected = input_widths(metadata)
-    needed = ", ".join(f"{name} (batch, {width})" for name, width in expected.items())
-    found = [entry.name for entry in model.graph.input]
-    if sorted(found) != sorted(expected):
-        raise ModelFileError(f"{source}: takes {', '.join(found)}; its metadata need {needed}")
+    needed = {name: ("DOUBLE", [0, width]) for name, width in input_widths(metadata).items()}
+    kinds = {number: name for name, number in onnx.TensorProto.DataType.items()}
+    found = {}
     for entry in model.graph.input:
         tensor = entry.type.tensor_type
-        dims = [dim.dim_value for dim in tensor.shape.dim]
-        if tensor.elem_type != TensorProto.DOUBLE or dims != [0, expected[entry.name]]:
-            kinds = {number: name for name, number in TensorProto.DataType.items()}
-            kind = kinds.get(tensor.elem_type, f"type {tensor.elem_type}")
-            raise ModelFileError(
-                f"{source}: takes {entry.name} as {kind} of shape {dims} (0: any number); its "
-                f"metadata need DOUBLE {needed}"
-            )
-
-
-def _widths(outputs: Sequence[str], metadata: ModelMetadata) -> list[tuple[int, ...]]:
-    """Shape of each output, the samples' axis left out."""
-    count = metadata.arm.segment_count
-    if metadata.kind == "multi-contact":
-        return [(count,)] * len(outputs)
-    widths = {
-        "contact_probability": (count + 1,),
-        "direction": (2,),
-        NEXT_STATE: (metadata.memory,),
-    }
-    return [widths.get(name, ()) for name in outputs]
+        kind = kinds.get(tensor.elem_type, f"type {tensor.elem_type}")
+        found[entry.name] = kind, [dim.dim_value for dim in tensor.shape.dim]
+    if found != needed:
+        shown, right = (
+            ", ".join(f"{name} ({kind} {dims})" for name, (kind, dims) in listed.items())
+            for listed in (found, needed)
+        )
+        raise ModelFileError(
+            f"{source}: takes {shown[:400]}; its metadata need {right} (0: any number)"
+        )
 
 
 def cannot_run(source: str, error: Exception) -> ModelFileError:

@@ -21,8 +21,8 @@ from cablesense_training.inference.estimator import (
     Estimates,
     Estimator,
     OpenedModel,
+    finite_answers,
     finite_table,
-    require_finite,
 )
 from cablesense_training.inference.session import (
     ACCELERATION,
@@ -73,13 +73,10 @@ class TemporalState:
 
     def tared(self, state: Array) -> Array:
         """The state (…, size) right after a tare: recurrent part empty, past commands kept."""
-        _, shares, lengths, set_point, _, _, known = np.split(
-            state, np.cumsum(self.parts)[:-1], axis=-1
-        )
-        nothing = np.zeros((*state.shape[:-1], self.hidden))
-        return np.concatenate(
-            [nothing, shares, lengths, set_point, shares, set_point, known], axis=-1
-        )
+        places = np.cumsum(self.parts)[:-1]
+        hidden, shares, lengths, set_point, *_, known = np.split(state, places, axis=-1)
+        parts = [np.zeros_like(hidden), shares, lengths, set_point, shares, set_point, known]
+        return np.concatenate(parts, axis=-1)
 
 
 TEMPORAL_OUTPUTS = (*OUTPUTS, NEXT_STATE)
@@ -144,11 +141,9 @@ class TemporalEstimator(OpenedModel):
             SPEED: finite_table(joint_speed_rad_s, joints, "set-point speeds", 1),
             ACCELERATION: finite_table(joint_acceleration_rad_s2, joints, "accelerations", 1),
         }
-        state = self._state
-        answers = self._session.run_inputs({**inputs, STATE: state})
-        for _ in range(1, ticks):
-            answers = self._session.run_inputs({**inputs, STATE: answers[-1]})
-        require_finite(answers)
+        answers = [self._state]
+        for _ in range(max(1, ticks)):
+            answers = finite_answers(self._session, {**inputs, STATE: answers[-1]})
         if ticks:
             self._state = answers[-1]
             # from where the tick is due, not from where it came: early ones would add up
@@ -178,30 +173,26 @@ class TemporalEstimator(OpenedModel):
             SPEED: joint_speeds_rad_s,
             ACCELERATION: joint_accelerations_rad_s2,
         }
-        state = self._drawn_before(before_rad, joint_commands_rad[:, 0])
+        still = np.zeros_like(joint_commands_rad[:, 0])
+        state = np.zeros((len(still), self.metadata.memory))
+        for set_point in [*before_rad.swapaxes(0, 1), joint_commands_rad[:, 0]]:
+            idle = {TENSION: np.zeros_like(tension_differences_n[:, 0]), COMMAND: set_point}
+            idle |= {SPEED: still, ACCELERATION: still}
+            state = self._session.run({**_contiguous(idle), STATE: state})[-1]
+        state = self._layout.tared(state)
+        inputs = {
+            TENSION: tension_differences_n,
+            COMMAND: joint_commands_rad,
+            SPEED: joint_speeds_rad_s,
+            ACCELERATION: joint_accelerations_rad_s2,
+        }
         ticks = []
         for tick in range(tension_differences_n.shape[1]):
-            now = {
-                name: np.ascontiguousarray(values[:, tick], dtype=np.float64)
-                for name, values in inputs.items()
-            }
-            *answer, state = self._session.run_inputs({**now, STATE: state})
+            now = _contiguous({name: values[:, tick] for name, values in inputs.items()})
+            *answer, state = finite_answers(self._session, {**now, STATE: state})
             ticks.append(answer)
         answers = [np.stack(parts, axis=1) for parts in zip(*ticks, strict=True)]
-        require_finite(answers)
         return Estimates.of_outputs(answers)
-
-    def _drawn_before(self, before_rad: Array, first_rad: Array) -> Array:
-        """States (S, memory) at the tare, after set-points (S, W, 2N) and then (S, 2N)."""
-        count = len(first_rad)
-        still = np.zeros((count, self.metadata.arm.cable_count))
-        nothing = np.zeros_like(first_rad)
-        state = np.zeros((count, self.metadata.memory))
-        for set_point in [*before_rad.swapaxes(0, 1), first_rad]:
-            inputs = {TENSION: still, COMMAND: np.ascontiguousarray(set_point)}
-            inputs |= {SPEED: nothing, ACCELERATION: nothing, STATE: state}
-            state = self._session.run_inputs(inputs)[-1]
-        return self._layout.tared(state)
 
     def _ticks(self, time_s: float) -> int:
         """How many ticks have passed since the last; at least one at the first sample."""
@@ -212,6 +203,10 @@ class TemporalEstimator(OpenedModel):
             self.forget()
             return 1
         return max(0, math.floor(passed_s / self.metadata.tick_s + _EARLY))
+
+
+def _contiguous(inputs: dict[str, Array]) -> dict[str, Array]:
+    return {k: np.ascontiguousarray(values, dtype=np.float64) for k, values in inputs.items()}
 
 
 def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | TemporalEstimator:
