@@ -260,7 +260,8 @@ def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMet
         metrics.append(single_contact_metrics(truth.select(rows), answer.select(rows), segments))
         force = answer.force_n[rows & (truth.segment == 0)]
         false_force_n.append(_mean(force) if force.size else 0.0)
-    return SequenceMetrics(*metrics, *false_force_n)
+    every, in_motion, at_rest = metrics
+    return SequenceMetrics(every, in_motion, at_rest, *false_force_n)
 
 
 def unsettled(sequences: Sequences) -> NDArray[np.bool_]:
