@@ -17,6 +17,8 @@ liveliness that the estimator offers on `~/wrench`. Right is a force on the righ
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 import sys
 import tempfile
@@ -27,16 +29,16 @@ from typing import Any
 
 import harness
 import numpy as np
+import pandas as pd
 import rclpy
 from kill_trials import (
     LEASE_S,
     STALE_AFTER_S,
     VICTIMS,
-    Chain,
-    Kill,
     KillTrials,
     Watcher,
-    recorder_command,
+    recorder,
+    start_chain,
 )
 from numpy.typing import NDArray
 from rclpy.utilities import try_shutdown
@@ -47,7 +49,6 @@ from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Process
 from cablesense_sim.arm import Arm, open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
@@ -65,34 +66,30 @@ _SPREADS = (
 def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
     """All kills; statistics by victim, and of the recordings."""
     arm = open_arm(arm_name)
-    with tempfile.TemporaryDirectory() as name:
+    kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         shared_mb = harness.shared_memory_mb()
-        chain = Chain(arm_name, rate_hz, folder)
+        chain = start_chain(arm_name, rate_hz, folder)
+        for process in chain.values():
+            stack.enter_context(process)
         rclpy.init()
+        stack.callback(try_shutdown)
         watcher = Watcher(arm)
+        stack.callback(watcher.destroy_node)
         try:
             trials = KillTrials(arm, chain, watcher, seed=0)
             trials.bring_up()
-            kills: dict[str, list[Kill]] = {victim: [] for victim in VICTIMS}
-            for _ in range(times):
-                for victim in VICTIMS:
-                    kills[victim].append(trials.kill(victim))
+            for _, victim in itertools.product(range(times), VICTIMS):
+                kills[victim].append(trials.kill(victim))
             watcher.spin(1.0)
             recorders = _kill_recorders(times, folder, watcher.spin)
-            codes = chain.end()
-            recording = _whole(chain.recording, watcher.samples, arm)
         except TimeoutError as error:
-            logs = "\n".join(
-                f"--- {name}\n{one.log[-1500:]}" for name, one in chain.processes.items()
-            )
+            logs = "\n".join(f"--- {name}\n{one.log[-1500:]}" for name, one in chain.items())
             raise SystemExit(f"{error}\n{logs}") from error
-        finally:
-            chain.end()
-            watcher.destroy_node()
-            try_shutdown()
-    left_mb = harness.shared_memory_mb() - shared_mb
-    statistics = {victim: _statistics(ones) for victim, ones in kills.items()}
+        codes = {name: one.stop(harness.END_WITHIN_S) for name, one in chain.items()}
+        recording = _whole(folder / "kills.mcap", watcher.samples, arm)
+    statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
         "rate_hz": rate_hz,
@@ -101,7 +98,7 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
         "kills": statistics,
         "recording through all kills": recording,
         "recorders killed": recorders,
-        "left in /dev/shm (MB)": round(left_mb, 1),
+        "left in /dev/shm (MB)": round(harness.shared_memory_mb() - shared_mb, 1),
         "exit codes": codes,
         "bars": _bars(statistics, recording, recorders),
     }
@@ -142,13 +139,13 @@ def _kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> 
     problems: list[str] = []
     for number in range(times):
         path = folder / f"killed_{number}.mcap"
-        with Process("killed", recorder_command(path), folder / "killed.log") as recorder:
+        with recorder("killed", path) as killed:
             deadline_s = time.monotonic() + UP_WITHIN_S
             while not _begun(path) and time.monotonic() < deadline_s:
                 spin(0.1)
             spin(float(rng.uniform(*WRITING_S)))
-            recorder.kill()
             killed_ns = time.time_ns()
+            killed.kill()
         try:
             _, logged_ns = _samples(path)
             lost_s.append((killed_ns - int(logged_ns.max())) * 1e-9)
@@ -185,19 +182,18 @@ def _samples(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return columns[:, 0], columns[:, 1]
 
 
-def _statistics(kills: Sequence[Kill]) -> dict[str, Any]:
+def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
     return {
         "kills": len(kills),
-        "others lived": sum(one.others_lived for one in kills),
-        "wrong forces": sum(one.wrong for one in kills),
-        "estimator taken for dead while it lived": sum(one.false_deaths for one in kills),
-        **{name: _spread([getattr(one, name) for one in kills]) for name in _SPREADS},
+        "others lived": int(kills["others_lived"].sum()),
+        "wrong forces": int(kills["wrong"].sum()),
+        "estimator taken for dead while it lived": int(kills["false_deaths"].sum()),
+        **{name: _spread(kills[name].dropna()) for name in _SPREADS},
     }
 
 
-def _spread(values: Sequence[float]) -> dict[str, float | int]:
-    known = np.array(values)[np.isfinite(values)]
-    if not len(known):
+def _spread(known: pd.Series[float]) -> dict[str, float | int]:
+    if known.empty:
         return {"seen": 0}
     median, late, worst = np.percentile(known, (50.0, 95.0, 100.0)).round(4).tolist()
     return {"seen": len(known), "median": median, "95 %": late, "worst": worst}
@@ -206,7 +202,7 @@ def _spread(values: Sequence[float]) -> dict[str, float | int]:
 def _bars(
     statistics: dict[str, Any], recording: dict[str, Any], recorders: dict[str, Any]
 ) -> dict[str, bool]:
-    bars = {}
+    bars: dict[str, bool] = {}
     for victim, one in statistics.items():
         stale, right = one["stale_s"], one["right_after_set_up_s"]
         bars |= {

@@ -9,14 +9,13 @@ import itertools
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from harness import CABLESENSE, END_WITHIN_S
+from harness import CABLESENSE
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -58,61 +57,46 @@ _SET_UP = {
 VICTIMS = tuple(_SET_UP)
 
 
-def recorder_command(file: Path) -> list[str]:
-    """The command that records the running nodes into a file."""
-    return [*CABLESENSE, "record", "--out", str(file)]
+def recorder(name: str, file: Path) -> Process:
+    """A process that records the running nodes into a file."""
+    command = [*CABLESENSE, "record", "--out", str(file)]
+    return Process(name, command, file.with_suffix(".log"))
 
 
-class Chain:
-    """Sim, amplifiers, driver, estimator and a recorder, each a process that can be killed."""
-
-    def __init__(self, arm: str, rate_hz: float, folder: Path) -> None:
-        """The sim takes samples at `rate_hz`; logs and files go to `folder`."""
-        link = folder / "adapter"
-        self.recording = folder / "kills.mcap"
-        adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-        stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
-        simulated = {"cable_tensions": "simulated_tensions"}
-        state = {"state_file": folder / "estimator_state.json"}
-        commands = {
-            "sim": node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated),
-            "amplifiers": node_command("can_emulator", {"arm": arm, "channel": link}),
-            "driver": node_command("can_driver", stale | adapter),
-            "estimator": node_command("estimator", stale | state),
-            "recorder": recorder_command(self.recording),
-        }
-        self.processes = {
+def start_chain(arm: str, rate_hz: float, folder: Path) -> dict[str, Process]:
+    """Recorder, sim, amplifiers, driver and estimator; logs and files go to `folder`."""
+    link = folder / "adapter"
+    adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
+    stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
+    simulated = {"cable_tensions": "simulated_tensions"}
+    state = {"state_file": folder / "estimator_state.json"}
+    commands = {
+        "sim": node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated),
+        "amplifiers": node_command("can_emulator", {"arm": arm, "channel": link}),
+        "driver": node_command("can_driver", stale | adapter),
+        "estimator": node_command("estimator", stale | state),
+    }
+    return {
+        "recorder": recorder("recorder", folder / "kills.mcap"),
+        **{
             name: Process(name, command, folder / f"{name}.log")
             for name, command in commands.items()
-        }
-
-    def pids(self) -> dict[str, int]:
-        """Process ids of those that live."""
-        return {name: one.pid for name, one in self.processes.items() if one.alive}
-
-    def set_up_epoch_s(self, victim: str) -> list[float]:
-        """The times at which a victim logged that it was set up, s since the epoch."""
-        return [float(at) for at in re.findall(_SET_UP[victim], self.processes[victim].log)]
-
-    def end(self) -> dict[str, int]:
-        """End all; exit codes by name. The recorder goes first, so that its file is whole."""
-        order = sorted(self.processes, key=lambda name: name != "recorder")
-        return {name: self.processes[name].stop(END_WITHIN_S) for name in order}
+        },
+    }
 
 
 class Received(NamedTuple):
-    """One wrench: times of its arrival, its stamp (s since the epoch), segment and force."""
+    """One wrench: its arrival (monotonic), its age then, segment and force (3,), N."""
 
     arrived_s: float
-    arrived_epoch_s: float
-    stamp_s: float
+    age_s: float
     segment: int
-    force_n: tuple[float, float, float]
+    force_n: Array
 
     @property
     def zero(self) -> bool:
         """Whether it reports no contact."""
-        return self.segment == 0 and not any(self.force_n)
+        return self.segment == 0 and not self.force_n.any()
 
 
 class Watcher(Node):
@@ -163,9 +147,9 @@ class Watcher(Node):
 
     def right(self, wrench: Received) -> bool:
         """Whether a wrench is the present load. The arm is straight: base axes are its own."""
-        off_n = float(np.linalg.norm(np.array(wrench.force_n) - self._force_n))
         limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
-        return wrench.segment == self._segment and off_n <= limit_n
+        off_n = np.linalg.norm(wrench.force_n - self._force_n)
+        return wrench.segment == self._segment and bool(off_n <= limit_n)
 
     def forget(self) -> None:
         """Begin to note anew."""
@@ -198,16 +182,11 @@ class Watcher(Node):
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         force, stamp = message.wrench.force, message.header.stamp
+        age_s = time.time() - stamp.sec - stamp.nanosec * 1e-9
         frame = message.header.frame_id
-        self.wrenches.append(
-            Received(
-                time.monotonic(),
-                time.time(),
-                stamp.sec + stamp.nanosec * 1e-9,
-                int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0,
-                (force.x, force.y, force.z),
-            )
-        )
+        segment = int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0
+        force_n = np.array([force.x, force.y, force.z])
+        self.wrenches.append(Received(time.monotonic(), age_s, segment, force_n))
 
     def _on_sample(self, message: JointState) -> None:
         stamp = message.header.stamp
@@ -218,43 +197,10 @@ class Watcher(Node):
         self.liveliness.append((time.monotonic(), event.alive_count))
 
 
-@dataclass(frozen=True)
-class Kill:
-    """One kill as seen from outside; times in s, NaN where it does not apply.
-
-    Attributes:
-        others_lived: whether every other process kept its id.
-        stale_s: from the kill to the first zero wrench, or for the estimator to the report of the
-            subscriber's own middleware that it is gone.
-        last_force_s: from the kill to the last wrench with a force.
-        zero_age_s: largest age of the zero wrenches' stamps when they came.
-        set_up_s: from the start to the process's log line that it is set up.
-        first_sample_s: from the start to the first sample from the driver.
-        right_s: from the start to the first wrench of those that are right and stay so.
-        wrong: wrenches with another force than the load's, a second after the load last changed.
-        false_deaths: reports of the middleware that a living estimator is gone.
-    """
-
-    others_lived: bool
-    stale_s: float
-    last_force_s: float
-    zero_age_s: float
-    set_up_s: float
-    first_sample_s: float
-    right_s: float
-    wrong: int
-    false_deaths: int
-
-    @property
-    def right_after_set_up_s(self) -> float:
-        """From the process's log line that it is set up to the first right wrench."""
-        return self.right_s - self.set_up_s
-
-
 class KillTrials:
     """Kills in a running chain."""
 
-    def __init__(self, arm: Arm, chain: Chain, watcher: Watcher, seed: int) -> None:
+    def __init__(self, arm: Arm, chain: dict[str, Process], watcher: Watcher, seed: int) -> None:
         self._arm, self._mechanism = arm, mechanism_of(arm)
         self._chain, self._watcher = chain, watcher
         self._rng = np.random.default_rng(seed)
@@ -266,55 +212,66 @@ class KillTrials:
         self._push()
         self._until_right("the first right wrench")
 
-    def kill(self, victim: str) -> Kill:
-        """Kill one and see it come back.
+    def kill(self, victim: str) -> dict[str, float]:
+        """Kill one and see it come back; times in s, NaN where one does not apply.
+
+        Gives `others_lived`: 1 where every other process kept its id; `stale_s`: from the kill to
+        the first zero wrench, or for the estimator to the report of the subscriber's own
+        middleware that it is gone; `last_force_s`: from the kill to the last wrench with a force;
+        `zero_age_s`: largest age of the zero wrenches' stamps when they came; `set_up_s`,
+        `first_sample_s`, `right_s`: from the start to the process's log line that it is set up,
+        to the first sample, and to the first wrench of those that are right and stay so;
+        `right_after_set_up_s`; `wrong`: wrenches with another force than the load's, a second
+        after the load last changed; `false_deaths`: reports that a living estimator is gone.
 
         Raises:
             TimeoutError: what should come did not come within `PATIENCE_S`.
         """
-        chain, watcher, process = self._chain, self._watcher, self._chain.processes[victim]
+        watcher, process = self._watcher, self._chain[victim]
         self._push()
         self._until_right(f"a right wrench before {victim} is killed")
         watcher.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
-        before, set_ups = chain.pids(), len(chain.set_up_epoch_s(victim))
+        before, set_ups = self._other_pids(victim), len(self._set_up_epoch_s(victim))
         watcher.forget()
         killed_s = process.kill()
         if self._rng.random() < 0.5:
             self._push()  # the process must not come back to the old load
         watcher.spin(float(self._rng.uniform(*DEAD_S)))
-        while_dead = list(watcher.wrenches)
+        zeros = [one for one in watcher.wrenches if one.zero and one.arrived_s >= killed_s]
+        forces_s = [one.arrived_s for one in watcher.wrenches if not one.zero]
         silent_from_s = watcher.sample_s[-1] if watcher.sample_s else killed_s
         started_epoch_s = time.time()
         process.start()
         started_s = process.started_s
         self._until(
-            lambda: len(chain.set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
+            lambda: len(self._set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
         )
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
-        after = chain.pids()
-        del before[victim], after[victim]
-        zeros = [one for one in while_dead if one.zero and one.arrived_s >= killed_s]
+        gone_s = [at for at, alive in watcher.liveliness if alive == 0]
         stale_s = [one.arrived_s for one in zeros]
         if victim == "estimator":
-            gone = (at for at, alive in watcher.liveliness if alive == 0)
-            stale_s = [at for at in gone if killed_s <= at < started_s]
-        restarted_s = max(started_s, silent_from_s)
-        return Kill(
-            others_lived=before == after,
-            stale_s=min(stale_s, default=nan) - killed_s,
-            last_force_s=max((w.arrived_s for w in while_dead if not w.zero), default=nan)
-            - killed_s,
-            zero_age_s=max((one.arrived_epoch_s - one.stamp_s for one in zeros), default=nan),
-            set_up_s=chain.set_up_epoch_s(victim)[-1] - started_epoch_s,
-            first_sample_s=min((at for at in watcher.sample_s if at > restarted_s), default=nan)
-            - started_s,
-            right_s=right_s - started_s,
-            wrong=self._wrong(victim, started_s),
-            false_deaths=sum(
-                alive == 0 and (victim != "estimator" or at > right_s)
-                for at, alive in watcher.liveliness
-            ),
-        )
+            stale_s = [at for at in gone_s if killed_s <= at < started_s]
+        samples_s = [at for at in watcher.sample_s if at > max(started_s, silent_from_s)]
+        set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
+        return {
+            "others_lived": before == self._other_pids(victim),
+            "stale_s": min(stale_s, default=nan) - killed_s,
+            "last_force_s": max(forces_s, default=nan) - killed_s,
+            "zero_age_s": max((one.age_s for one in zeros), default=nan),
+            "set_up_s": set_up_s,
+            "first_sample_s": min(samples_s, default=nan) - started_s,
+            "right_s": right_s - started_s,
+            "right_after_set_up_s": right_s - started_s - set_up_s,
+            "wrong": self._wrong(victim, started_s),
+            "false_deaths": sum(victim != "estimator" or at > right_s for at in gone_s),
+        }
+
+    def _other_pids(self, victim: str) -> dict[str, int]:
+        return {k: one.pid for k, one in self._chain.items() if k != victim and one.alive}
+
+    def _set_up_epoch_s(self, victim: str) -> list[float]:
+        """The times at which a victim logged that it was set up, s since the epoch."""
+        return [float(at) for at in re.findall(_SET_UP[victim], self._chain[victim].log)]
 
     def _wrong(self, victim: str, started_s: float) -> int:
         """Number of wrenches with a force that is not the load.
