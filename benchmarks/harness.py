@@ -11,10 +11,13 @@ import json
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import write_atomically
@@ -25,9 +28,6 @@ CABLESENSE = [
     "import sys; from cablesense_cli.app import main; sys.exit(main())",
 ]
 """The command `cablesense` in this Python, also where it is not installed."""
-
-END_WITHIN_S = 20.0
-"""A node under load may take so long to end by itself."""
 
 
 def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
@@ -69,6 +69,15 @@ def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Pa
     path.parent.mkdir(exist_ok=True)
     write_atomically(path, text, CableSenseError)
     return path
+
+
+def percentiles(values: Any, names: Sequence[str], digits: int = 3) -> dict[str, float]:
+    """Percentiles by name: "median", "worst", or "95 %"; none of no values."""
+    if not np.size(values):
+        return {}
+    at = [float({"median": "50", "worst": "100"}.get(n, n.removesuffix(" %"))) for n in names]
+    found = np.percentile(values, at).round(digits).tolist()
+    return dict(zip(names, found, strict=True))
 
 
 def rss_mb(pid: int) -> float:

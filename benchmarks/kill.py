@@ -17,45 +17,39 @@ liveliness that the estimator offers on `~/wrench`. Right is a force on the righ
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import os
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
 import pandas as pd
-import rclpy
 from kill_trials import (
     LEASE_S,
     STALE_AFTER_S,
     VICTIMS,
     KillTrials,
     Watcher,
-    recorder,
     start_chain,
 )
+from live_run import LiveRun
 from numpy.typing import NDArray
-from rclpy.utilities import try_shutdown
 
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.serialized import EffortReader
-from cablesense_ros.discovery import own_graph
 from cablesense_sim.arm import Arm, open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
 RATE_HZ = 200.0
 WRITING_S = (0.0, 2.0)
 """A recorder is killed so long after the first tensions stand in its file."""
-UP_WITHIN_S = 20.0
 DRIVER_AWAY_S = 0.1
 _SPREADS = (
     "stale_s", "last_force_s", "zero_age_s", "set_up_s", "first_sample_s", "right_s",
@@ -67,28 +61,19 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
     """All kills; statistics by victim, and of the recordings."""
     arm = open_arm(arm_name)
     kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
-    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
-        folder = Path(name)
-        shared_mb = harness.shared_memory_mb()
-        chain = start_chain(arm_name, rate_hz, folder)
-        for process in chain.values():
-            stack.enter_context(process)
-        rclpy.init()
-        stack.callback(try_shutdown)
+    shared_mb = harness.shared_memory_mb()
+    with LiveRun() as run:
+        start_chain(run, arm_name, rate_hz)
         watcher = Watcher(arm)
-        stack.callback(watcher.destroy_node)
-        try:
-            trials = KillTrials(arm, chain, watcher, seed=0)
-            trials.bring_up()
-            for _, victim in itertools.product(range(times), VICTIMS):
-                kills[victim].append(trials.kill(victim))
-            watcher.spin(1.0)
-            recorders = _kill_recorders(times, folder, watcher.spin)
-        except TimeoutError as error:
-            logs = "\n".join(f"--- {name}\n{one.log[-1500:]}" for name, one in chain.items())
-            raise SystemExit(f"{error}\n{logs}") from error
-        codes = {name: one.stop(harness.END_WITHIN_S) for name, one in chain.items()}
-        recording = _whole(folder / "kills.mcap", watcher.samples, arm)
+        trials = KillTrials(arm, run.processes, watcher, seed=0)
+        trials.bring_up()
+        for _, victim in itertools.product(range(times), VICTIMS):
+            kills[victim].append(trials.kill(victim))
+        watcher.spin(1.0)
+        recorders = _kill_recorders(times, run, watcher)
+        codes = run.stop()
+        watcher.destroy_node()
+        recording = _whole(run.folder / "recorder.mcap", watcher.samples, arm)
     statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
@@ -132,30 +117,29 @@ def _whole(path: Path, received_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
     }
 
 
-def _kill_recorders(times: int, folder: Path, spin: Callable[[float], None]) -> dict[str, Any]:
+def _kill_recorders(times: int, run: LiveRun, watcher: Watcher) -> dict[str, Any]:
     """Kill recorders while they write, and read what they leave."""
     rng = np.random.default_rng(1)
     lost_s: list[float] = []
     problems: list[str] = []
     for number in range(times):
-        path = folder / f"killed_{number}.mcap"
-        with recorder("killed", path) as killed:
-            deadline_s = time.monotonic() + UP_WITHIN_S
-            while not _begun(path) and time.monotonic() < deadline_s:
-                spin(0.1)
-            spin(float(rng.uniform(*WRITING_S)))
-            killed_ns = time.time_ns()
-            killed.kill()
+        path = run.folder / f"killed_{number}.mcap"
+        killed = run.record(path.stem)
+        watcher.spin_until(partial(_begun, path), "tensions in a recording")
+        watcher.spin(float(rng.uniform(*WRITING_S)))
+        killed_ns = time.time_ns()
+        killed.kill()
+        del run.processes[path.stem]
         try:
             _, logged_ns = _samples(path)
             lost_s.append((killed_ns - int(logged_ns.max())) * 1e-9)
         except (CableSenseError, OSError, ValueError) as error:
             problems.append(f"{number}: {error}")
-    spread = np.percentile(lost_s, (50, 95, 100)).round(3).tolist() if lost_s else []
+    spread = harness.percentiles(lost_s, ("median", "95 %", "worst"))
     return {
         "killed": times,
         "read": times - len(problems),
-        "lost at the end (s): median, 95 %, worst": spread,
+        "lost at the end (s): median, 95 %, worst": list(spread.values()),
         "problems": problems[:10],
     }
 
@@ -188,15 +172,12 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
         "others lived": int(kills["others_lived"].sum()),
         "wrong forces": int(kills["wrong"].sum()),
         "estimator taken for dead while it lived": int(kills["false_deaths"].sum()),
-        **{name: _spread(kills[name].dropna()) for name in _SPREADS},
+        **{
+            name: {"seen": int(kills[name].count())}
+            | harness.percentiles(kills[name].dropna(), ("median", "95 %", "worst"), 4)
+            for name in _SPREADS
+        },
     }
-
-
-def _spread(known: pd.Series[float]) -> dict[str, float | int]:
-    if known.empty:
-        return {"seen": 0}
-    median, late, worst = np.percentile(known, (50.0, 95.0, 100.0)).round(4).tolist()
-    return {"seen": len(known), "median": median, "95 %": late, "worst": worst}
 
 
 def _bars(
@@ -226,7 +207,6 @@ def main() -> int:
     parser.add_argument("--rate-hz", type=float, default=RATE_HZ, help="samples a second")
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     given = parser.parse_args()
-    os.environ.update(own_graph())
     result = harness.origin("rclpy") | measure(given.arm, given.rate_hz, given.times)
     harness.publish("kill.json", result, given)
     return 0

@@ -8,18 +8,13 @@ from __future__ import annotations
 import itertools
 import re
 import time
-from collections.abc import Callable
 from math import nan
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from harness import CABLESENSE
+from live_run import LiveRun, SpunNode
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from cablesense_base.arrays import Array
@@ -38,7 +33,6 @@ LOAD_EVERY_S, COMMAND_EVERY_S = 0.05, 0.5
 TOLERANCE_N, TOLERANCE = 2.0, 0.03
 """A wrench is right when its force is no further from the load than the larger of these."""
 
-PATIENCE_S = 20.0
 STEADY = 10
 """So many right wrenches in a row are right."""
 
@@ -57,32 +51,18 @@ _SET_UP = {
 VICTIMS = tuple(_SET_UP)
 
 
-def recorder(name: str, file: Path) -> Process:
-    """A process that records the running nodes into a file."""
-    command = [*CABLESENSE, "record", "--out", str(file)]
-    return Process(name, command, file.with_suffix(".log"))
-
-
-def start_chain(arm: str, rate_hz: float, folder: Path) -> dict[str, Process]:
-    """Recorder, sim, amplifiers, driver and estimator; logs and files go to `folder`."""
-    link = folder / "adapter"
+def start_chain(run: LiveRun, arm: str, rate_hz: float) -> None:
+    """Start recorder, sim, amplifiers, driver and estimator."""
+    link = run.folder / "adapter"
     adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
     stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
     simulated = {"cable_tensions": "simulated_tensions"}
-    state = {"state_file": folder / "estimator_state.json"}
-    commands = {
-        "sim": node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated),
-        "amplifiers": node_command("can_emulator", {"arm": arm, "channel": link}),
-        "driver": node_command("can_driver", stale | adapter),
-        "estimator": node_command("estimator", stale | state),
-    }
-    return {
-        "recorder": recorder("recorder", folder / "kills.mcap"),
-        **{
-            name: Process(name, command, folder / f"{name}.log")
-            for name, command in commands.items()
-        },
-    }
+    state = {"state_file": run.folder / "estimator_state.json"}
+    run.record("recorder")
+    run.start("sim", node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated))
+    run.start("amplifiers", node_command("can_emulator", {"arm": arm, "channel": link}))
+    run.start("driver", node_command("can_driver", stale | adapter))
+    run.start("estimator", node_command("estimator", stale | state))
 
 
 class Received(NamedTuple):
@@ -99,7 +79,7 @@ class Received(NamedTuple):
         return self.segment == 0 and not self.force_n.any()
 
 
-class Watcher(Node):
+class Watcher(SpunNode):
     """Publishes the present load and command periodically, notes every wrench and sample.
 
     Times are monotonic.
@@ -136,8 +116,6 @@ class Watcher(Node):
         )
         sample_qos = qos_profile(Qos(depth=2000, reliable=True))
         self.create_subscription(JointState, "cable_tensions", self._on_sample, sample_qos)
-        self._executor = EventsExecutor()
-        self._executor.add_node(self)
 
     def push(self, segment: int, force_base_n: Array) -> None:
         """Push there instead of where it was pushed before."""
@@ -156,15 +134,6 @@ class Watcher(Node):
         self.wrenches.clear()
         self.liveliness.clear()
         del self.sample_s[:-1]
-
-    def spin(self, seconds: float) -> None:
-        """Let callbacks run for a while."""
-        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
-
-    def destroy_node(self) -> None:
-        """End the callbacks, then the node."""
-        self._executor.shutdown()
-        super().destroy_node()
 
     def _publish_load(self) -> None:
         segments = range(1, self._segment_count + 1)
@@ -207,7 +176,7 @@ class KillTrials:
 
     def bring_up(self) -> None:
         """Wait until the unloaded arm is tared and wrenches follow the load."""
-        self._until(lambda: len(self._watcher.sample_s) > 100, "samples")
+        self._watcher.spin_until(lambda: len(self._watcher.sample_s) > 100, "samples")
         self._watcher.spin(2.0)
         self._push()
         self._until_right("the first right wrench")
@@ -225,7 +194,7 @@ class KillTrials:
         after the load last changed; `false_deaths`: reports that a living estimator is gone.
 
         Raises:
-            TimeoutError: what should come did not come within `PATIENCE_S`.
+            TimeoutError: what should come did not come in time.
         """
         watcher, process = self._watcher, self._chain[victim]
         self._push()
@@ -243,7 +212,7 @@ class KillTrials:
         started_epoch_s = time.time()
         process.start()
         started_s = process.started_s
-        self._until(
+        watcher.spin_until(
             lambda: len(self._set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
         )
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
@@ -303,13 +272,7 @@ class KillTrials:
         def right(one: Received) -> bool:
             return one.arrived_s >= since_s and self._watcher.right(one)
 
-        self._until(lambda: len(wrenches) >= STEADY and all(map(right, wrenches[-STEADY:])), what)
+        self._watcher.spin_until(
+            lambda: len(wrenches) >= STEADY and all(map(right, wrenches[-STEADY:])), what
+        )
         return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s
-
-    def _until(self, true: Callable[[], bool], what: str) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not true():
-            if time.monotonic() > deadline_s:
-                last = self._watcher.wrenches[-1:]
-                raise TimeoutError(f"waited {PATIENCE_S:g} s in vain for {what}; last: {last}")
-            self._watcher.spin(0.02)

@@ -14,10 +14,8 @@ after the stamps' common shift is taken back).
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -25,12 +23,10 @@ from typing import Any
 
 import harness
 import numpy as np
-import rclpy
 from geometry_msgs.msg import WrenchStamped
+from live_run import LiveRun, SpunNode
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -39,10 +35,9 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_online.recorded_run import RecordedRun
-from cablesense_ros.discovery import own_graph
 from cablesense_ros.node_process import qos_profile
-from cablesense_ros.processes import Process, node_command, wait_until
-from cablesense_sim.arm import open_arm
+from cablesense_ros.processes import Process, node_command
+from cablesense_sim.arm import Arm, open_arm
 
 RATE_HZ = 1000.0
 SEED = 20
@@ -52,40 +47,28 @@ LATE_JOINS_AT, LATE_DIES_AT = 0.4, 0.7
 """Shares of the run."""
 
 
-class Operator:
+class Operator(SpunNode):
     """Random actions on the arm and on the estimator; `done` counts them."""
 
-    def __init__(self, arm_name: str) -> None:
-        rclpy.init()
-        self._arm = open_arm(arm_name)
-        self._node = rclpy.create_node("operator")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
+    def __init__(self, arm: Arm) -> None:
+        super().__init__("operator")
+        self._arm = arm
         self._rng = np.random.default_rng(SEED)
-        self._commands = self._node.create_publisher(
-            JointState, topics.JOINT_COMMANDS, qos_profile(COMMAND)
-        )
-        self._loads = self._node.create_publisher(
-            WrenchStamped, topics.APPLIED_WRENCH, qos_profile(COMMAND)
-        )
+        qos = qos_profile(COMMAND)
+        self._commands = self.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
+        self._loads = self.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, qos)
         self._services = {
-            name: self._node.create_client(Trigger, f"/estimator/{name}")
+            name: self.create_client(Trigger, f"/estimator/{name}")
             for name in ("tare", "tare_undo")
         }
-        self._parameters = self._node.create_client(SetParameters, "/estimator/set_parameters")
+        self._set_parameters = self.create_client(SetParameters, "/estimator/set_parameters")
         self._loaded = 0
         self.done: Counter[str] = Counter()
 
-    def wait(self, listeners: int, estimator: Process) -> None:
-        """Wait until sim, estimator and recorder are subscribed."""
-        wait_until(
-            lambda: (
-                self._commands.get_subscription_count() >= listeners
-                and all(client.service_is_ready() for client in self._services.values())
-            ),
-            30.0,
-            "sim, estimator and recorder are not all subscribed",
-            estimator.check,
+    def connected(self) -> bool:
+        """Whether sim, estimator and recorder are subscribed."""
+        return self._commands.get_subscription_count() >= 3 and all(
+            client.service_is_ready() for client in self._services.values()
         )
 
     def act(self) -> None:
@@ -100,20 +83,11 @@ class Operator:
         elif chance < 0.93:
             self._call("tare_undo")
         else:
-            self._change_threshold()
-        self.rest(float(self._rng.exponential(0.6)))
-
-    def rest(self, seconds: float) -> None:
-        """Spin for a while."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.02)
-
-    def close(self) -> None:
-        """End."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        try_shutdown()
+            threshold = Parameter("contact_threshold", value=float(self._rng.uniform(0.3, 0.9)))
+            request = SetParameters.Request(parameters=[threshold.to_parameter_msg()])
+            self.spin(10.0, self._set_parameters.call_async(request))
+            self.done["parameters turned"] += 1
+        self.spin(float(self._rng.exponential(0.6)))
 
     def _push(self) -> None:
         if self._loaded:
@@ -135,87 +109,67 @@ class Operator:
         reach = LARGEST_ANGLE_RAD * self._rng.choice([0.05, 1.0])
         angles = self._rng.uniform(-reach, reach, self._arm.joint_count)
         for _ in range(int(self._rng.integers(1, 4))):  # another comes while the arm moves
-            self._commands.publish(
-                JointState(name=list(self._arm.joint_names), position=angles.tolist())
-            )
+            names = list(self._arm.joint_names)
+            self._commands.publish(JointState(name=names, position=angles.tolist()))
             self.done["commands"] += 1
-            self.rest(float(self._rng.exponential(0.1)))
+            self.spin(float(self._rng.exponential(0.1)))
             angles = angles * self._rng.uniform(0.5, 1.0)
 
     def _call(self, name: str) -> None:
         future = self._services[name].call_async(Trigger.Request())
-        self._executor.spin_until_future_complete(future, timeout_sec=10.0)
-        answer = future.result()
-        if answer is not None:
+        self.spin(10.0, future)
+        if (answer := future.result()) is not None:
             self.done[name if answer.success else f"{name}, refused"] += 1
 
-    def _change_threshold(self) -> None:
-        threshold = float(self._rng.uniform(0.3, 0.9))
-        request = SetParameters.Request(
-            parameters=[Parameter("contact_threshold", value=threshold).to_parameter_msg()]
-        )
-        self._executor.spin_until_future_complete(
-            self._parameters.call_async(request), timeout_sec=10.0
-        )
-        self.done["parameters turned"] += 1
 
-
-def measure(arm: str, seconds: float, folder: Path) -> dict[str, Any]:
+def measure(arm: str, seconds: float) -> dict[str, Any]:
     """Run, record and replay; the result with its origin and the bars."""
-    whole, late = folder / "whole.mcap", folder / "late.mcap"
-    sim = Process("sim", node_command("sim", {"arm": arm, "rate_hz": RATE_HZ}), folder / "sim.log")
+    killed = "begun in mid-run and killed, in process"
     estimator_command = node_command("estimator", {"arm": arm})
-    with sim, _recorder(whole) as recorder:
-        operator = Operator(arm)
-        time.sleep(3.0)  # the recorder is subscribed before the estimator publishes first
-        with Process("estimator", estimator_command, folder / "estimator.log") as estimator:
-            operator.wait(3, estimator)
-            operator.rest(2.0)
-            end = time.monotonic() + seconds
-            joins, dies = end - (1 - LATE_JOINS_AT) * seconds, end - (1 - LATE_DIES_AT) * seconds
-            began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
-            second = None
-            while time.monotonic() < end:
-                operator.act()
-                if second is None and time.monotonic() > joins:
-                    second = _recorder(late)
-                elif second is not None and second.alive and time.monotonic() > dies:
-                    second.kill()
-            share = (harness.cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
-            recorder.stop()
-        operator.close()
-    result: dict[str, Any] = {
-        **harness.origin("rclpy"),
-        "arm": arm,
-        "rate_hz": RATE_HZ,
-        "seconds": seconds,
-        "done to it": dict(operator.done),
-        "recording": _recording(whole) | {"recorder, share of a core": round(share, 3)},
-        "in process": _replay(whole),
-        "begun in mid-run and killed, in process": _replay(late),
-    }
-    with Process("estimator", estimator_command, folder / "fresh.log") as fresh:
+    with LiveRun() as run:
+        run.start("sim", node_command("sim", {"arm": arm, "rate_hz": RATE_HZ}))
+        recorder = run.record("whole")
+        operator = Operator(open_arm(arm))
+        operator.spin(3.0)  # the recorder is subscribed before the estimator publishes first
+        run.start("estimator", estimator_command)
+        operator.spin_until(operator.connected, "sim, estimator and recorder")
+        operator.spin(2.0)
+        began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
+        late: Process | None = None
+        while (share := (time.monotonic() - began_s) / seconds) < 1.0:
+            operator.act()
+            if late is None and share > LATE_JOINS_AT:
+                late = run.record("late")
+            elif late is not None and late.alive and share > LATE_DIES_AT:
+                late.kill()
+        cores = (harness.cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
+        recorder.stop()
+        run.stop()
+        operator.destroy_node()
+        whole = run.folder / "whole.mcap"
+        result: dict[str, Any] = {
+            **harness.origin("rclpy"),
+            "arm": arm,
+            "rate_hz": RATE_HZ,
+            "seconds": seconds,
+            "done to it": dict(operator.done),
+            "recording": _recording(whole) | {"recorder, share of a core": round(cores, 3)},
+            "in process": _replay(whole),
+            killed: _replay(run.folder / "late.mcap"),
+        }
+        fresh = run.start("fresh", estimator_command)
         result["through a live node"] = _replay(whole, "--publish")
         fresh.check()
-    replays = ("in process", "begun in mid-run and killed, in process", "through a live node")
     bars = {
         f"all estimates bit-identical: {name}": result[name]["exit code"] == 0
         and 0 < result[name]["compared"] == result[name]["identical"]
-        for name in replays
+        for name in ("in process", killed, "through a live node")
     }
     bars["no contact without its sample in the recording"] = (
         result["in process"]["lone_contacts"] == 0
     )
-    bars["the killed recording reads up to its last chunk"] = bool(
-        result["begun in mid-run and killed, in process"]["cut"]
-    )
+    bars["the killed recording reads up to its last chunk"] = bool(result[killed]["cut"])
     return result | {"bars": bars}
-
-
-def _recorder(path: Path) -> Process:
-    return Process(
-        "recorder", [*harness.CABLESENSE, "record", "--out", str(path)], path.with_suffix(".log")
-    )
 
 
 def _recording(path: Path) -> dict[str, Any]:
@@ -223,15 +177,12 @@ def _recording(path: Path) -> dict[str, Any]:
     counts = Counter(message.topic for message in McapMessages(path))
     answered = [step.answer is not None for step in RecordedRun(path).steps()]
     first, last = answered.index(True), len(answered) - answered[::-1].index(True)
-    stamps = np.array(
-        [stamp_ns(m.data) for m in McapMessages(path) if m.topic == "/cable_tensions"]
-    )
+    unanswered = answered[first:last].count(False)
+    stamps = [stamp_ns(m.data) for m in McapMessages(path) if m.topic == "/cable_tensions"]
     return {
         "megabytes": round(path.stat().st_size / 1e6, 1),
         "messages": dict(sorted(counts.items())),
-        "samples without an answer between the first and the last": answered[first:last].count(
-            False
-        ),
+        "samples without an answer between the first and the last": unanswered,
         "median period of samples (ms)": round(float(np.median(np.diff(stamps))) * 1e-6, 3),
     }
 
@@ -257,9 +208,7 @@ def main() -> int:
     parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     given = parser.parse_args()
-    os.environ.update(own_graph())
-    with tempfile.TemporaryDirectory() as folder:
-        result = measure(given.arm, given.seconds, Path(folder))
+    result = measure(given.arm, given.seconds)
     if given.write:
         harness.write_result("replay.json", result)
     if given.json:

@@ -18,10 +18,8 @@ one clock.
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,22 +27,17 @@ from typing import Any
 
 import harness
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from harness import cpu_s, rss_mb
+from live_run import PATIENCE_S, LiveRun, SpunNode
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
-from rclpy.task import Future
-from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from soak_sequence import Log, answers, delivery, line_limits, marked_sequence, memory, play
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.qos import Qos
 from cablesense_online.can.channel_map import open_channel_map
-from cablesense_ros.discovery import own_graph
 from cablesense_ros.node_process import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import Arm, open_arm
@@ -52,30 +45,27 @@ from cablesense_sim.arm import Arm, open_arm
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}
 CIA404_MINUTES = 1.0
-UP_WITHIN_S = 30.0
 LISTEN_AFTER_S = 2.5
 """Diagnostics come once a second: the last ones must be of after the end."""
 
 GROWTH_MB = 5.0
 
 
-class Sink(Node):
+class Sink(SpunNode):
     """Receives from driver and estimator, and reads the processes' memory once a second.
 
     Attributes:
         tensions: all samples.
         wrenches: all wrenches.
         memory: seconds since the start and MB of each process.
-        diagnostics: the latest values by (name, key).
+        diagnostics: the latest values of each status.
     """
 
-    def __init__(self, size: int, cable_count: int, processes: Sequence[Process]) -> None:
+    def __init__(self, cable_count: int, processes: Sequence[Process]) -> None:
         super().__init__("soak_sink")
-        self.tensions, self.wrenches = Log(size, cable_count), Log(size, 6)
-        self.diagnostics: dict[tuple[str, str], str] = {}
+        self.tensions, self.wrenches = Log(cable_count), Log(6)
+        self.diagnostics: dict[str, dict[str, str]] = {}
         self._processes = processes
-        self._executor = EventsExecutor()
-        self._executor.add_node(self)
         self.begin()
         for kind, topic, log in (
             (JointState, "cable_tensions", self.tensions),
@@ -106,35 +96,14 @@ class Sink(Node):
             for one, began_s in zip(self._processes, self._cpu_began_s, strict=True)
         }
 
-    def bring_up(self) -> None:
-        """Wait until driver and estimator publish."""
-        deadline_s = time.monotonic() + UP_WITHIN_S
-        while not (
+    def connected(self) -> bool:
+        """Whether driver and estimator publish."""
+        return bool(
             self.count_publishers("cable_tensions")
             and self.count_subscribers("cable_tensions") == 2
             and self.count_publishers("estimator/wrench")
-            and self.diagnostics.get(("can_driver: interface", "openings"), "0") != "0"
-        ):
-            if time.monotonic() > deadline_s:
-                logs = "\n".join(one.log for one in self._processes)
-                raise SystemExit(f"the nodes did not come up within {UP_WITHIN_S:g} s\n{logs}")
-            self.spin(0.2)
-        self.spin(1.0)
-
-    def spin(self, seconds: float) -> None:
-        """Receive for a while.
-
-        Raises:
-            ProcessError: a process has ended.
-        """
-        for one in self._processes:
-            one.check()
-        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
-
-    def destroy_node(self) -> None:
-        """End the callbacks, then the node."""
-        self._executor.shutdown()
-        super().destroy_node()
+            and self.diagnostics.get("can_driver: interface", {}).get("openings", "0") != "0"
+        )
 
     def _note_memory(self) -> None:
         elapsed_s = time.monotonic() - self._began_s
@@ -142,49 +111,37 @@ class Sink(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.diagnostics.update({(status.name, v.key): v.value for v in status.values})
+            self.diagnostics[status.name] = {one.key: one.value for one in status.values}
 
 
 def measure(arm_name: str, map_name: str, minutes: float) -> dict[str, Any]:
     """Run one map."""
     arm, cycles = open_arm(arm_name), round(60.0 * minutes * RATES_HZ[map_name])
-    processes: list[Process] = []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        link, log = folder / "adapter", folder / "played.npz"
-        play_command = [
-            *(sys.executable, __file__, "--role", "amplifiers", "--arm", arm_name),
-            *("--map", map_name, "--link", str(link), "--log", str(log), "--cycles", str(cycles)),
-        ]
+    with LiveRun() as run:
+        link, log = run.folder / "adapter", run.folder / "played.npz"
+        played = {"arm": arm_name, "map": map_name, "link": link, "log": log, "cycles": cycles}
+        given = [f"--{option}={value}" for option, value in played.items()]
+        role = [sys.executable, __file__, "--role=amplifiers"]
+        amplifiers = run.start("amplifiers", [*role, *given])
+        wait_until(lambda: "ready" in amplifiers.log, PATIENCE_S, "not ready", run.check)
         adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-        nodes = {
-            "driver": node_command("can_driver", {"arm": arm_name, "map": map_name, **adapter}),
-            "estimator": node_command("estimator", {"arm": arm_name}),
-        }
-        try:
-            amplifiers = Process("amplifiers", play_command, folder / "amplifiers.log")
-            processes.append(amplifiers)
-            not_ready = "the amplifiers are not ready"
-            wait_until(lambda: amplifiers.line("ready"), UP_WITHIN_S, not_ready, amplifiers.check)
-            for name, command in nodes.items():
-                processes.append(Process(name, command, folder / f"{name}.log"))
-            rclpy.init()
-            sink = Sink(cycles + 5000, arm.cable_count, processes)
-            try:
-                sink.bring_up()
-                _send_line(amplifiers, "play")
-                sink.begin()
-                while "played" not in amplifiers.log:
-                    sink.spin(1.0)
-                cpu = sink.cpu_share()
-                sink.spin(LISTEN_AFTER_S)
-                _send_line(amplifiers, "end")
-            finally:
-                sink.destroy_node()
-                try_shutdown()
-            judged = _judged(arm, map_name, dict(np.load(log)), sink)
-        finally:
-            codes = [one.stop(harness.END_WITHIN_S) for one in processes]
+        driven = {"arm": arm_name, "map": map_name, **adapter}
+        run.start("driver", node_command("can_driver", driven))
+        run.start("estimator", node_command("estimator", {"arm": arm_name}))
+        sink = Sink(arm.cable_count, list(run.processes.values()))
+        sink.spin_until(sink.connected, "samples and wrenches")
+        sink.spin(1.0)
+        _send_line(amplifiers, "play")
+        sink.begin()
+        while "played" not in amplifiers.log:
+            run.check()
+            sink.spin(1.0)
+        cpu = sink.cpu_share()
+        sink.spin(LISTEN_AFTER_S)
+        _send_line(amplifiers, "end")
+        judged = _judged(arm, map_name, dict(np.load(log)), sink)
+        codes = list(run.stop().values())
+        sink.destroy_node()
     return {"minutes": minutes, "cpu (cores)": cpu, **judged, "exit codes": codes}
 
 
@@ -200,35 +157,36 @@ def _judged(arm: Arm, map_name: str, played: dict[str, Any], sink: Sink) -> dict
     channel_map = channel_map.arranged(arm.cable_names)
     rate_hz, written_ns = RATES_HZ[map_name], played["written_ns"]
     sequence = marked_sequence(arm, channel_map, database, rate_hz)
-    delivered, cycle = delivery(sequence, played["dropped"], written_ns, sink.tensions, rate_hz)
-    names = {channel.message for channel in channel_map.channels.values()}
-    names |= {channel_map.counter.message} if channel_map.counter else set()
-    lengths = [database.get_message_by_name(name).length for name in sorted(names)]
-    values = sink.diagnostics
+    tensions = sink.tensions.table()
+    delivered, cycle = delivery(sequence, played["dropped"], written_ns, tensions, rate_hz)
+    messages = {channel.message for channel in channel_map.channels.values()}
+    messages |= {channel_map.counter.message} if channel_map.counter else set()
+    lengths = [database.get_message_by_name(name).length for name in sorted(messages)]
+    names = ("can_driver: interface", "can_driver: samples", "estimator: cable_tensions")
+    bus, samples, estimator = (sink.diagnostics[name] for name in names)
     faults = {
         key.removesuffix(" in all"): int(value)
-        for (status, key), value in values.items()
-        if status == "can_driver: samples" and key.endswith(" in all") and int(value)
+        for key, value in samples.items()
+        if key.endswith(" in all") and int(value)
     }
     return {
         "map": map_name,
         "amplifiers scheduled in real time": bool(played["real_time"]),
         "delivery": delivered,
         "driver says": {
-            "frames in all": int(values["can_driver: interface", "frames in all"]),
-            "openings": int(values["can_driver: interface", "openings"]),
+            "frames in all": int(bus["frames in all"]),
+            "openings": int(bus["openings"]),
             "frames of a cycle": len(lengths),
             **faults,
         },
         "estimator says": {
-            key: int(values["estimator: cable_tensions", key])
-            for key in ("dropped in all", "refused in all")
+            key: int(estimator[key]) for key in ("dropped in all", "refused in all")
         },
         "lost on the way to the sink": {
             "cable_tensions": sink.tensions.lost_at_sink,
             "estimator/wrench": sink.wrenches.lost_at_sink,
         },
-        **answers(sequence, cycle, written_ns, sink.tensions, sink.wrenches),
+        **answers(sequence, cycle, written_ns, tensions, sink.wrenches.table()),
         "memory": memory(sink.memory),
         "limits": line_limits(lengths, rate_hz),
     }
@@ -276,7 +234,6 @@ def main() -> int:
     if given.role:
         rate_hz = RATES_HZ[given.map]
         return play(given.arm, given.map, given.link, rate_hz, given.cycles, given.log)
-    os.environ.update(own_graph())
     minutes = {PACKED: given.minutes, CIA404: min(CIA404_MINUTES, given.minutes)}
     runs = []
     for map_name in [given.only] if given.only else [PACKED, CIA404]:

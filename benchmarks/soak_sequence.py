@@ -13,14 +13,15 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cantools.database.can import Database
+from harness import percentiles
 from numpy.typing import NDArray
 
+from cablesense_base.arrays import Array
 from cablesense_online.can.channel_map import ChannelMap, open_channel_map, signal_conversion
 from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort
@@ -58,8 +59,10 @@ JUDGED_AT_ONCE = 100_000
 FIRST_MINUTE_S = 60.0
 
 
-@dataclass(frozen=True)
-class MarkedSequence:
+Integers = NDArray[np.int64]
+
+
+class MarkedSequence(NamedTuple):
     """A sequence of T rows that is played again and again.
 
     Attributes:
@@ -70,10 +73,10 @@ class MarkedSequence:
         held: (T,) whether the push, or its absence, is steady.
     """
 
-    even: NDArray[np.int64]
+    even: Integers
     step_n: float
-    force_n: NDArray[np.float64]
-    segment: NDArray[np.int64]
+    force_n: Array
+    segment: Integers
     held: NDArray[np.bool_]
 
     @property
@@ -81,38 +84,38 @@ class MarkedSequence:
         """The numbers that a row can spell."""
         return 1 << self.even.shape[1]
 
-    def steps(self, cycle: NDArray[np.int64]) -> NDArray[np.int64]:
+    def steps(self, cycle: Integers) -> Integers:
         """(C, M) readings of cycles (C,), in steps."""
         bits = (cycle[:, None] >> np.arange(self.even.shape[1])) & 1
         return self.even[cycle % len(self.even)] + bits
 
-    def spelt(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    def spelt(self, steps: Integers) -> Integers:
         """(C,) numbers, modulo `modulo`, that rows (C, M) bear."""
         return ((steps & 1) << np.arange(steps.shape[1])).sum(axis=1)
 
 
-def marked_sequence(arm: Arm, channel_map: ChannelMap, database: Database, rate_hz: float) -> (
-    MarkedSequence
-):  # fmt: skip
+def marked_sequence(
+    arm: Arm, channel_map: ChannelMap, database: Database, rate_hz: float
+) -> MarkedSequence:
     """The sequence of an arm in the steps of its amplifier; all channels have one step."""
     (step_n,) = {
         abs(signal_conversion(database, channel)[1] * channel.scale_n_per_unit)
         for channel in channel_map.channels.values()
     }
     rng = np.random.default_rng(0)
-    rows: list[tuple[int, float, float, bool]] = []
-    for segment, angle_deg, from_n, to_n, seconds in _pushes(arm.segment_count, rng):
-        count = round(seconds * rate_hz)
-        for force_n in np.linspace(from_n, to_n, count, endpoint=False):
-            rows.append((segment, angle_deg, force_n, from_n == to_n))
-    segment, angle_deg, force_n, held = map(np.array, zip(*rows, strict=True))
+    rows = [
+        (segment, angle_deg, force_n, from_n == to_n)
+        for segment, angle_deg, from_n, to_n, seconds in _pushes(arm.segment_count, rng)
+        for force_n in np.linspace(from_n, to_n, round(seconds * rate_hz), endpoint=False)
+    ]
+    segments, angles_deg, forces_n, held = (np.array(one) for one in zip(*rows, strict=True))
     mechanism = mechanism_of(arm)
     commands = np.zeros((len(rows), arm.joint_count))
-    forces = normal_force_n(mechanism, commands, np.maximum(segment, 1), angle_deg, force_n)
+    forces = normal_force_n(mechanism, commands, np.maximum(segments, 1), angles_deg, forces_n)
     tensions = solve_equilibrium(mechanism, commands, forces).tensions_n
     readings = read_tensions_n(tensions, arm.sensors, rng)
     even = 2 * np.rint(readings / (2.0 * step_n)).astype(np.int64)
-    return MarkedSequence(even, step_n, force_n, segment, held)
+    return MarkedSequence(even, step_n, forces_n, segments, held)
 
 
 def _pushes(
@@ -203,63 +206,54 @@ def line_limits(data_bytes: Sequence[int], rate_hz: float) -> dict[str, Any]:
 
 
 class Log:
-    """Arrivals of one topic, at most `size`, as bytes in memory that is reserved at once."""
+    """Arrivals of one topic; `lost_at_sink` counts those that the middleware reports as lost."""
 
-    def __init__(self, size: int, numbers: int) -> None:
+    def __init__(self, numbers: int) -> None:
         """A message ends with so many `numbers`."""
-        self.count = self.lost_at_sink = 0
-        self._arrived_ns = np.zeros(size, dtype=np.int64)
+        self.lost_at_sink = 0
         self._kind = np.dtype(
             [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]
         )
-        self._bytes = bytearray(size * self._kind.itemsize)
+        self._arrived_ns: list[int] = []
+        self._kept: list[bytes] = []
 
     def note(self, raw: bytes) -> None:
         """Keep the stamp, the last letter of segment_N and the numbers at the end."""
-        at, size = self.count, self._kind.itemsize
-        if at < len(self._arrived_ns):
-            self._arrived_ns[at] = time.time_ns()
-            kept = raw[4:12] + raw[24:25] + raw[9 - size :]
-            self._bytes[at * size : (at + 1) * size] = kept
-            self.count = at + 1
+        self._arrived_ns.append(time.time_ns())
+        self._kept.append(raw[4:12] + raw[24:25] + raw[9 - self._kind.itemsize :])
 
     def lost(self, event: Any) -> None:
-        """Count messages that did not reach this process, as the middleware reports."""
+        """Count messages that did not reach this process."""
         self.lost_at_sink += event.total_count_change
 
-    @property
-    def arrived_ns(self) -> NDArray[np.int64]:
-        """(C,) times of arrival."""
-        return self._arrived_ns[: self.count]
+    def table(self) -> Arrivals:
+        """All that came so far."""
+        rows = np.frombuffer(b"".join(self._kept), self._kind)
+        digits = rows["letter"].astype(np.int64) - ord("0")
+        return Arrivals(
+            np.array(self._arrived_ns, dtype=np.int64),
+            rows["s"].astype(np.int64) * 1_000_000_000 + rows["ns"],
+            rows["numbers"],
+            np.where((digits >= 0) & (digits <= 9), digits, 0),
+        )
 
-    @property
-    def _rows(self) -> NDArray[np.void]:
-        return np.frombuffer(self._bytes, self._kind)[: self.count]
 
-    @property
-    def stamps_ns(self) -> NDArray[np.int64]:
-        """(C,) the stamps in their headers."""
-        return self._rows["s"].astype(np.int64) * 1_000_000_000 + self._rows["ns"]
+class Arrivals(NamedTuple):
+    """Messages in order: arrival and stamp (C,), ns, last numbers (C, n), segment (C,) or 0."""
 
-    @property
-    def numbers(self) -> NDArray[np.float64]:
-        """(C, n) the last numbers of each."""
-        return self._rows["numbers"]
-
-    @property
-    def segments(self) -> NDArray[np.int64]:
-        """(C,) the digit that ends the frame's name, 0 where there is none."""
-        digits = self._rows["letter"].astype(np.int64) - ord("0")
-        return np.where((digits >= 0) & (digits <= 9), digits, 0)
+    arrived_ns: Integers
+    stamps_ns: Integers
+    numbers: Array
+    segments: Integers
 
 
 def delivery(
     sequence: MarkedSequence,
-    dropped: NDArray[np.int64],
-    written_ns: NDArray[np.int64],
-    tensions: Log,
+    dropped: Integers,
+    written_ns: Integers,
+    tensions: Arrivals,
     rate_hz: float,
-) -> tuple[dict[str, Any], NDArray[np.int64]]:
+) -> tuple[dict[str, Any], Integers]:
     """Counts of what was delivered, by value; also the cycle (C,) of each sample, -1 for none.
 
     A sample's number is spelt modulo `sequence.modulo`; its time of arrival gives the rest.
@@ -267,42 +261,34 @@ def delivery(
     steps = np.rint(tensions.numbers / sequence.step_n).astype(np.int64)
     guess = np.searchsorted(written_ns, tensions.arrived_ns) - 1
     off = (sequence.spelt(steps) - guess) % sequence.modulo
-    off -= np.where(off > sequence.modulo // 2, sequence.modulo, 0)
-    cycle = guess + off
+    cycle = guess + off - np.where(off > sequence.modulo // 2, sequence.modulo, 0)
     cycle[(cycle < 0) | (cycle >= len(written_ns))] = -1
-    known = cycle >= 0
-    right = np.zeros(len(cycle), dtype=bool)
-    mixed = np.zeros(len(cycle), dtype=bool)
+    right = cycle >= 0
     for start in range(0, len(cycle), JUDGED_AT_ONCE):
         part = slice(start, start + JUDGED_AT_ONCE)
-        right[part] = (sequence.steps(cycle[part]) == steps[part]).all(axis=1) & known[part]
-    wrong = np.flatnonzero(~right)
-    mixed[wrong] = _of_neighbours(sequence, guess[wrong], steps[wrong])
-    on_wire = dropped == 0
+        right[part] &= (sequence.steps(cycle[part]) == steps[part]).all(axis=1)
+    mixed = _of_neighbours(sequence, guess[~right], steps[~right])
     came = np.bincount(cycle[right], minlength=len(written_ns))
-    lost = on_wire & (came == 0)
+    lost = (dropped == 0) & (came == 0)
+    played_s = (written_ns[-1] - written_ns[0]) * 1e-9
     return {
         "cycles played": len(written_ns),
-        "cycles whole on the terminal": int(on_wire.sum()),
+        "cycles whole on the terminal": int((dropped == 0).sum()),
         "frames that the terminal did not take": int(dropped.sum()),
         "samples published, as heard": len(cycle),
-        "samples with a value that was not sent": int((~right & ~mixed).sum()),
+        "samples with a value that was not sent": int((~mixed).sum()),
         "samples of two cycles": int(mixed.sum()),
         "samples heard twice": int((came > 1).sum()),
         "samples out of order": int((np.diff(cycle[right]) <= 0).sum()),
         "cycles delivered but not published": int(lost.sum()),
         "first of these": np.flatnonzero(lost)[:20].tolist(),
         "longest pause of the amplifiers (ms)": round(float(np.diff(written_ns).max()) / 1e6, 1),
-        "rate played (1/s)": round(
-            (len(written_ns) - 1) / ((written_ns[-1] - written_ns[0]) * 1e-9), 2
-        ),
+        "rate played (1/s)": round((len(written_ns) - 1) / played_s, 2),
         "rate asked (1/s)": rate_hz,
     }, np.where(right, cycle, -1)
 
 
-def _of_neighbours(
-    sequence: MarkedSequence, near: NDArray[np.int64], steps: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _of_neighbours(sequence: MarkedSequence, near: Integers, steps: Integers) -> NDArray[np.bool_]:
     """Whether rows (C, M) are made of two cycles, one behind the other, near the cycles (C,).
 
     Without a counter in the frames that is what a lost one may do.
@@ -317,41 +303,42 @@ def _of_neighbours(
 
 def answers(
     sequence: MarkedSequence,
-    cycle: NDArray[np.int64],
-    written_ns: NDArray[np.int64],
-    tensions: Log,
-    wrenches: Log,
+    cycle: Integers,
+    written_ns: Integers,
+    tensions: Arrivals,
+    wrenches: Arrivals,
 ) -> dict[str, Any]:
     """Whether each sample was answered, how soon, and how well."""
-    stamps = wrenches.stamps_ns
-    order = np.argsort(stamps, kind="stable")
-    at = np.searchsorted(stamps[order], tensions.stamps_ns)
-    at = np.minimum(at, len(stamps) - 1)
-    answered = stamps[order][at] == tensions.stamps_ns
-    wrench = order[at]
+    order = np.argsort(wrenches.stamps_ns, kind="stable")
+    stamps = wrenches.stamps_ns[order]
+    at = np.minimum(np.searchsorted(stamps, tensions.stamps_ns), len(stamps) - 1)
+    answered = stamps[at] == tensions.stamps_ns
     known = answered & (cycle >= 0)
-    to_wrench = wrenches.arrived_ns[wrench[known]] - written_ns[cycle[known]]
+    wrench = order[at][known]
+    to_wrench = wrenches.arrived_ns[wrench] - written_ns[cycle[known]]
     to_sample = tensions.arrived_ns[cycle >= 0] - written_ns[cycle[cycle >= 0]]
     row = cycle[known] % len(sequence.even)
     tared = np.zeros(len(row), dtype=bool)
     tared[np.flatnonzero(sequence.force_n[row] > 0.0)[:1].sum() :] = True
     judged = sequence.held[row] & tared
-    force = np.linalg.norm(wrenches.numbers[wrench[known]][:, :3], axis=1)
-    segment = wrenches.segments[wrench[known]]
+    force = np.linalg.norm(wrenches.numbers[wrench][:, :3], axis=1)
     pushed = judged & (sequence.segment[row] > 0)
     free = judged & (sequence.segment[row] == 0)
     error = np.abs(force - sequence.force_n[row])[pushed]
-    hits = (segment == sequence.segment[row])[pushed]
+    hits = (wrenches.segments[wrench] == sequence.segment[row])[pushed]
+    names = ("median", "95 %", "99 %", "99.9 %", "worst")
     return {
-        "wrenches heard": wrenches.count,
+        "wrenches heard": len(wrenches.stamps_ns),
         "samples answered": int(answered.sum()),
         "samples not answered": int((~answered).sum()),
-        "latency from the last frame to the wrench (ms)": _spread_ms(to_wrench),
-        "latency from the last frame to the sample (ms)": _spread_ms(to_sample),
+        "latency from the last frame to the wrench (ms)": percentiles(to_wrench / 1e6, names),
+        "latency from the last frame to the sample (ms)": percentiles(to_sample / 1e6, names),
         "force": {
             "samples judged, pushed": int(pushed.sum()),
             "right segment (%)": round(100.0 * float(hits.mean()), 3),
-            "error (N): median, 99 %, worst": _percentiles(error, (50.0, 99.0, 100.0)),
+            "error (N): median, 99 %, worst": list(
+                percentiles(error, ("median", "99 %", "worst")).values()
+            ),
             "samples judged, untouched": int(free.sum()),
             "false forces": int((force[free] > FALSE_FORCE_N).sum()),
         },
@@ -379,13 +366,3 @@ def memory(notes: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
         }
         grown[name] = {key: round(float(value), 2) for key, value in numbers.items()}
     return {"settled after (s)": round(float(settled_s), 1), **grown}
-
-
-def _spread_ms(ns: NDArray[np.int64]) -> dict[str, float]:
-    names = ("median", "95 %", "99 %", "99.9 %", "worst")
-    values = _percentiles(ns / 1e6, (50.0, 95.0, 99.0, 99.9, 100.0))
-    return dict(zip(names, values, strict=True))
-
-
-def _percentiles(values: NDArray[np.float64], at: Sequence[float]) -> list[float]:
-    return np.percentile(values, at).round(3).tolist() if len(values) else []
