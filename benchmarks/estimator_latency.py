@@ -17,7 +17,6 @@ import json
 import os
 import struct
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,18 +24,17 @@ from typing import Any
 
 import harness
 import numpy as np
-import rclpy
+import pandas as pd
 from geometry_msgs.msg import WrenchStamped
+from live_run import PATIENCE_S, LiveRun
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
-from cablesense_ros.discovery import own_graph
 from cablesense_ros.node_process import qos_profile, run_node
-from cablesense_ros.processes import Process, node_command
+from cablesense_ros.processes import node_command, wait_until
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -49,6 +47,7 @@ WARM_UP_S = 2.0
 PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
 MEDIAN_BAR, P99_BAR = 1.3, 1.5
 RESULT = "estimator_latency.json"
+RATIOS = ("median", "p99")
 PATHS = ("estimator", "raw_relay", "typed_relay")
 SINK_QOS = Qos(depth=1000, reliable=True)
 
@@ -62,13 +61,8 @@ class RelayNode(Node):
     def __init__(self, path: str) -> None:
         super().__init__(path)
         publisher = self.create_publisher(JointState, f"{path}_out", qos_profile(PUBLISHER))
-        self.create_subscription(
-            JointState,
-            f"{path}_in",
-            publisher.publish,
-            qos_profile(SENSOR),
-            raw=path == "raw_relay",
-        )
+        raw, qos = path == "raw_relay", qos_profile(SENSOR)
+        self.create_subscription(JointState, f"{path}_in", publisher.publish, qos, raw=raw)
 
 
 class SinkNode(Node):
@@ -80,9 +74,8 @@ class SinkNode(Node):
         self._times: dict[str, list[tuple[int, int]]] = {path: [] for path in PATHS}
         for path in PATHS:
             kind = WrenchStamped if path == "estimator" else JointState
-            self.create_subscription(
-                kind, f"{path}_out", self._note(path), qos_profile(SINK_QOS), raw=True
-            )
+            note, qos = self._note(path), qos_profile(SINK_QOS)
+            self.create_subscription(kind, f"{path}_out", note, qos, raw=True)
 
     def _note(self, path: str) -> Callable[[bytes], None]:
         append, unpack, now = self._times[path].append, _STAMP.unpack_from, time.time_ns
@@ -96,23 +89,23 @@ class SinkNode(Node):
 
     def destroy_node(self) -> None:
         """Write what was noted, then go."""
-        np.savez(self._file, **{path: np.array(pairs) for path, pairs in self._times.items()})
+        columns: dict[str, Any] = {path: np.array(pairs) for path, pairs in self._times.items()}
+        np.savez(self._file, **columns)
         super().destroy_node()
 
 
 def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[str, list[int]]:
     """Publish by each path in turn for so many seconds; give the stamps sent by each, ns."""
-    rclpy.init()
     node = Node("source")
     publishers = {
         path: node.create_publisher(JointState, f"{path}_in", qos_profile(PUBLISHER))
         for path in PATHS
     }
-    deadline = time.monotonic() + 30.0
-    while not all(p.get_subscription_count() for p in publishers.values()):
-        if time.monotonic() > deadline:
-            raise SystemExit("the nodes under test did not come up within 30 s")
-        time.sleep(0.1)
+    wait_until(
+        lambda: all(one.get_subscription_count() for one in publishers.values()),
+        PATIENCE_S,
+        "the nodes under test are not up",
+    )
     time.sleep(1.0)  # the other half of the discovery: their outputs to the sink
     unloaded, pushed = _samples(arm)
     sent: dict[str, list[int]] = {path: [] for path in PATHS}
@@ -122,7 +115,6 @@ def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[st
         sent[path] += _publish(publishers[path].publish, pushed, seconds)
     time.sleep(1.0)
     node.destroy_node()
-    try_shutdown()
     return sent
 
 
@@ -162,42 +154,28 @@ def _publish(
 
 def measure(arm_name: str, seconds: float) -> dict[str, Any]:
     """Run everything; the result by path, with its origin and the bars."""
-    os.environ.update(own_graph())
-    arm = open_arm(arm_name)
     blocks = round(seconds / BLOCK_S)
     schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "sink.npz")
-        role = [sys.executable, __file__, "--role"]
-        commands = {
-            "sink": [*role, "sink", "--file", str(file)],
-            **{relay: [*role, relay] for relay in PATHS[1:]},
-            # without samples between its turns, which is not to count as stale
-            "estimator": node_command(
-                "estimator",
-                {"arm": arm_name, "stale_after_s": 60.0, "tare_samples": 100},
-                {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"},
-            ),
-        }
-        processes = [
-            Process(name, command, Path(folder, f"{name}.log"))
-            for name, command in commands.items()
-        ]
-        try:
-            sent = publish_schedule(arm, [*schedule, ("estimator", seconds)])
-        finally:
-            codes = {process.name: process.stop(harness.END_WITHIN_S) for process in processes}
+    with LiveRun() as run:
+        file, role = run.folder / "sink.npz", [sys.executable, __file__, "--role"]
+        run.start("sink", [*role, "sink", "--file", str(file)])
+        for relay in PATHS[1:]:
+            run.start(relay, [*role, relay])
+        # without samples between its turns, which is not to count as stale
+        parameters = {"arm": arm_name, "stale_after_s": 60.0, "tare_samples": 100}
+        remaps = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
+        run.start("estimator", node_command("estimator", parameters, remaps))
+        sent = publish_schedule(open_arm(arm_name), [*schedule, ("estimator", seconds)])
+        codes = run.stop()
         if any(codes.values()):
             raise SystemExit(f"a process under test failed: {codes}")
         arrived = dict(np.load(file))
     interleaved = blocks * round(BLOCK_S * RATE_HZ)
     paths = {path: _latencies(sent[path][:interleaved], arrived[path]) for path in PATHS}
     sustained = _latencies(sent["estimator"][interleaved:], arrived["estimator"])
+    ours = paths["estimator"]
     ratios = {
-        relay: {
-            name: paths["estimator"][f"{name}_us"] / paths[relay][f"{name}_us"]
-            for name in ("median", "p99")
-        }
+        relay: {name: ours[f"{name}_us"] / paths[relay][f"{name}_us"] for name in RATIOS}
         for relay in PATHS[1:]
     }
     bars = {"none lost while sustained": sustained["lost"] == 0}
@@ -230,12 +208,9 @@ def _latencies(sent: Sequence[int], arrived: NDArray[np.int64]) -> dict[str, Any
 
 
 def _print(result: dict[str, Any]) -> None:
-    print(f"{'path':<22}{'sent':>8}{'lost':>6}{'median':>9}{'p90':>9}{'p99':>9}{'worst':>10}  µs")
-    for name, row in {**result["paths"], "estimator, sustained": result["sustained"]}.items():
-        print(
-            f"{name:<22}{row['sent']:>8}{row['lost']:>6}{row['median_us']:>9}{row['p90_us']:>9}"
-            f"{row['p99_us']:>9}{row['worst_us']:>10}"
-        )
+    columns = ["sent", "lost", "median_us", "p90_us", "p99_us", "worst_us"]
+    rows = {**result["paths"], "estimator, sustained": result["sustained"]}
+    print(pd.DataFrame.from_dict(rows, orient="index")[columns].to_string())
     for relay, ratio in result["ratios"].items():
         print(f"estimator over {relay}: median {ratio['median']:.2f}, p99 {ratio['p99']:.2f}")
     harness.print_bars(result["bars"])

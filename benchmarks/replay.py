@@ -57,18 +57,18 @@ class Operator(SpunNode):
         qos = qos_profile(COMMAND)
         self._commands = self.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
         self._loads = self.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, qos)
-        self._services = {
+        self._triggers = {
             name: self.create_client(Trigger, f"/estimator/{name}")
             for name in ("tare", "tare_undo")
         }
-        self._set_parameters = self.create_client(SetParameters, "/estimator/set_parameters")
+        self._settings = self.create_client(SetParameters, "/estimator/set_parameters")
         self._loaded = 0
         self.done: Counter[str] = Counter()
 
     def connected(self) -> bool:
         """Whether sim, estimator and recorder are subscribed."""
         return self._commands.get_subscription_count() >= 3 and all(
-            client.service_is_ready() for client in self._services.values()
+            client.service_is_ready() for client in self._triggers.values()
         )
 
     def act(self) -> None:
@@ -85,7 +85,7 @@ class Operator(SpunNode):
         else:
             threshold = Parameter("contact_threshold", value=float(self._rng.uniform(0.3, 0.9)))
             request = SetParameters.Request(parameters=[threshold.to_parameter_msg()])
-            self.spin(10.0, self._set_parameters.call_async(request))
+            self.spin(10.0, self._settings.call_async(request))
             self.done["parameters turned"] += 1
         self.spin(float(self._rng.exponential(0.6)))
 
@@ -116,7 +116,7 @@ class Operator(SpunNode):
             angles = angles * self._rng.uniform(0.5, 1.0)
 
     def _call(self, name: str) -> None:
-        future = self._services[name].call_async(Trigger.Request())
+        future = self._triggers[name].call_async(Trigger.Request())
         self.spin(10.0, future)
         if (answer := future.result()) is not None:
             self.done[name if answer.success else f"{name}, refused"] += 1
