@@ -18,7 +18,6 @@ from typing import Any
 import can
 import numpy as np
 import onnx
-import yaml
 from fuzz_messages import ARM, SETTINGS, TaredEstimation
 from fuzz_mutation import mutated_bytes, mutated_text, mutated_tree, mutated_yaml
 from fuzz_watched import (
@@ -33,15 +32,13 @@ from fuzz_watched import (
 from cablesense_base.errors import CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
-from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.calibration import calibrated, load_calibration
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import FrameDecoder
 from cablesense_online.estimation import Estimation
-from cablesense_online.state import StateFile
+from cablesense_online.state import EstimatorState, StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, parse_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.data.generation import draw_dataset
@@ -59,17 +56,8 @@ _MODELS = {
 }  # fmt: skip
 """With how often each is taken: the smaller the more often."""
 
-_ROWS = 24
-_EFFECTS = """
-effects:
-  - {effect: payload, at: segment_2, parameters: {mass_kg: 0.3}}
-  - {effect: sensor_gain, at: cable_3, parameters: {gain: 1.02}}
-"""
-_DBC_WORDS = """BO_ 1 A: 8 X\nBO_ 289 TENSIONS_1_TO_4: 1 X\n SG_ s : 0|64@1- (1,0) [0|0] "" X
- SG_ m M : 7|3@0+ (1e9,-1) [0|0] "" X\n SG_ f m0 : 0|32@1- (1,0) [0|0] "" X
-SIG_VALTYPE_ 289 TENSION_1 : 1;\nVAL_ 289 TENSION_1 1 "a" 2 "b" ;\nBA_ "VFrameFormat" BO_ 289 14;
-CM_ "a" ;\nBO_TX_BU_ 289 : X;\nSIG_GROUP_ 289 g 1 : TENSION_1;\nVAL_TABLE_ t 1 "x" ;
-"""
+MOST_ROWS = 2_400
+_EXAMPLES = Path(__file__).parent / "fuzz_examples"
 _MODEL_WORDS = (
     "Loop", "If", "Scan", "NonZero", "Identity", "MatMul", "Reshape", "Gather", "Slice", "Pad",
     "Expand", "Tile", "Split", "Concat", "Transpose", "Softmax", "GRU", "Conv", "Range", "ArgMax",
@@ -79,14 +67,6 @@ _MODEL_WORDS = (
 )  # fmt: skip
 _INTEGERS = (0, 1, -1, 2, 7, 13, 99, 2**20, 2**31, -(2**31), 2**40, 2**62, -(2**63), 2**63 - 1)
 _EXTREMES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 0.0, 5e-324)
-_SUFFIXES = {
-    "arms": "yaml",
-    "maps": "yaml",
-    "calibrations": "yaml",
-    "models": "onnx",
-    "states": "json",
-}
-
 Mutation = Callable[[random.Random, Any, Sequence[Any]], bytes]
 Use = Callable[[Path], None]
 """Reads a file and judges what it has read; raises `CableSenseError` for what is refused."""
@@ -94,13 +74,13 @@ Use = Callable[[Path], None]
 
 def _make(name: str, seed: int) -> Run:
     """Items are files: an example of one kind mutated, written, and taken or refused."""
-    mutated, use = _READERS[name][:2]
+    suffix, mutated, use = _READERS[name][:3]
     examples = _examples(name)
 
     def run(item: int) -> Outcome:
         rng = item_random(name, seed, item)
         with tempfile.TemporaryDirectory(prefix="fuzz_") as folder:
-            path = Path(folder, f"item.{_SUFFIXES.get(name, name)}")
+            path = Path(folder, f"item.{suffix}")
             path.write_bytes(mutated(rng, rng.choice(examples), examples))
             try:
                 use(path)
@@ -117,67 +97,45 @@ def _examples(name: str) -> Sequence[Any]:
     match name:
         case "arms":
             texts = [find_arm(arm).read_text(encoding="utf-8") for arm in bundled_arms()]
-            return [*texts, texts[0] + _EFFECTS]
+            return [*texts, texts[0] + _text("effects.yaml")]
         case "maps":
             return [path.read_text(encoding="utf-8") for path in _MAPS]
         case "dbc":
             return [path.with_suffix(".dbc").read_text(encoding="utf-8") for path in _MAPS]
         case "calibrations":
-            channel_map, _ = open_channel_map(_MAPS[0].stem)
-            sensor = {
-                **{"signal_unit": "N", "signal_factor": 0.1, "signal_offset": 0.0},
-                **{"scale_n_per_unit": 1.01, "zero": 0.2, "points": 5},
-            }
-            cables = {
-                cable: {"message": channel.message, "signal": channel.signal, **sensor}
-                for cable, channel in channel_map.channels.items()
-            }
-            made = "2026-01-02T03:04:05Z"
-            head = {"map": _MAPS[0].stem, "made": made, "gravity_m_s2": 9.81}
-            return [yaml.safe_dump({**head, "cables": cables}, sort_keys=False)]
+            return [_text("calibration.yaml")]
         case "models":
             names = [name for name, often in _MODELS.items() for _ in range(often)]
             return [find_model(name).read_bytes() for name in names]
         case "csv":
-            return [_written(name, lambda path: write_csv(path, _recording())).decode()]
+            return [_text("recording.csv")]
         case "mcap":
-            return [_written(name, lambda path: write_mcap(path, _recording(), ARM))]
+            recording = read_recording(_EXAMPLES / "recording.csv", ARM)
+            return [_written("whole.mcap", lambda path: write_mcap(path, recording, ARM))]
         case "parquet":
             dataset = draw_dataset(ARM, SingleContact(samples=40), seed=0)
-            return [_written(name, lambda path: write_dataset(path, dataset))]
+            return [_written("whole.parquet", lambda path: write_dataset(path, dataset))]
         case _:
             state = TaredEstimation().take_pushed().state
             assert state is not None
-
-            def write(path: Path) -> None:
-                file = StateFile(path, 60.0)
-                file.keep(state)
-                file.flush()
-
-            return [_written(name, write).decode()]
+            return [_written("state.json", partial(_write_state, state)).decode()]
 
 
-def _written(suffix: str, write: Callable[[Path], object]) -> bytes:
+def _text(name: str) -> str:
+    return (_EXAMPLES / name).read_text(encoding="utf-8")
+
+
+def _written(name: str, write: Callable[[Path], object]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"whole.{suffix}")
+        path = Path(folder, name)
         write(path)
         return path.read_bytes()
 
 
-def _recording() -> Recording:
-    rng = np.random.default_rng(0)
-    segment = np.repeat([0, 2], _ROWS // 2)
-    load_n = np.zeros((_ROWS, 3))
-    load_n[segment > 0, 2] = -9.81
-    return Recording(
-        name="fuzz",
-        time_s=np.arange(_ROWS, dtype=np.float64) * 0.2,
-        trial=np.repeat([1, 2], _ROWS // 2),
-        command_rad=np.full((_ROWS, ARM.joint_count), 0.05),
-        load_segment=segment,
-        load_n=load_n,
-        tensions_n=rng.uniform(20.0, 90.0, (_ROWS, ARM.cable_count)),
-    )
+def _write_state(state: EstimatorState, path: Path) -> None:
+    file = StateFile(path, 60.0)
+    file.keep(state)
+    file.flush()
 
 
 def _text_or_yaml(rng: random.Random, text: str, others: Sequence[str]) -> bytes:
@@ -195,7 +153,7 @@ def _use_arm(path: Path) -> None:
 
 
 def _mutated_database(rng: random.Random, text: str, _: Sequence[str]) -> bytes:
-    return mutated_text(rng, text, [text, _DBC_WORDS])
+    return mutated_text(rng, text, [text, _text("statements.dbc")])
 
 
 def _use_database(path: Path) -> None:
@@ -328,7 +286,7 @@ def _use_recording(path: Path) -> None:
         raise FalseAnswerError(f"a recording with tensions of shape {tensions_n.shape}")
     if recording.command_rad.shape != (rows, ARM.joint_count):
         raise FalseAnswerError(f"commands of shape {recording.command_rad.shape}")
-    if not (np.diff(recording.time_s) > 0.0).all() or rows > 100 * _ROWS:
+    if not (np.diff(recording.time_s) > 0.0).all() or rows > MOST_ROWS:
         raise FalseAnswerError(f"{rows} rows whose time does not ascend")
 
 
@@ -363,20 +321,20 @@ def _use_state(path: Path) -> None:
         raise FalseAnswerError(f"unloaded tensions {restored_n}")
 
 
-_READERS: dict[str, tuple[Mutation, Use, int, int]] = {
-    "arms": (_text_or_yaml, _use_arm, 3_000, 12),
-    "models": (_mutated_model, _use_model, 3_000, 12),
-    "csv": (mutated_text, _use_recording, 1_500, 8),
-    "mcap": (mutated_bytes, _use_recording, 2_000, 8),
-    "parquet": (_mutated_dataset, _use_dataset, 1_500, 8),
-    "dbc": (_mutated_database, _use_database, 2_000, 8),
-    "maps": (_text_or_yaml, _use_map, 1_000, 8),
-    "calibrations": (_text_or_yaml, _use_calibration, 1_000, 8),
-    "states": (_mutated_state, _use_state, 1_000, 8),
+_READERS: dict[str, tuple[str, Mutation, Use, int, int]] = {
+    "arms": ("yaml", _text_or_yaml, _use_arm, 3_000, 12),
+    "models": ("onnx", _mutated_model, _use_model, 3_000, 12),
+    "csv": ("csv", mutated_text, _use_recording, 1_500, 8),
+    "mcap": ("mcap", mutated_bytes, _use_recording, 2_000, 8),
+    "parquet": ("parquet", _mutated_dataset, _use_dataset, 1_500, 8),
+    "dbc": ("dbc", _mutated_database, _use_database, 2_000, 8),
+    "maps": ("yaml", _text_or_yaml, _use_map, 1_000, 8),
+    "calibrations": ("yaml", _text_or_yaml, _use_calibration, 1_000, 8),
+    "states": ("json", _mutated_state, _use_state, 1_000, 8),
 }
-"""Mutation, use, items in a full run and in a quick one."""
+"""Suffix, mutation, use, items in a full run and in a quick one."""
 
 FILE_TARGETS = [
     Target(name, "files", partial(_make, name), items, quick, limit_s=20.0)
-    for name, (_, _, items, quick) in _READERS.items()
+    for name, (*_, items, quick) in _READERS.items()
 ]
