@@ -127,7 +127,7 @@ def _case(recording: Recording, arm: Arm, answer: Any, workers: int) -> dict[str
 def _without_past(recording: Recording, nominal: Arm, amended: Arm) -> dict[str, float]:
     """The network as `cablesense train --arm arm.yaml` makes it, sample by sample."""
     mechanism, loads = mechanism_of(nominal), tared_loads(recording)
-    answers = retraining._trained(amended, mechanism, recording)(loads)
+    answers = retraining.trained_answering(amended, mechanism, recording)(loads)
     return force_errors(mechanism, loads, answers)
 
 

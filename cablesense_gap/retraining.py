@@ -1,17 +1,13 @@
 """What a diagnosis does to the force estimator: trained for the nominal arm and for the amended.
 
-Both are the pose-aware closed form with its small correction (`closed-form-corrected`) on a small
-budget of samples, and estimate the loads of the recording, which are known from outside, from
-tensions less a tare. For each fold of trials the amended arm is fitted again without them, an
-estimator is trained for that arm, and estimates the fold's loads. Which effects were found, and
-where, stays as the diagnosis had it from all trials.
+Both are the pose-aware closed form with its small correction (`closed-form-corrected`) and
+estimate the known loads of the recording, from tensions less a tare. For each fold of trials the
+amended arm is fitted again without them; which effects were found, and where, stays.
 
-The estimator is trained on the effects on the arm itself. Friction, creep and sensor effects need
-the past, which one sample does not hold: the amended arm is replayed under the loads that were
-estimated so far, with all of its effects and with those on the arm itself alone, and the
-difference is taken off the readings (`answers_with_past`), which the nodes do not do. A reading is
-corrected by what came before it and itself, never by what came after. The same network trained on
-samples with friction instead trusts no reading any more, and misses contacts.
+An estimator is trained on the effects on the arm itself. For friction, creep and sensor effects
+the amended arm is replayed under the loads that were estimated so far, with and without them, and
+the difference is taken off the readings (`answers_with_past`), which the nodes do not do. The same
+network trained on samples with friction instead trusts no reading any more, and misses contacts.
 """
 
 from __future__ import annotations
@@ -54,8 +50,6 @@ AT_PEAK = 0.9
 PASSES = 4
 
 _STEPS = 3
-_BATCH = 256
-_TEST_SAMPLES = 64
 _LEAST_POSE_DEG = 1.0
 _LEAST_FORCE = 0.4
 """Of the pretension."""
@@ -119,7 +113,7 @@ def tared_loads(recording: Recording) -> TaredLoads:
 def _tares_n(recording: Recording) -> Array:
     """(R, M) for loaded rows, NaN where there is none."""
     loaded = recording.load_segment > 0
-    moved = np.concatenate([[True], (np.diff(recording.command_rad, axis=0) != 0.0).any(axis=1)])
+    moved = (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
     tare = np.full_like(recording.tensions_n, np.nan)
     first: int | None = None  # of the latest unloaded rows at the present command
     last = 0
@@ -199,12 +193,9 @@ def without_fold(problem: Problem, fold: int, nominal: Arm, amended: Arm) -> Arm
 
 def answered_n(mechanism: Mechanism, loads: TaredLoads, estimates: Estimates) -> Array:
     """(B, N, 3) estimated forces in base axes; nothing where the answer is no contact."""
+    magnitude_n = np.maximum(estimates.magnitude_n, 0.0)
     return normal_force_n(
-        mechanism,
-        loads.command_rad,
-        estimates.segment,
-        estimates.angle_deg,
-        np.maximum(estimates.magnitude_n, 0.0),
+        mechanism, loads.command_rad, estimates.segment, estimates.angle_deg, magnitude_n
     )
 
 
@@ -261,7 +252,7 @@ def estimator_errors(
         )
     mechanism = mechanism_of(nominal)
     progress("training for the nominal arm", 0.0)
-    plain = _trained(nominal, mechanism, recording)(loads)
+    plain = trained_answering(nominal, mechanism, recording)(loads)
     before = force_errors(mechanism, loads, plain)
     if not found_values(nominal, amended):
         return Errors(before=before, after=before)
@@ -284,12 +275,12 @@ def _answered(
 ) -> Array:
     """Forces (B, N, 3) on all loads, by an estimator for the arm fitted without a fold."""
     arm = without_fold(problem, fold, nominal, amended)
-    answer = _trained(arm_alone(arm), mechanism_of(nominal), recording)
+    answer = trained_answering(arm_alone(arm), mechanism_of(nominal), recording)
     return answers_with_past(recording, arm, answer)
 
 
-def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
-    """An estimator for an arm over the poses and loads of a recording.
+def trained_answering(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
+    """An estimator trained for an arm over the poses and loads of a recording.
 
     Its forces are in base axes by the commands of `mechanism`.
     """
@@ -301,19 +292,13 @@ def _trained(arm: Arm, mechanism: Mechanism, recording: Recording) -> Answering:
         "pose_range_deg": max(pose_deg, _LEAST_POSE_DEG),
         "force_high_n": max(_BEYOND * force_n, _LEAST_FORCE * arm.cables.pretension_n),
     }
-    settings = adjusted(
-        recipe_for(NETWORK).settings, seed=0, threads=1, epochs=EPOCHS, batch_size=_BATCH
-    )
+    recipe = recipe_for(NETWORK).settings
+    settings = adjusted(recipe, seed=0, threads=1, epochs=EPOCHS, batch_size=256)
+    data = draw_training_data(arm, NETWORK, options, seed=0)
+    command = "cablesense gap diagnose --retrain"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
-        train_model(
-            path,
-            NETWORK,
-            draw_training_data(arm, NETWORK, options, seed=0),
-            settings,
-            command="cablesense gap diagnose --retrain",
-            test_samples=_TEST_SAMPLES,
-        )
+        train_model(path, NETWORK, data, settings, command=command, test_samples=64)
         estimator = Estimator.load(path, arm)
 
     def answer(loads: TaredLoads) -> Array:

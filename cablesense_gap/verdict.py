@@ -206,15 +206,12 @@ def read_verdict(path: str | Path) -> Verdict:
     try:
         return Verdict.model_validate_json(text, strict=True)
     except ValidationError as error:
-        raise VerdictError(f"{path}: {_line(error)}") from None
-
-
-def _line(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    if first["type"] == "json_invalid":
-        return f"not valid JSON ({first['ctx']['error']})"
-    if first["type"] == "string_pattern_mismatch":
-        key = ".".join(str(part) for part in first["loc"])
-        pattern = first["ctx"]["pattern"]
-        return f"{key} = {str(first['input'])[:80]!r}: must be written as {pattern}"
-    return describe_problem(error, Verdict)
+        first = error.errors(include_url=False)[0]
+        if first["type"] == "json_invalid":
+            problem = f"not valid JSON ({first['ctx']['error']})"
+        elif first["type"] == "string_pattern_mismatch":
+            key, pattern = ".".join(map(str, first["loc"])), first["ctx"]["pattern"]
+            problem = f"{key} = {str(first['input'])[:80]!r}: must be written as {pattern}"
+        else:
+            problem = describe_problem(error, Verdict)
+        raise VerdictError(f"{path}: {problem}") from None

@@ -153,32 +153,23 @@ def discrepancy(
         return fitted[part]
 
     def share(prediction: Array, channels: slice = slice(None)) -> float:
+        """Of the mean square beyond the floor."""
         before, after = residual[used], (residual - prediction)[used]
-        return _explained(before[:, channels], after[:, channels], floor)
+        removable = float((before[:, channels] ** 2).mean()) - floor**2
+        left = max(float((after[:, channels] ** 2).mean()) - floor**2, 0.0)
+        return 1.0 - left / removable if removable > 0.0 else 0.0
 
-    whole = predicted(groups)
+    whole, every = predicted(groups), _standardised(features.values, used)[used]
+    straight = every.T @ (residual[used] - residual[used].mean(0))
+    strength = (straight**2).sum(1) / np.maximum((every**2).sum(0), 1e-12)
+    order = np.argsort(-strength, kind="stable")[:_FOREMOST]
     return Discrepancy(
         held_out=whole,
         explained_share=share(whole),
         by_channel=tuple(share(whole, slice(c, c + 1)) for c in range(residual.shape[1])),
         alone={group: share(predicted([group])) for group in groups},
-        foremost=_foremost(features, residual, used),
+        foremost=tuple(features.names[k] for k in order if strength[k] > 0.0),
     )
-
-
-def _explained(before: Array, after: Array, floor: float) -> float:
-    removable = float((before**2).mean()) - floor**2
-    if removable <= 0.0:
-        return 0.0
-    return 1.0 - max(float((after**2).mean()) - floor**2, 0.0) / removable
-
-
-def _foremost(features: Features, residual: Array, used: Rows) -> tuple[str, ...]:
-    x = _standardised(features.values, used)[used]
-    y = residual[used] - residual[used].mean(0)
-    strength = ((x.T @ y) ** 2).sum(1) / np.maximum((x**2).sum(0), 1e-12)
-    order = np.argsort(-strength, kind="stable")[:_FOREMOST]
-    return tuple(features.names[k] for k in order if strength[k] > 0.0)
 
 
 def _standardised(values: Array, used: Rows) -> Array:

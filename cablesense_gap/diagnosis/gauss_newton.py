@@ -67,19 +67,15 @@ def final_refinement(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     """
     if not hypothesis.values:
         return hypothesis
-    fitted = refit(_linear_about(problem, hypothesis), hypothesis.values, _FINAL_STEPS)
-    if fitted is None or problem.cost_of(fitted) > problem.cost_of(hypothesis):
-        return hypothesis
-    return fitted
-
-
-def _linear_about(problem: Problem, hypothesis: Hypothesis) -> Problem:
-    """The problem with sensitivities to tolerances at the hypothesis."""
     base = {**hypothesis.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     predicted = problem.simulator.predict([base, *({**base, t: float(std)} for t, std in terms)])
     columns = predicted[1:] - predicted[0]
-    return replace(problem, tolerance_columns=columns) if np.isfinite(columns).all() else problem
+    about = replace(problem, tolerance_columns=columns) if np.isfinite(columns).all() else problem
+    fitted = refit(about, hypothesis.values, _FINAL_STEPS)
+    if fitted is None or problem.cost_of(fitted) > problem.cost_of(hypothesis):
+        return hypothesis
+    return fitted
 
 
 class _Fit:

@@ -23,11 +23,10 @@ from cablesense_gap.diagnosis.places import (
     place,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
-from cablesense_gap.simulator import Candidate
 from cablesense_sim.effects.effect import WHOLE_ARM
 
-Offered = Mapping[str, tuple[Candidate, Sequence[tuple[LinearEffect, ...]]]]
-"""Candidates by name, each linear in every place, for every combination of starting shapes."""
+Offered = Mapping[str, Sequence[tuple[LinearEffect, ...]]]
+"""Effects by name, each linear in every place, for every combination of starting shapes."""
 
 _PROMISING = 3.0
 _HOPELESS = 2.5
@@ -66,7 +65,7 @@ def screen_singles(
     if beside is not None:
         residual, columns = problem.readings - beside.without_tolerances, beside.columns
     found = []
-    for effect, (_, shapes) in offered.items():
+    for effect, shapes in offered.items():
         if beside is not None and effect in beside.effects:
             continue
         placed = [p for every in shapes if (p := place(problem, residual, columns, every))]
@@ -81,7 +80,7 @@ def screen_pairs(problem: Problem, offered: Offered, mean_square: float) -> list
     `mean_square` is what the best single one leaves: it gives the weight of a reading before the
     best pair is known.
     """
-    everything = [effect for _, shapes in offered.values() for every in shapes for effect in every]
+    everything = [effect for shapes in offered.values() for every in shapes for effect in every]
     if not everything:
         return []
     residual = problem.readings - problem.nominal
@@ -124,7 +123,7 @@ class _Grown(NamedTuple):
 
 def _sides(offered: Offered) -> Iterator[_Side]:
     begin = 0
-    for effect, (_, shapes) in offered.items():
+    for effect, shapes in offered.items():
         for every in shapes:
             for whole in (True, False):
                 own = tuple(

@@ -106,9 +106,9 @@ class _Search:
     def _offer(self, candidates: Sequence[Candidate], done: float) -> Offered:
         offered = {}
         linear = self._pool.map(linear_effects, candidates)
-        for k, (candidate, every) in enumerate(zip(candidates, linear, strict=True)):
+        for k, (candidate, shapes) in enumerate(zip(candidates, linear, strict=True)):
             self._progress(candidate.effect, done + 0.1 * k / len(candidates))
-            offered[candidate.effect] = candidate, every
+            offered[candidate.effect] = shapes
         return offered
 
     def _pairs(self, offered: Offered) -> list[Screened]:

@@ -159,19 +159,20 @@ def write_mcap(path: str | Path, recording: Recording, arm: Arm) -> None:
         last = 0
         for row in range(len(recording)):
             now_ns = _START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
-            first = row == 0
+            now, first = (now_ns, now_ns), row == 0
             if first or recording.trial[row] != recording.trial[row - 1]:
                 bag.trial(now_ns, int(recording.trial[row]))
             command = recording.command_rad[row]
             if first or (command != recording.command_rad[row - 1]).any():
-                bag.command(now_ns, now_ns, arm.joint_names, command.tolist())
+                bag.joint_state(topics.JOINT_COMMANDS, *now, arm.joint_names, position=command)
             segment, load = int(recording.load_segment[row]), recording.load_n[row]
             if last and segment != last:
-                bag.load(now_ns, now_ns, f"segment_{last}", (0.0, 0.0, 0.0))
+                bag.load(*now, f"segment_{last}", (0.0, 0.0, 0.0))
             if segment and (segment != last or (load != recording.load_n[row - 1]).any()):
-                bag.load(now_ns, now_ns, f"segment_{segment}", load.tolist())
+                bag.load(*now, f"segment_{segment}", load.tolist())
             last = segment
-            bag.tensions(now_ns, now_ns, arm.cable_names, recording.tensions_n[row].tolist())
+            tensions_n = recording.tensions_n[row]
+            bag.joint_state(topics.CABLE_TENSIONS, *now, arm.cable_names, effort=tensions_n)
 
 
 def is_bag(path: Path) -> bool:
@@ -199,7 +200,15 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
             if topic not in INPUTS:
                 others.add(raw.topic)
                 continue
-            _check(path, raw, topic, found.setdefault(topic, raw.topic))
+            first = found.setdefault(topic, raw.topic)
+            if raw.topic != first:  # `/arm/cable_tensions` is `cable_tensions` while there is one
+                named = " and ".join(sorted((raw.topic, first)))
+                raise RecordingError(f"{path}: {named} are both {topic}; record one arm alone")
+            if raw.kind != INPUTS[topic].kind:
+                raise RecordingError(
+                    f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
+                    f"{INPUTS[topic].kind}"
+                )
             yield topic, raw.log_ns, types.message(raw.kind, raw.data)
     except CableSenseError:
         raise
@@ -232,19 +241,6 @@ def _raw_messages(path: Path) -> Iterator[RawMessage]:
             yield RawMessage(connection.topic, connection.msgtype, log_ns, data)
 
 
-def _check(path: Path, raw: RawMessage, topic: str, first: str) -> None:
-    """`/arm/cable_tensions` is `cable_tensions`, as long as there is one."""
-    if raw.topic != first:
-        named = sorted((raw.topic, first))
-        raise RecordingError(
-            f"{path}: {' and '.join(named)} are both {topic}; record one arm alone"
-        )
-    if raw.kind != INPUTS[topic].kind:
-        raise RecordingError(
-            f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be {INPUTS[topic].kind}"
-        )
-
-
 class BagWriter(TopicFile):
     """A recording's topics as one .mcap file; it appears under its name when it is closed, whole.
 
@@ -253,27 +249,21 @@ class BagWriter(TopicFile):
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open the file beside its later place.
-
-        Raises:
-            RecordingError: the name does not end in .mcap, or the place cannot be written to.
-        """
+        """As `TopicFile`."""
         super().__init__(path, growing=False)
         self._channels: dict[str, Any] = {}
 
-    def tensions(
-        self, log_ns: int, stamp_ns: int, names: Sequence[str], efforts_n: Sequence[float]
-    ) -> None:
-        """One `cable_tensions`."""
-        message = self._joint_state(stamp_ns, names, effort=efforts_n)
-        self._put(topics.CABLE_TENSIONS, log_ns, message)
-
-    def command(
-        self, log_ns: int, stamp_ns: int, names: Sequence[str], angles_rad: Sequence[float]
-    ) -> None:
-        """One `joint_commands`."""
-        message = self._joint_state(stamp_ns, names, position=angles_rad)
-        self._put(topics.JOINT_COMMANDS, log_ns, message)
+    def joint_state(
+        self, topic: str, log_ns: int, stamp_ns: int, names: Sequence[str],
+        **fields: Sequence[float],
+    ) -> None:  # fmt: skip
+        """One `cable_tensions` (`effort`, N) or `joint_commands` (`position`, rad)."""
+        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
+        empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
+        message = self.store.types[JOINT_STATE_TYPE](
+            header=self._header(stamp_ns, "base_link"), name=list(names), **(empty | values)
+        )
+        self._put(topic, log_ns, message)
 
     def load(
         self, log_ns: int, stamp_ns: int, frame_id: str, force_n: Sequence[float],
@@ -296,13 +286,6 @@ class BagWriter(TopicFile):
         if topic not in self._channels:
             self._channels[topic] = self.add(resolved(topic), kind, INPUTS[topic].offered)
         self.write(self._channels[topic], log_ns, bytes(self.store.serialize_cdr(message, kind)))
-
-    def _joint_state(self, stamp_ns: int, names: Sequence[str], **fields: Sequence[float]) -> Any:
-        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
-        empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
-        return self.store.types[JOINT_STATE_TYPE](
-            header=self._header(stamp_ns, "base_link"), name=list(names), **(empty | values)
-        )
 
     def _header(self, stamp_ns: int, frame_id: str) -> Any:
         sec, nanosec = divmod(int(stamp_ns), 1_000_000_000)

@@ -101,19 +101,14 @@ def derive_trials(
     changed = np.append(False, (np.diff(command_rad, axis=0) != 0.0).any(axis=1))
     # stamps as floats: a move every _STILL_S must not count by their rounding
     moves = changed & (time_s - _last(time_s, changed)[1] > _STILL_S + 1e-6)
-    begins = gap | moves | _starts_to_bear(time_s, load_segment, load_n)
+    loaded = load_segment > 0
+    last, last_s = _last(time_s, loaded)
+    size = np.linalg.norm(load_n, axis=1)
+    other_side = (load_n * load_n[last]).sum(axis=1) < _SAME_SIDE_COSINE * size * size[last]
+    rested = time_s - last_s > _REST_S + 1e-6
+    begins = gap | moves | (loaded & (rested | (load_segment != load_segment[last]) | other_side))
     begins[0] = False
     return np.cumsum(begins, dtype=np.int64)
-
-
-def _starts_to_bear(time_s: Array, segment: NDArray[np.int64], load_n: Array) -> NDArray[np.bool_]:
-    loaded = segment > 0
-    last, last_s = _last(time_s, loaded)
-    rested = time_s - last_s > _REST_S + 1e-6
-    size = np.linalg.norm(load_n, axis=1)
-    along = (load_n * load_n[last]).sum(axis=1)
-    other_side = along < _SAME_SIDE_COSINE * size * size[last]
-    return loaded & (rested | (segment != segment[last]) | other_side)
 
 
 def _last(time_s: Array, marked: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:

@@ -14,6 +14,7 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_file import BagWriter, read_mcap, write_mcap
 from cablesense_gap.recordings.mcap_messages import RawMessage
 from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_sim.arm import open_arm
 
@@ -36,13 +37,24 @@ def recording(arm=LAB, rows=30, seed=0):
     )
 
 
+def put(writer, what, log_ns, *arguments):
+    if what == "tensions":
+        stamp_ns, names, effort = arguments
+        writer.joint_state(topics.CABLE_TENSIONS, log_ns, stamp_ns, names, effort=effort)
+    elif what == "command":
+        stamp_ns, names, position = arguments
+        writer.joint_state(topics.JOINT_COMMANDS, log_ns, stamp_ns, names, position=position)
+    else:
+        getattr(writer, what)(log_ns, *arguments)
+
+
 def bag(path, *calls, rest_s=1.0):
     """A bag of some calls of `BagWriter`, one a tenth of a second."""
     with BagWriter(path) as writer:
         for i, (method, *arguments) in enumerate(calls, start=1):
             at = round((rest_s + 0.1 * i) * S)
             stamps = (at,) if method == "trial" else (at, at)
-            getattr(writer, method)(*stamps, *arguments)
+            put(writer, method, *stamps, *arguments)
     return path
 
 
@@ -97,9 +109,9 @@ def test_command_and_load_hold_until_the_next_and_rows_before_a_command_are_left
 
 def test_without_stamps_the_time_of_arrival_counts(tmp_path):
     with BagWriter(tmp_path / "a.mcap") as writer:
-        writer.command(S, 0, *COMMAND[1:])
+        put(writer, "command", S, 0, *COMMAND[1:])
         for i in range(3):
-            writer.tensions(2 * S + i * S // 4, 0, *TENSIONS[1:])
+            put(writer, "tensions", 2 * S + i * S // 4, 0, *TENSIONS[1:])
     np.testing.assert_allclose(read_mcap(tmp_path / "a.mcap", LAB).time_s, [0.0, 0.25, 0.5])
 
 

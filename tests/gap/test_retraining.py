@@ -103,23 +103,23 @@ def answers(turned_deg: float = 0.0, more: float = 1.0, segment: int | None = No
 
 
 def test_the_truth_has_no_error():
-    figures = force_errors(ARM, LOADS, answers())
-    assert figures["contact_accuracy"] == 1.0
-    assert figures["force_mae_n"] == pytest.approx(0.0, abs=1e-9)
-    assert figures["direction_mean_deg"] == pytest.approx(0.0, abs=1e-4)
-    assert figures["loads"] == 8.0
+    errors = force_errors(ARM, LOADS, answers())
+    assert errors["contact_accuracy"] == 1.0
+    assert errors["force_mae_n"] == pytest.approx(0.0, abs=1e-9)
+    assert errors["direction_mean_deg"] == pytest.approx(0.0, abs=1e-4)
+    assert errors["loads"] == 8.0
 
 
 def test_each_error_is_told_by_its_figure():
-    figures = force_errors(ARM, LOADS, answers(turned_deg=-7.0, more=1.1))
-    assert figures["direction_mean_deg"] == pytest.approx(7.0)
-    assert figures["force_mae_n"] == pytest.approx(0.1 * SIZE_N[LOADS.at_peak].mean())
+    errors = force_errors(ARM, LOADS, answers(turned_deg=-7.0, more=1.1))
+    assert errors["direction_mean_deg"] == pytest.approx(7.0)
+    assert errors["force_mae_n"] == pytest.approx(0.1 * SIZE_N[LOADS.at_peak].mean())
 
 
 def test_no_contact_counts_as_no_force():
-    figures = force_errors(ARM, LOADS, answers(segment=0))
-    assert figures["contact_accuracy"] == 0.0
-    assert figures["force_mae_n"] == pytest.approx(SIZE_N[LOADS.at_peak].mean())
+    errors = force_errors(ARM, LOADS, answers(segment=0))
+    assert errors["contact_accuracy"] == 0.0
+    assert errors["force_mae_n"] == pytest.approx(SIZE_N[LOADS.at_peak].mean())
     assert "direction_mean_deg" not in figures
 
 
@@ -242,7 +242,7 @@ def trained_before(monkeypatch: pytest.MonkeyPatch) -> list[Arm]:
             ARM, loads, shipped.estimate_batch(loads.tension_difference_n, loads.command_rad)
         )
 
-    monkeypatch.setattr(retraining, "_trained", trained)
+    monkeypatch.setattr(retraining, "trained_answering", trained)
     return asked
 
 
@@ -275,10 +275,12 @@ def test_a_recording_without_loads_is_refused():
 
 
 @pytest.mark.slow  # trains, and exports the model
-def test_a_small_budget_of_training_is_enough():
+def test_a_small_budget_of_training_is_enough(monkeypatch):
+    monkeypatch.setattr(retraining, "SAMPLES", 512)
+    monkeypatch.setattr(retraining, "EPOCHS", 2)
     recording = recorded(LAB)
     loads = tared_loads(recording)
-    figures = force_errors(ARM, loads, retraining._trained(LAB, ARM, recording)(loads))
-    assert figures["contact_accuracy"] == 1.0
-    assert figures["force_mae_n"] < 0.2
-    assert figures["direction_mean_deg"] < 0.5
+    errors = force_errors(ARM, loads, retraining.trained_answering(LAB, ARM, recording)(loads))
+    assert errors["contact_accuracy"] == 1.0
+    assert errors["force_mae_n"] < 0.2
+    assert errors["direction_mean_deg"] < 0.5

@@ -41,7 +41,7 @@ QUIET = problem_of(Sums(LIBRARY), {})
 
 
 def offer(problem):
-    return {c.effect: (c, linear_effects(problem, c)) for c in problem.simulator.candidates}
+    return {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}
 
 
 def leaving(rmse, tolerance_chi2=0.0):
@@ -210,5 +210,5 @@ def test_without_two_effects_there_is_nothing():
     problem = problem_of(Sums(GAINS), {})
     assert screen_pairs(problem, {}, 1.0) == []
     assert screened_pairs(GAINS, planted({"a": 1.0}, {})) == {}
-    nowhere = {c.effect: (c, [()]) for c in (*GAINS, *ZEROS)}
+    nowhere = {c.effect: [()] for c in (*GAINS, *ZEROS)}
     assert screen_pairs(problem, nowhere, 1.0) == []

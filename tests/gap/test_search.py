@@ -40,9 +40,7 @@ def places_of(hypothesis):
 
 def offered_for(library, truth):
     problem = problem_of(Sums(library), truth)
-    return problem, {
-        c.effect: (c, linear_effects(problem, c)) for c in problem.simulator.candidates
-    }
+    return problem, {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}
 
 
 def fitted(library, truth):
@@ -209,7 +207,7 @@ def rethought(truth, terms, offered=("gain", "zero")):
     """Second thoughts on a hypothesis that was fitted with these terms."""
     problem = problem_of(Sums(TWO_EFFECTS), truth)
     before = refine(problem, {term: size("amount") for term in terms}, [[0.5] * len(terms)])
-    by_name = {c.effect: (c, linear_effects(problem, c)) for c in problem.simulator.candidates}
+    by_name = {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}
     after = reselect_places(problem, before, {name: by_name[name] for name in offered})
     return before, after
 
