@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 
 from cablesense_cli.options import (
     ArmOption,
@@ -21,9 +20,6 @@ from cablesense_cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from cablesense_gap.recordings.protocol import Block
     from cablesense_gap.scoring import Score
 
 
@@ -54,8 +50,6 @@ def diagnose(
 
     Example: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold]
     """
-    from rich.console import Console
-
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import write_diagnosis
@@ -96,8 +90,6 @@ def predict(
     Example: [bold]cablesense gap predict new.csv --arm diagnosis/arm.yaml --out new_predicted.csv\
 [/bold]
     """
-    from rich.console import Console
-
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.csv_file import write_csv
     from cablesense_sim.arm import open_arm
@@ -130,15 +122,21 @@ def protocol(
 
     Example: cablesense gap protocol --arm my_arm.yaml --out protocol.csv
     """
-    from rich.console import Console
-
     from cablesense_gap.recordings.protocol import rows_of, standard_protocol
     from cablesense_sim.arm import open_arm
 
     description = open_arm(arm)
     blocks = standard_protocol(description)
+    headings = ("trial", "at, s", "takes, s", "what", "what to do")
+    table = titled_table(f"Protocol for arm {description.name}", *headings, right=headings[:3])
+    table.columns[3].no_wrap = True
+    at_s = 0.0
+    for number, block in enumerate(blocks):
+        times = (f"{at_s:.0f}", f"{block.duration_s:.0f}")
+        table.add_row(str(number), *times, str(block.kind), block.does)
+        at_s += block.duration_s
     console = Console()
-    console.print(_protocol_table(blocks, f"Protocol for arm {description.name}"))
+    console.print(table)
     console.print(
         "Sides as seen along the arm from its base. Record with: cablesense gap record "
         "--out recording.mcap",
@@ -150,17 +148,6 @@ def protocol(
         rows = rows_of(blocks, description.sensors.rate_hz)
         write_csv(out, rows)
         console.print(f"{out}: {len(rows):,} rows, {rows.time_s[-1]:.0f} s")
-
-
-def _protocol_table(blocks: Sequence[Block], title: str) -> Table:
-    headings = ("trial", "at, s", "takes, s", "what", "what to do")
-    table = titled_table(title, *headings, right=headings[:3])
-    table.columns[3].no_wrap = True
-    starts_s = accumulate((block.duration_s for block in blocks), initial=0.0)
-    for number, (at_s, block) in enumerate(zip(starts_s, blocks, strict=False)):
-        times = (f"{at_s:.0f}", f"{block.duration_s:.0f}")
-        table.add_row(str(number), *times, str(block.kind), block.does)
-    return table
 
 
 def record(
@@ -180,8 +167,6 @@ def record(
 
     Example: cablesense gap record --arm my_arm.yaml --out recording.mcap
     """
-    from rich.console import Console
-
     from cablesense_msgs_py.qos import INPUTS
     from cablesense_ros.recorder import record_topics
     from cablesense_sim.arm import open_arm
@@ -220,8 +205,6 @@ def score(
 
     Example: cablesense gap score verdicts --answers answers.csv --json
     """
-    from rich.console import Console
-
     from cablesense_gap.scoring import as_json, read_answers, read_verdicts
     from cablesense_gap.scoring import score as score_verdicts
 
@@ -230,27 +213,29 @@ def score(
     if json_output:
         print_json(as_json(found))
         return
-    console = Console()
-    console.print(_statistics(found))
-    console.print(_confusion(found))
+    _print_score(found, Console())
 
 
-def _statistics(found: Score) -> Table:
+_SHARES = {
+    "exact": "exact",
+    "truth among the two most probable": "top2",
+    "truth named or in the ambiguity group": "truth_in_group",
+    "one effect: exact": "singles_exact",
+    "one effect, gap at least 5 floors: exact": "clear_singles_exact",
+    "two effects: both named": "doubles_both",
+    "two effects: at least one named": "doubles_one",
+    "none: false alarms": "false_alarms",
+    "unknown: recognised": "unknown_recall",
+    "right places, of correct verdicts": "where",
+}
+
+
+def _print_score(found: Score, console: Console) -> None:
     headings = ("statistic", "value", "95 % interval", "cases")
     table = titled_table(f"{found.cases} verdicts", *headings)
-    for name, share in (
-        ("exact", found.exact),
-        ("truth among the two most probable", found.top2),
-        ("truth named or in the ambiguity group", found.truth_in_group),
-        ("one effect: exact", found.singles_exact),
-        ("one effect, gap at least 5 floors: exact", found.clear_singles_exact),
-        ("two effects: both named", found.doubles_both),
-        ("two effects: at least one named", found.doubles_one),
-        ("none: false alarms", found.false_alarms),
-        ("unknown: recognised", found.unknown_recall),
-        ("right places, of correct verdicts", found.where),
-        *((f"exact, {effect}", share) for effect, share in found.by_effect.items()),
-    ):
+    shares = {name: getattr(found, field) for name, field in _SHARES.items()}
+    shares |= {f"exact, {effect}": share for effect, share in found.by_effect.items()}
+    for name, share in shares.items():
         if share.value is None:
             table.add_row(name, "–", "", "0")
             continue
@@ -264,15 +249,12 @@ def _statistics(found: Score) -> Table:
         ("expected calibration error", found.reliability.expected_error),
     ):
         table.add_row(name, "–" if value is None else f"{value:.3f}", "", str(found.cases))
-    return table
-
-
-def _confusion(found: Score) -> Table:
-    table = titled_table("confusion", "truth", "verdicts")
+    console.print(table)
+    confusion = titled_table("confusion", "truth", "verdicts")
     for truth, named in found.confusion.items():
         counts = sorted(named.items(), key=lambda pair: (pair[0] != truth, -pair[1], pair[0]))
-        table.add_row(truth, ", ".join(f"{count} × {name}" for name, count in counts))
-    return table
+        confusion.add_row(truth, ", ".join(f"{count} × {name}" for name, count in counts))
+    console.print(confusion)
 
 
 def withhold(
@@ -301,7 +283,6 @@ def withhold(
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
     [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
     """
-    from rich.console import Console
     from rich.progress import track
 
     from cablesense_gap.plant.body import read_nominal

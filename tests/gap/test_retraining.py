@@ -120,7 +120,7 @@ def test_no_contact_counts_as_no_force():
     errors = force_errors(ARM, LOADS, answers(segment=0))
     assert errors["contact_accuracy"] == 0.0
     assert errors["force_mae_n"] == pytest.approx(SIZE_N[LOADS.at_peak].mean())
-    assert "direction_mean_deg" not in figures
+    assert "direction_mean_deg" not in errors
 
 
 def test_another_segment_is_not_right():
