@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import numpy as np
@@ -43,7 +44,8 @@ def info(
 
     if effects:
         refuse_given(context, ["file"], "with --effects, which are the same for every arm")
-        description = describe_effects()
+        known = [describe_effect(effect) for effect in known_effects().values()]
+        description: Description = {"kind": "effects", "effects": known}
         tables = [_effect_table(effect) for effect in description["effects"]]
     else:
         description = describe_model(file) if file.endswith(".onnx") else describe_arm(file)
@@ -96,10 +98,7 @@ def describe_arm(name: str) -> Description:
             }
             for i, cable_name in enumerate(arm.cable_names)
         ],
-        "sensors": {
-            key: getattr(arm.sensors, key)
-            for key in ("rate_hz", "noise_std_n", "step_n", "range_n")
-        },
+        "sensors": _picked(arm.sensors, "rate_hz", "noise_std_n", "step_n", "range_n"),
         "joints": list(arm.joint_names),
         "effects": [
             {
@@ -119,31 +118,8 @@ def describe_arm(name: str) -> Description:
     }
 
 
-def describe_model(path: str) -> Description:
-    """A model file's inputs, outputs and metadata.
-
-    Raises:
-        CableSenseError: the file is missing or no model.
-    """
-    from cablesense_training.inference.metadata import find_model
-    from cablesense_training.inference.session import read_model
-
-    file = find_model(path)
-    model, metadata = read_model(file)
-    return {
-        "kind": "model",
-        "file": str(file),
-        "size_bytes": file.stat().st_size,
-        "inputs": [_port(port, metadata.units) for port in model.graph.input],
-        "outputs": [_port(port, metadata.units) for port in model.graph.output],
-        "metadata": metadata.model_dump(mode="json", exclude={"arm", "units"}),
-    }
-
-
-def _port(port: Any, units: dict[str, str]) -> dict[str, Any]:
-    dims = port.type.tensor_type.shape.dim
-    shape = [dim.dim_param or dim.dim_value for dim in dims]
-    return {"name": port.name, "unit": units.get(port.name, "1"), "shape": shape}
+def _picked(thing: object, *names: str) -> Description:
+    return {name: getattr(thing, name) for name in names}
 
 
 def _arm_tables(arm: Description) -> list[Table]:
@@ -177,11 +153,39 @@ def _arm_tables(arm: Description) -> list[Table]:
     table = titled_table("Effects", "effect", "at", "parameters")
     for effect in arm["effects"]:
         numbers = (
-            f"{name} = {given['value']:g} {'' if given['unit'] == '1' else given['unit']}".strip()
+            f"{name} = {given['value']:g} {_unit(given)}".strip()
             for name, given in effect["parameters"].items()
         )
         table.add_row(effect["effect"], effect["at"], "\n".join(numbers))
     return [facts, cables, table]
+
+
+def describe_model(path: str) -> Description:
+    """A model file's inputs, outputs and metadata.
+
+    Raises:
+        CableSenseError: the file is missing or no model.
+    """
+    from cablesense_training.inference.metadata import find_model
+    from cablesense_training.inference.session import read_model
+
+    file = find_model(path)
+    model, metadata = read_model(file)
+
+    def port(of_graph: Any) -> Description:
+        dims = of_graph.type.tensor_type.shape.dim
+        shape = [dim.dim_param or dim.dim_value for dim in dims]
+        name = of_graph.name
+        return {"name": name, "unit": metadata.units.get(name, "1"), "shape": shape}
+
+    return {
+        "kind": "model",
+        "file": str(file),
+        "size_bytes": file.stat().st_size,
+        "inputs": [port(each) for each in model.graph.input],
+        "outputs": [port(each) for each in model.graph.output],
+        "metadata": metadata.model_dump(mode="json", exclude={"arm", "units"}),
+    }
 
 
 def _model_tables(model: Description) -> list[Table]:
@@ -189,7 +193,7 @@ def _model_tables(model: Description) -> list[Table]:
     for way in ("inputs", "outputs"):
         for port in model[way]:
             shape = ", ".join(map(str, port["shape"]))
-            unit = "" if port["unit"] == "1" else f", {port['unit']}"
+            unit = f", {_unit(port)}" if _unit(port) else ""
             facts.add_row(way[:-1], f"{port['name']} ({shape}){unit}")
     for key, value in model["metadata"].items():
         shown = f"{value[0]} … {value[-1]}" if isinstance(value, list) else str(value)
@@ -199,8 +203,8 @@ def _model_tables(model: Description) -> list[Table]:
 
 def _facts(title: str, *rows: tuple[str, str]) -> Table:
     table = Table(title=title, title_justify="left", show_header=False)
-    table.add_column("what", style="bold")
-    table.add_column("value", overflow="fold")
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
@@ -210,59 +214,44 @@ def _listed(values: list[float]) -> str:
     return f"{values[0]:g}" if len(set(values)) == 1 else ", ".join(f"{v:g}" for v in values)
 
 
-_FOUR_SEGMENTS, _TWELVE_CABLES = 4, 12
+def _unit(value: Description) -> str:
+    return "" if value["unit"] == "1" else str(value["unit"])
+
+
 _SHOWN_PLACES = 4
 
 
-def describe_effects() -> Description:
-    """All known effects, those of other packages too, as plain values.
+def describe_effect(effect: Effect) -> Description:
+    """An effect as plain values, its places and history those of four segments, twelve cables."""
 
-    Raises:
-        CableSenseError: another package offers what is no effect.
-    """
-    return {"kind": "effects", "effects": [_effect(effect) for effect in known_effects().values()]}
+    def plain(parameters: Iterable[Parameter]) -> list[Description]:
+        keys = ("name", "unit", "low", "high", "typical", "default", "role", "about")
+        return [_picked(parameter, *keys) for parameter in parameters]
 
-
-def _effect(effect: Effect) -> Description:
-    keys = ("name", "acts_on", "about", "tolerance", "source")
-    return {key: getattr(effect, key) for key in keys} | {
-        "places_of_four_segments_and_twelve_cables": list(
-            effect.places(_FOUR_SEGMENTS, _TWELVE_CABLES)
-        ),
-        "parameters": [_plain(parameter) for parameter in effect.parameters],
-        "history_of_four_segments_and_twelve_cables": [
-            _plain(parameter) for parameter in effect.history(_FOUR_SEGMENTS, _TWELVE_CABLES)
-        ],
+    return {
+        **_picked(effect, "name", "acts_on", "about", "tolerance", "source"),
+        "places_of_four_segments_and_twelve_cables": list(effect.places(4, 12)),
+        "parameters": plain(effect.parameters),
+        "history_of_four_segments_and_twelve_cables": plain(effect.history(4, 12)),
     }
-
-
-def _plain(parameter: Parameter) -> Description:
-    keys = ("name", "unit", "low", "high", "typical", "default", "role", "about")
-    return {key: getattr(parameter, key) for key in keys}
 
 
 def _effect_table(effect: Description) -> Table:
     places = effect["places_of_four_segments_and_twelve_cables"]
     shown = places if len(places) <= _SHOWN_PLACES + 1 else [*places[:_SHOWN_PLACES], "…"]
     kind = ", a tolerance and no finding" if effect["tolerance"] else ""
-    table = Table(
-        title=f"[bold]{effect['name']}[/bold]: {effect['about']}",
-        title_justify="left",
-        caption=f"acts on: {effect['acts_on']}{kind}\nat: {', '.join(shown)}\n{effect['source']}",
-        caption_justify="left",
-        header_style="bold",
-        expand=True,
+    headings = ("parameter", "unit", "from", "to", "typical")
+    table = titled_table(
+        f"[bold]{effect['name']}[/bold]: {effect['about']}", *headings, right=headings[2:]
     )
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    for heading in ("from", "to", "typical"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table.caption = (
+        f"acts on: {effect['acts_on']}{kind}\nat: {', '.join(shown)}\n{effect['source']}"
+    )
+    table.caption_justify, table.expand = "left", True
+    for column in table.columns:
+        column.no_wrap = True
     table.add_column("what", ratio=1)
     for p in (*effect["parameters"], *effect["history_of_four_segments_and_twelve_cables"][:1]):
-        table.add_row(
-            p["name"],
-            "" if p["unit"] == "1" else p["unit"],
-            *(f"{p[key]:g}" for key in ("low", "high", "typical")),
-            p["about"],
-        )
+        numbers = (f"{p[key]:g}" for key in ("low", "high", "typical"))
+        table.add_row(p["name"], _unit(p), *numbers, p["about"])
     return table

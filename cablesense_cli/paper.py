@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -46,9 +47,10 @@ def paper(
     from rich.console import Console
 
     from cablesense_paper.report import claim_folder, write_report
-    from cablesense_paper.study import FailedStudyError, chosen_studies, require_drawing, run_study
+    from cablesense_paper.study import FailedStudyError, chosen_studies, run_study
 
-    require_drawing()
+    for package in ("jinja2", "matplotlib"):  # missing ones are found now, not after minutes
+        import_module(package)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
     studies = chosen_studies(only or ())
     claim_folder(out)
@@ -69,5 +71,5 @@ def paper(
     if failed:
         raise FailedStudyError(
             f"{len(failed)} of {len(studies)} studies failed: {', '.join(failed)}; "
-            f"{out / 'report.html'} says why"
+            f"{out / 'report.html'} states why"
         )

@@ -5,7 +5,7 @@ that the numbers are put into, `studies/<name>.yaml`. The keys of a text:
 
     function  module and name of the function in `cablesense_paper.studies`
     title, place, order, quick   of the study
-    sizes     {full, quick}: how much is computed in either mode; `quick` may name them
+    sizes     {full, quick}: what the function is given in either mode; `quick` may name them
     lead      the result in one to three sentences
     pictures  {name: {caption, alt}}
     tables    [{caption, head, rows}]
@@ -38,9 +38,6 @@ from cablesense_gap.report.style import image_bytes, style
 
 PAPER, CLOSED_FORM = "the paper", "closed form"
 """Sources of references; a comparison that names none has the paper."""
-
-DRAWING = ("jinja2", "matplotlib")
-"""What every report needs beyond the simulation; studies of networks need PyTorch too."""
 
 PRINT_DPI = 200
 _STUDIES = "cablesense_paper.studies"
@@ -193,9 +190,11 @@ def chosen_studies(only: Sequence[str] = ()) -> tuple[Study, ...]:
 
 def _load_and_run(name: str, quick: bool, progress: Progress) -> StudyResult:
     """Studies load MuJoCo, matplotlib or PyTorch, so each is loaded only where it is run."""
-    module, _, function = read_study_text(name)["function"].partition(".")
+    text = read_study_text(name)
+    module, _, function = text["function"].partition(".")
     run = getattr(importlib.import_module(f"{_STUDIES}.{module}"), function)
-    return study_result(name, *run(study_size(name, quick), progress))
+    size = text.get("sizes", {}).get("quick" if quick else "full", {})
+    return study_result(name, *run(size, progress))
 
 
 def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
@@ -217,28 +216,12 @@ def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
     return Outcome(study, result, failure, time.perf_counter() - began)
 
 
-def require_drawing() -> None:
-    """Find the packages of page and pictures before anything runs, not after minutes.
-
-    Raises:
-        ModuleNotFoundError: one is not installed.
-    """
-    for name in DRAWING:
-        importlib.import_module(name)
-
-
 @cache
 def read_study_text(name: str) -> dict[str, Any]:
     """The text of a study, its templates still empty."""
     source = resources.files(_STUDIES).joinpath(f"{name}.yaml")
     text = source.read_text(encoding="utf-8")
     return parse_plain_mapping(text, source.name, "title, place, lead …", CableSenseError)
-
-
-def study_size(name: str, quick: bool) -> dict[str, Any]:
-    """How much a study computes in this mode; empty where both compute the same."""
-    sizes: dict[str, dict[str, Any]] = read_study_text(name).get("sizes", {})
-    return sizes.get("quick" if quick else "full", {})
 
 
 def study_result(name: str, numbers: Numbers, figures: Figures) -> StudyResult:

@@ -125,10 +125,8 @@ class TableDiagnosis:
         arm: of the table.
         changes: the physical rows.
         nominal_n, paper_n: (6, 9) this project's and the paper's simulated rows.
-        floor_n: what noise and step leave of one change.
         blind: effects that no change in this table could show, with the most that they do, N.
         scans: of every number that can be seen.
-        singles: for each of `FOLDS`, the best number of each effect, the best first.
         judged, rehearsal: see there.
         verdict: of it all.
     """
@@ -137,10 +135,8 @@ class TableDiagnosis:
     changes: TensionChanges
     nominal_n: Array
     paper_n: Array
-    floor_n: float
     blind: dict[str, float]
     scans: Sequence[Scan]
-    singles: dict[str, tuple[Explained, ...]]
     judged: Judged
     rehearsal: Rehearsal
     verdict: Verdict
@@ -191,10 +187,8 @@ def diagnose_table(
         changes=physical,
         nominal_n=nominal,
         paper_n=table("simulated").changes_n,
-        floor_n=simulator.floor,
         blind=blind,
         scans=scans,
-        singles={name: _best_of_each(scans, physical, fold) for name, fold in FOLDS.items()},
         judged=judged,
         rehearsal=rehearsal,
         verdict=verdict.model_copy(update={"seconds": round(time.monotonic() - began, 1)}),
@@ -245,16 +239,19 @@ def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -
     return Judged(singles, hypotheses, float(min(left) / gap))
 
 
-def _best_of_each(
-    scans: Sequence[Scan], physical: TensionChanges, fold: NDArray[np.int64]
-) -> tuple[Explained, ...]:
-    """The best number of each effect; one value at all cables counts beside those at one."""
+def best_of_each(
+    scans: Sequence[Scan], changes_n: Array, fold: NDArray[np.int64]
+) -> list[Explained]:
+    """The best number of each effect, the best first, with some of `FOLDS`.
+
+    One value at all cables counts beside those at one.
+    """
     every = defaultdict(list)
     for found in scans:
         several = len(found.number.terms) > 1
-        every[found.number.effect, several].append(explain(found, physical.changes_n, fold))
+        every[found.number.effect, several].append(explain(found, changes_n, fold))
     best = [min(group, key=lambda e: round(e.held_out_rmse, 3)) for group in every.values()]
-    return tuple(sorted(best, key=lambda e: e.held_out_rmse))
+    return sorted(best, key=lambda e: e.held_out_rmse)
 
 
 def _verdict(

@@ -143,14 +143,13 @@ def trajectory(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         "lag_um": 1e6 * light["lag_m"],
         "period_s": PERIOD_S,
     }
-    short_um = 1e6 * without_weight.short_m
+    time_s, short_um = without_weight.time_s, 1e6 * without_weight.short_m
+    tension = "cable tension, N", _PRETENSION_N
     return numbers, {
         "fig_9a_joints": _joint_figure(without_weight),
-        "fig_9a_tensions": _tension_figure(without_weight),
-        "fig_9b_actuators": _cable_figure(without_weight, short_um, "command less position, µm")[
-            0
-        ],
-        "fig_9_with_weight": _tension_figure(with_weight),
+        "fig_9a_tensions": _cable_figure(time_s, without_weight.tension_n, *tension),
+        "fig_9b_actuators": _cable_figure(time_s, short_um, "command less position, µm"),
+        "fig_9_with_weight": _cable_figure(time_s, with_weight.tension_n, *tension),
     }
 
 
@@ -209,18 +208,14 @@ def _joint_figure(motion: _Motion) -> Any:
     return figure
 
 
-def _tension_figure(motion: _Motion) -> Any:
-    figure, axes = _cable_figure(motion, motion.tension_n, "cable tension, N")
-    axes.axhline(_PRETENSION_N, color=FLOOR, lw=1.0)
-    return figure
-
-
-def _cable_figure(motion: _Motion, values: Array, label: str) -> tuple[Any, Any]:
+def _cable_figure(time_s: Array, values: Array, label: str, level: float | None = None) -> Any:
     figure, axes = one_panel(3.1)
-    plot_by_cable(axes, motion.time_s[::10], values[::10], lw=1.3)
-    axes.set(ylabel=label, xlim=(0.0, motion.time_s[-1]))
+    plot_by_cable(axes, time_s[::10], values[::10], lw=1.3)
+    axes.set(ylabel=label, xlim=(0.0, time_s[-1]))
+    if level is not None:
+        axes.axhline(level, color=FLOOR, lw=1.0)
     figure.legend(loc="outside right center")
-    return figure, axes
+    return figure
 
 
 _SLOPE_LIMIT_N = 0.45

@@ -16,10 +16,12 @@ from cablesense_gap.verdict import NONE, UNKNOWN, listed
 from cablesense_paper.drawing import GREEN, one_panel, panels
 from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_paper.table_2_gap import (
+    FOLDS,
     KINDS,
     PRIOR_UNLISTED,
     STEP_N,
     TableDiagnosis,
+    best_of_each,
     diagnose_table,
 )
 from cablesense_paper.tension_changes import Explained, OneNumber
@@ -70,7 +72,9 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         (s for s in found.judged.singles if s.number.effect == "pretension_error"),
         key=lambda s: (s.number.terms[0].place != "arm", s.rmse),
     )
-    by_row, _, by_level = found.singles.values()
+    by_row, by_level = (
+        best_of_each(found.scans, measured, FOLDS[rows]) for rows in ("one row", "one load level")
+    )
     level = {(s.number.effect, len(s.number.terms)): s.held_out_rmse for s in by_level}
     return {
         "probability": percent(verdict.probability),
@@ -81,8 +85,8 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         "best_listed": newtons(best_listed_n(found)),
         "proportional": newtons(verdict.gap.after_n),
         "inner": percent((found.internal_n**2).sum() / (gap_n**2).sum()),
-        "floor": newtons(found.floor_n),
-        "times_floor": rms(gap_n) / found.floor_n,
+        "floor": newtons(verdict.gap.floor_n),
+        "times_floor": rms(gap_n) / verdict.gap.floor_n,
         "of_changes": percent(verdict.gap.before_n / rms(measured)),
         "last_cables": listed([f"{value:+.2f}" for value in measured[0, 6:]]),
         "best_number": best,
@@ -229,7 +233,8 @@ def proportion_figure(found: TableDiagnosis) -> Any:
     figure, axes = one_panel(4.2)
     one, two = found.gap_n[:3], found.gap_n[3:]
     along = np.array([one.min() - 0.2, one.max() + 0.2])
-    band = 1.96 * np.sqrt(5.0) * found.floor_n  # of a difference between one number and two others
+    # 95 % of a difference between one number and two others
+    band = 1.96 * np.sqrt(5.0) * found.verdict.gap.floor_n
     axes.fill_between(along, 2.0 * along - band, 2.0 * along + band, color=GRID, lw=0)
     axes.plot(along, 2.0 * along, color=OTHER, lw=1.2)
     for k, (name, colour) in enumerate(_SETS.items()):

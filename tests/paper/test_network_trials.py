@@ -7,7 +7,6 @@ import pytest
 import torch
 from paper_studies import result_of
 
-from cablesense_base.workers import WorkerPool
 from cablesense_gap.report.style import style
 from cablesense_paper import network_trials
 from cablesense_paper.network_trials import (
@@ -33,14 +32,14 @@ from cablesense_paper.studies.networks import (
     figures_of,
     numbers_of,
 )
-from cablesense_paper.study import study_size
+from cablesense_paper.study import read_study_text
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.fit import FitSettings
 
 ARM = open_arm("cdsm")
-FULL, QUICK = (Plan(**study_size("networks", quick)) for quick in (False, True))
+FULL, QUICK = (Plan(**read_study_text("networks")["sizes"][mode]) for mode in ("full", "quick"))
 
 
 PLAN = Plan(
@@ -139,17 +138,14 @@ def test_the_quick_plan_is_a_small_part_of_the_full_one():
 
 
 @pytest.mark.slow
-def test_a_seed_gives_the_same_metrics_for_any_number_of_workers():
-    protocol = SingleContact(samples=64)
-    samples = [draw_dataset(ARM, protocol, seed) for seed in (0, 1)]
-    shapes, seeds = [Shape("shared trunk", 1, 4)] * 2, (0, 1)
-    here, elsewhere = [], []
-    for workers, found in ((1, here), (2, elsewhere)):
-        with WorkerPool(workers, *samples, FitSettings(epochs=1, batch_size=64)) as pool:
-            found += pool.map(trial, shapes, seeds)
-    assert here == elsewhere
-    assert here[0][FORCE] != here[1][FORCE]
-    assert [one["seed"] for one in here] == [0, 1]
+def test_a_seed_gives_the_same_metrics():
+    samples = [draw_dataset(ARM, SingleContact(samples=64), seed) for seed in (0, 1)]
+    settings = FitSettings(epochs=1, batch_size=64)
+    one, same, other = (
+        trial(*samples, settings, Shape("shared trunk", 1, 4), seed) for seed in (0, 0, 1)
+    )
+    assert one == same
+    assert one[FORCE] != other[FORCE]
 
 
 @pytest.mark.slow

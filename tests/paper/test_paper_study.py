@@ -1,6 +1,5 @@
 """Studies: found by their files, run one by one, their results made of numbers and text."""
 
-import importlib
 import subprocess
 import sys
 
@@ -11,12 +10,10 @@ from paper_studies import RESULT, failing, ignore, study
 from cablesense_gap.report.style import style
 from cablesense_paper import study as studies
 from cablesense_paper.study import (
-    DRAWING,
     PRINT_DPI,
     PaperError,
     chosen_studies,
     filled,
-    require_drawing,
     run_study,
     study_names,
     study_result,
@@ -105,19 +102,6 @@ def test_whatever_a_study_raises_is_part_of_its_outcome(error, text):
 def test_ctrl_c_ends_everything():
     with pytest.raises(KeyboardInterrupt):
         run_study(failing(KeyboardInterrupt()), False, ignore)
-
-
-@pytest.mark.parametrize("missing", DRAWING)
-def test_a_missing_package_is_named_before_anything_runs(missing, monkeypatch):
-    def import_module(name):
-        if name == missing:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-    require_drawing()
-    monkeypatch.setattr(importlib, "import_module", import_module)
-    with pytest.raises(ModuleNotFoundError) as caught:
-        require_drawing()
-    assert caught.value.name == missing
 
 
 @pytest.mark.parametrize(

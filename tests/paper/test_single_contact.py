@@ -69,8 +69,8 @@ def test_the_paper_tests_without_noise_and_with_contacts_alone():
 
 @pytest.fixture(scope="module")
 def result():
-    chosen = [s for s in ALL_SETTINGS if s.name in ("straight", "random_pose", "tensions_only")]
-    small = {"samples": 512, "training_samples": 512, "rounds": 10, "trees_everywhere": False}
+    chosen = [s for s in ALL_SETTINGS if s.name in ("straight", "tensions_only")]
+    small = {"samples": 256, "training_samples": 256, "rounds": 3, "trees_everywhere": False}
     return result_of(
         "single_contact", lambda size, progress: single_contact(size, progress, chosen), small
     )
@@ -92,7 +92,7 @@ def test_the_two_stage_network_meets_all_the_papers_errors(result):
 def test_every_table_ends_with_what_it_is_measured_against(result):
     like_paper, *settings = result.tables
     assert like_paper.rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
-    assert [table.rows[-1][0] for table in settings] == ["noise bound"] * 3
+    assert [table.rows[-1][0] for table in settings] == ["noise bound"] * 2
 
 
 @pytest.mark.slow
