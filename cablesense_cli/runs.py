@@ -127,7 +127,7 @@ def replay(
 ) -> None:
     """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
 
-    Exit code 1 where one differs. With another arm or model it says how many stay the same, and
+    Exit code 1 where one differs. With another arm or model it states how many stay the same, and
     --estimates writes the estimates of that model.
 
     Example: cablesense replay run.mcap

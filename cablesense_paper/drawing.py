@@ -52,7 +52,7 @@ def panel_grid(
     height_in: float,
     **options: Any,
 ) -> tuple[Any, Any]:
-    """A figure and its axes, each panel drawn by ``draw(axes, *cell)``; a missing cell says so.
+    """A figure and its axes, each panel drawn by ``draw(axes, *cell)``; a missing cell states so.
 
     `cells` are the rows by name, `labels` those of x, below, and of y, at the left.
     """

@@ -113,24 +113,20 @@ class TrialResults:
 
     Attributes:
         plan: what was tried.
-        trials: a row for every shape, which is the index, and seed of the plan.
+        done: of every shape and seed of the plan.
         cost_us: microseconds of one answer of the compared shapes.
         with_little_data: by pose, the network that learnt from the paper's amount of data.
     """
 
     plan: Plan
-    trials: pd.DataFrame
+    done: Sequence[Trial]
     cost_us: Mapping[Shape, float]
     with_little_data: Mapping[Pose, Trial]
 
-    @classmethod
-    def of(
-        cls, plan: Plan, trials: Sequence[Trial], cost_us: Mapping[Shape, float],
-        with_little_data: Mapping[Pose, Trial],
-    ) -> TrialResults:  # fmt: skip
-        """From the trials one by one."""
-        table = pd.DataFrame(trials).set_index(list(Shape._fields))
-        return cls(plan, table, cost_us, with_little_data)
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """A row for every trial; the index is its shape."""
+        return pd.DataFrame(self.done).set_index(list(Shape._fields))
 
     @cached_property
     def means(self) -> pd.DataFrame:
@@ -245,7 +241,7 @@ def explore(plan: Plan, progress: Callable[[float], None]) -> TrialResults:
     for shape in plan.compared:
         cost_us[shape] = answer_us(shape, arm)
         progress(0.8 + 0.19 * len(cost_us) / len(plan.compared))
-    return TrialResults.of(plan, done, cost_us, with_little_data)
+    return TrialResults(plan, done, cost_us, with_little_data)
 
 
 def _with_little_data(plan: Plan, arm: Arm, pose: Pose) -> Trial:

@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from cablesense_base.arrays import Array
 from cablesense_gap.report.style import WIDTH_IN
 from cablesense_paper.cables import (
     CYLINDER_RADIUS_M,
@@ -69,9 +68,12 @@ def _draw(axes: Any, name: str) -> None:
     cylinders = model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER
     for tendon in range(model.ntendon):
         first, count = data.ten_wrapadr[tendon], data.ten_wrapnum[tendon]
-        path = data.wrap_xpos.reshape(-1, 3)[first : first + count]
-        radius_m = CYLINDER_RADIUS_M if cylinders.any() else 0.0
-        axes.plot(*_arced(path, radius_m).T, color=VERMILION, lw=2.0)
+        corners = data.wrap_xpos.reshape(-1, 3)[first : first + count]
+        path = np.concatenate([np.linspace(*ends, 24) for ends in pairwise(corners)])
+        if cylinders.any():  # chords become arcs
+            reach = np.hypot(path[:, 0], path[:, 2])
+            path[:, [0, 2]] *= np.maximum(1.0, CYLINDER_RADIUS_M / reach)[:, None]
+        axes.plot(*path.T, color=VERMILION, lw=2.0)
     for geom, place in enumerate(data.geom_xpos):
         if cylinders[geom]:
             radius, half = model.geom_size[geom, :2]
@@ -89,15 +91,3 @@ def _draw(axes: Any, name: str) -> None:
     axes.set_box_aspect((1.12, 0.4, 0.4), zoom=1.05)
     axes.view_init(elev=14.0, azim=-83.0)
     axes.set_axis_off()
-
-
-def _arced(points: Array, radius_m: float) -> Array:
-    """A path (P, 3) with the pieces that lie on the cylinder, about y, filled by arcs."""
-    parts = [points[:1]]
-    for start, end in pairwise(points):
-        piece = np.linspace(start, end, 24)[1:]
-        reach = np.hypot(piece[:, 0], piece[:, 2])
-        if np.hypot(start[[0, 2]], end[[0, 2]]).max() < 1.6 * radius_m:
-            piece[:, [0, 2]] *= (radius_m / np.maximum(reach, 1e-9))[:, None]
-        parts.append(piece)
-    return np.concatenate(parts)

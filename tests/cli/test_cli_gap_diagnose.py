@@ -74,7 +74,7 @@ def broken(recording: Recording, what: str) -> Recording:
 
 
 @pytest.mark.parametrize(
-    ("what", "says"),
+    ("what", "text"),
     [
         ("time that stands still", "time_s"),
         ("degrees", "rad"),
@@ -82,13 +82,13 @@ def broken(recording: Recording, what: str) -> Recording:
         ("one trial", "2 trials"),
     ],
 )
-def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(tmp_path, what, says):
+def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(tmp_path, what, text):
     write_csv(tmp_path / "new.csv", broken(recorded(LAB), what))
     done = run("diagnose", "new.csv", "--out", "found", cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("cablesense: ")
-    assert says in line
+    assert text in line
     assert not (tmp_path / "found").exists()
 
 

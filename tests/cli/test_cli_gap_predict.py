@@ -79,16 +79,16 @@ def test_what_was_read_does_not_matter(recording, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arm", "out", "says"),
+    ("arm", "out", "text"),
     [
         ("cdsm_table2", "p.csv", "tension_1_n … tension_9_n"),
         ("nonsense", "p.csv", "bundled arms are"),
         ("cdsm_lab", "no/such/p.csv", "cannot be written"),
     ],
 )
-def test_what_cannot_be_is_one_line(recording, tmp_path, arm, out, says):
+def test_what_cannot_be_is_one_line(recording, tmp_path, arm, out, text):
     result = run(recording, "--arm", arm, "--out", tmp_path / out)
     assert isinstance(result.exception, CableSenseError)
-    assert says in str(result.exception)
+    assert text in str(result.exception)
     assert "\n" not in str(result.exception)
     assert not (tmp_path / out).exists()

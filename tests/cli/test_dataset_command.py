@@ -1,4 +1,4 @@
-"""`cablesense dataset` writes what its options say, tells what it wrote, refuses in one line."""
+"""`cablesense dataset` writes as its options state, prints what it wrote, refuses in one line."""
 
 import json
 

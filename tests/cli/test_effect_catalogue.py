@@ -1,4 +1,4 @@
-"""What `cablesense info` says of effects: the catalogue, and those of an arm file."""
+"""What `cablesense info` shows of effects: the catalogue, and those of an arm file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ def shown(*arguments: str) -> str:
 
 
 def test_the_catalogue_has_every_effect_with_its_parameters() -> None:
-    said = {
+    listed = {
         effect["name"]: effect for effect in json.loads(shown("--effects", "--json"))["effects"]
     }
-    assert set(said) == set(known_effects())
+    assert set(listed) == set(known_effects())
     for name, effect in known_effects().items():
-        assert [p["name"] for p in said[name]["parameters"]] == [p.name for p in effect.parameters]
-        assert said[name]["source"] == effect.source
+        assert [p["name"] for p in listed[name]["parameters"]] == [
+            p.name for p in effect.parameters
+        ]
+        assert listed[name]["source"] == effect.source
 
 
 def test_the_catalogue_reads_well_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,8 +45,8 @@ def test_an_arm_file_shows_what_it_lists(tmp_path: Path) -> None:
     gain = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(variant({"effects": [gain]}).model_dump()), encoding="utf-8")
-    said = json.loads(shown(str(path), "--json"))["effects"]
-    assert said == [
+    listed = json.loads(shown(str(path), "--json"))["effects"]
+    assert listed == [
         {
             "effect": "sensor_gain",
             "at": "cable_3",

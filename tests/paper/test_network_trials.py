@@ -72,7 +72,7 @@ def made_up(least_error):
     cost_us = {shape: 20.0 + shape.width for shape in PLAN.compared}
     one_layer_of_one = Shape("decoupled", 1, 1)
     little = _trial(one_layer_of_one, 0, least_error)
-    return TrialResults.of(PLAN, trials, cost_us, dict.fromkeys(PLAN.paper_poses, little))
+    return TrialResults(PLAN, trials, cost_us, dict.fromkeys(PLAN.paper_poses, little))
 
 
 def _trial(shape, seed, error_of_one):

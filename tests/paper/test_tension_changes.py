@@ -208,7 +208,7 @@ def test_an_effect_that_only_begins_at_some_size_is_not_missed():
     assert scanned.rms_n(NOMINAL).max() > 0.2
     found = explain(scanned, LEVER.predict([{PLAY: 1.2}])[0], BY_ROW)
     assert found.value == pytest.approx(1.2, abs=0.05)
-    # the one row that shows it cannot be told by the others, which take it to be absent
+    # the one row that shows it is not predicted by the others, in which it is absent
     assert found.rmse < 0.05
     np.testing.assert_allclose(found.squares[:-1], 0.0, atol=0.01)
     assert found.squares[-1] == pytest.approx(2 * 0.7**2, rel=0.01)
