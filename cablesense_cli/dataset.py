@@ -1,25 +1,33 @@
-"""`cablesense dataset`: draw contacts after a protocol and write what the cables would say."""
+"""`cablesense dataset`: draw contacts by a protocol and write the tensions that they cause."""
 
 from __future__ import annotations
 
 import json
-import shlex
 import time
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from cablesense_base.errors import CableSenseError
-from cablesense_cli.options import refuse_given
+from cablesense_cli.options import (
+    ArmOption,
+    JsonOption,
+    PoseOption,
+    PoseRangeOption,
+    RandomiseOption,
+    command_line,
+    refuse_given,
+    titled_table,
+)
 
 
 def dataset(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="The Parquet file to write.")],
-    arm: Annotated[str, typer.Option(help="A bundled arm's name, or an arm file.")] = "cdsm",
+    arm: ArmOption = "cdsm",
     protocol: Annotated[
         str,
         typer.Option(
@@ -29,13 +37,8 @@ def dataset(
         ),
     ] = "single",
     samples: Annotated[int, typer.Option(help="How many samples.")] = 5000,
-    pose: Annotated[
-        str,
-        typer.Option(metavar="straight|random", help="The arm straight, or at random poses."),
-    ] = "straight",
-    pose_range_deg: Annotated[
-        float, typer.Option(help="Random poses: joint angles within plus or minus this.")
-    ] = 10.0,
+    pose: PoseOption = "straight",
+    pose_range_deg: PoseRangeOption = 10.0,
     force_low_n: Annotated[float, typer.Option(help="Weakest contact force, N.")] = 0.0,
     force_high_n: Annotated[
         float | None,
@@ -52,14 +55,7 @@ def dataset(
     noise: Annotated[
         bool, typer.Option(help="Apply the arm file's sensor noise and step, or read exactly.")
     ] = True,
-    randomise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="EFFECT,…|all",
-            help="Draw samples on arms with these effects, of other sizes and in other places; "
-            "cablesense info --effects lists them.",
-        ),
-    ] = None,
+    randomise: RandomiseOption = None,
     tare_samples: Annotated[
         int, typer.Option(help="Unloaded readings averaged into each sample's tare.")
     ] = 50,
@@ -71,9 +67,7 @@ def dataset(
         str | None,
         typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead."),
     ] = None,
-    json_output: Annotated[
-        bool, typer.Option("--json", help="Print the statistics as JSON.")
-    ] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Generate training data: cable tensions of the simulated arm, with the contacts behind them.
 
@@ -111,77 +105,37 @@ def dataset(
     }
     drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None})
     description = open_arm(arm)
+    # what cannot change a byte of the file is left out of its command
+    options = drawn.options()
+    command = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}
     started = time.perf_counter()
     summary = produce_dataset(
         out,
         description,
         drawn,
         seed,
-        command=dataset_command(arm, drawn.options(), seed),
+        command=command_line("dataset", command),
         workers=workers,
         dask_scheduler=dask_scheduler,
         show_progress=not json_output,
     )
     took_s = time.perf_counter() - started
     statistics = asdict(summary)
-    force_range_n = [statistics.pop("weakest_n"), statistics.pop("strongest_n")]
-    statistics = {
-        "out": str(out),
-        "arm": description.identity,
-        **statistics,
-        "force_range_n": force_range_n,
-        "seconds": took_s,
-        "rows_per_second": summary.rows / took_s,
-    }
+    weakest_n, strongest_n = statistics.pop("weakest_n"), statistics.pop("strongest_n")
     if json_output:
+        statistics = {"out": str(out), "arm": description.identity, **statistics}
+        statistics["force_range_n"] = [weakest_n, strongest_n]
+        statistics |= {"seconds": took_s, "rows_per_second": summary.rows / took_s}
         typer.echo(json.dumps(statistics))
-    else:
-        _print_table(statistics)
-
-
-def dataset_command(arm: str, protocol_options: Mapping[str, Any], seed: int) -> str:
-    """The command that makes the dataset; what cannot change a byte of it is left out."""
-    options = dict(protocol_options)
-    options = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}
-    return command_line("dataset", options)
-
-
-def command_line(verb: str, options: Mapping[str, Any]) -> str:
-    """The command that makes a file again, from the verb's options by their Python names.
-
-    Options left to their default of None are left out. A folder outside the present one is left
-    out of the output's name, as it means nothing elsewhere.
-    """
-    parts = ["cablesense", verb]
-    for name, value in options.items():
-        option = name.replace("_", "-")
-        if isinstance(value, bool):
-            parts.append(f"--{option}" if value else f"--no-{option}")
-        elif name == "out" and Path(value).is_absolute():
-            parts += [f"--{option}", Path(value).name]
-        elif value is not None:
-            parts += [f"--{option}", f"{value}"]
-    return shlex.join(parts)
-
-
-def _print_table(statistics: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    weakest, strongest = statistics["force_range_n"]
-    segments = enumerate(statistics["contacts_per_segment"], start=1)
-    table = Table(title=f"{statistics['out']}, arm {statistics['arm']}", show_header=False)
-    for label, text in (
-        ("samples", f"{statistics['rows']:,}"),
-        ("without contact", f"{statistics['contact_free']:,}"),
+        return
+    segments = enumerate(summary.contacts_per_segment, start=1)
+    rows = [
+        ("samples", f"{summary.rows:,}"),
+        ("without contact", f"{summary.contact_free:,}"),
         *((f"contacts on segment {number}", f"{count:,}") for number, count in segments),
-        ("contact forces", f"{weakest:.3g} to {strongest:.4g} N"),
-        ("with slack cables", f"{statistics['slack_rows']:,}"),
-        ("drawn again (beyond the arm)", f"{statistics['redrawn_rows']:,}"),
-        (
-            "rate",
-            f"{statistics['rows_per_second']:,.0f} samples/s, {statistics['seconds']:.1f} s",
-        ),
-    ):
-        table.add_row(label, text)
-    Console().print(table)
+        ("contact forces", f"{weakest_n:.3g} to {strongest_n:.4g} N"),
+        ("with slack cables", f"{summary.slack_rows:,}"),
+        ("drawn again (beyond the arm)", f"{summary.redrawn_rows:,}"),
+        ("rate", f"{summary.rows / took_s:,.0f} samples/s, {took_s:.1f} s"),
+    ]
+    Console().print(titled_table(f"{out}, arm {description.identity}", rows=rows))

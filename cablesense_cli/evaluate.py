@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from cablesense_cli.options import refuse_given
+from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from cablesense_training.evaluation.comparison import Comparison
     from cablesense_training.evaluation.metrics import ErrorMetrics, SingleContactMetrics
     from cablesense_training.evaluation.noise_bound import NoiseBound
 
@@ -40,7 +38,7 @@ def evaluate(
             "--table2", help="Instead: the paper's measured tensions, true load against estimate."
         ),
     ] = False,
-    json_output: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Compare the bundled models, their baselines and the noise bound on fresh samples.
 
@@ -51,21 +49,26 @@ def evaluate(
     Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
     [bold]cablesense evaluate --model my_arm.onnx[/bold]
     """
-    from rich.console import Console
-
     if table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
-        _show_table2(model, json_output, Console())
+        content, tables = _table2(model)
     elif model:
-        _show_model(model, samples, seed, workers, json_output, Console())
+        content, tables = _one_model(model, samples, seed, workers)
     else:
-        _show_comparison(samples, seed, workers, json_output, Console())
+        content, tables = _comparison(samples, seed, workers)
+    if json_output:
+        print_json(content)
+    else:
+        for table in tables:
+            Console().print(table)
 
 
-def _show_table2(model: str, json_output: bool, console: Any) -> None:
-    from rich.table import Table
+Result = tuple[dict[str, Any], list[Table]]
+"""For programs, and for people."""
 
+
+def _table2(model: str) -> Result:
     from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
     from cablesense_training.evaluation.table2 import evaluate_table2
     from cablesense_training.inference.estimator import Estimator
@@ -73,40 +76,37 @@ def _show_table2(model: str, json_output: bool, console: Any) -> None:
 
     estimator = Estimator.load(find_model(model or TABLE2_MODELS[SHIPPED]))
     answers = evaluate_table2(estimator)
-    if json_output:
-        rows = [
-            {
-                "true_segment": a.load.segment,
-                "segment": a.segment,
-                "true_angle_deg": 180.0,
-                "angle_deg": a.angle_deg,
-                "true_magnitude_n": a.load.weight_n,
-                "magnitude_n": a.magnitude_n,
-                "magnitude_error": a.magnitude_error,
-            }
+    content = [
+        {
+            "true_segment": a.load.segment,
+            "segment": a.segment,
+            "true_angle_deg": 180.0,
+            "angle_deg": a.angle_deg,
+            "true_magnitude_n": a.load.weight_n,
+            "magnitude_n": a.magnitude_n,
+            "magnitude_error": a.magnitude_error,
+        }
+        for a in answers
+    ]
+    table = titled_table(
+        "Loads hung on the physical arm (the paper's Table II)",
+        *("true segment", "estimated", "off from down", "true force", "estimated force", "error"),
+        rows=[
+            (
+                str(a.load.segment),
+                str(a.segment) if a.segment else "none",
+                f"{a.angle_error_deg:+.1f}°",
+                f"{a.load.weight_n:.2f} N",
+                f"{a.magnitude_n:.2f} N",
+                f"{a.magnitude_error:+.1%}",
+            )
             for a in answers
-        ]
-        print(json.dumps({"model": estimator.metadata.network, "rows": rows}, indent=2))
-        return
-    table = Table(
-        "true segment", "estimated", "off from down", "true force", "estimated force", "error",
-        title="Loads hung on the physical arm (the paper's Table II)",
-    )  # fmt: skip
-    for a in answers:
-        table.add_row(
-            str(a.load.segment),
-            str(a.segment) if a.segment else "none",
-            f"{a.angle_error_deg:+.1f}°",
-            f"{a.load.weight_n:.2f} N",
-            f"{a.magnitude_n:.2f} N",
-            f"{a.magnitude_error:+.1%}",
-        )
-    console.print(table)
+        ],
+    )
+    return {"model": estimator.metadata.network, "rows": content}, [table]
 
 
-def _show_model(
-    model: str, samples: int, seed: int, workers: int, json_output: bool, console: Any
-) -> None:
+def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
     from cablesense_training.data.generation import draw_dataset
     from cablesense_training.data.protocols import SingleContact
     from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
@@ -126,36 +126,20 @@ def _show_model(
     dataset = draw_dataset(described.arm, protocol, seed, workers=workers)
     metrics = evaluate_estimator(estimator, dataset).metrics
     bound = noise_bound(dataset)
-    if json_output:
-        print(json.dumps({"single": metrics_json(metrics), "bound": asdict(bound)}, indent=2))
-        return
     title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
-    console.print(_errors_table(title, {described.network: metrics}, bound))
+    return (
+        {"single": metrics_json(metrics), "bound": asdict(bound)},
+        [_errors_table(title, {described.network: metrics}, bound)],
+    )
 
 
-def _show_comparison(
-    samples: int, seed: int, workers: int, json_output: bool, console: Any
-) -> None:
-    from rich.console import Console
-
-    from cablesense_training.evaluation.comparison import as_json, compare
+def _comparison(samples: int, seed: int, workers: int) -> Result:
+    from cablesense_training.evaluation.comparison import SHIPPED, as_json, compare
 
     with Console(stderr=True).status("Evaluating …") as status:
         comparison = compare(
             seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
         )
-    if json_output:
-        print(json.dumps(as_json(comparison), indent=2))
-        return
-    for table in _comparison_tables(comparison):
-        console.print(table)
-
-
-def _comparison_tables(comparison: Comparison) -> list[Table]:
-    from rich.table import Table
-
-    from cablesense_training.evaluation.comparison import SHIPPED
-
     labels = {SHIPPED: "shipped model"}
     tables = [
         _errors_table(
@@ -165,34 +149,32 @@ def _comparison_tables(comparison: Comparison) -> list[Table]:
         )
         for evaluation in comparison.settings
     ]
-    table = Table(
-        "estimator", "recognised", "macro F1", "force MAE per segment", title="several contacts"
-    )
-    for name, multi in comparison.multi.items():
-        table.add_row(
+    rows = [
+        (
             name.replace("_", " "),
             f"{multi.recognition_accuracy:.2%}",
             f"{multi.macro_f1:.4f}",
             ", ".join(f"{value:.2f}" for value in multi.magnitude_mae_n) + " N",
         )
-    return [*tables, table]
+        for name, multi in comparison.multi.items()
+    ]
+    headings = ("estimator", "recognised", "macro F1", "force MAE per segment")
+    several = titled_table("several contacts", *headings, rows=rows)
+    return as_json(comparison), [*tables, several]
 
 
 def _errors_table(title: str, models: dict[str, SingleContactMetrics], bound: NoiseBound) -> Table:
     """Errors of models on the same samples, and of the noise bound."""
-    from rich.table import Table
 
-    table = Table(
-        "estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds",
-        title=title,
-    )  # fmt: skip
-
-    def add(name: str, errors: ErrorMetrics | NoiseBound, accuracy: str, coverage: str) -> None:
+    def row(
+        name: str, errors: ErrorMetrics | NoiseBound, accuracy: str = "", coverage: str = ""
+    ) -> tuple[str, ...]:
         mae, rmse = f"{errors.magnitude_mae_n:.3f} N", f"{errors.magnitude_rmse_n:.3f} N"
-        table.add_row(name, accuracy, f"{errors.direction_mae_deg:.3f}°", mae, rmse, coverage)
+        return name, accuracy, f"{errors.direction_mae_deg:.3f}°", mae, rmse, coverage
 
+    rows = []
     for name, metrics in models.items():
         coverage = f"{metrics.errors.magnitude_coverage95:.1%}"
-        add(name, metrics.errors, f"{metrics.contact_accuracy:.2%}", coverage)
-    add("noise bound", bound, "", "")
-    return table
+        rows.append(row(name, metrics.errors, f"{metrics.contact_accuracy:.2%}", coverage))
+    headings = ("estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
+    return titled_table(title, *headings, rows=[*rows, row("noise bound", bound)])

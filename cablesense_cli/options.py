@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,22 @@ DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
 ]
 RecordingFile = Annotated[Path, typer.Option(help="The .mcap file to write.")]
+
+
+PoseOption = Annotated[
+    str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
+]
+PoseRangeOption = Annotated[
+    float, typer.Option(help="Random poses: joint angles within plus or minus this.")
+]
+RandomiseOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="EFFECT,…|all",
+        help="Draw samples on arms with these effects, of other sizes and in other places; "
+        "cablesense info --effects lists them.",
+    ),
+]
 
 
 class OptionError(CableSenseError):
@@ -58,11 +75,36 @@ def task_bars(console: Console) -> Progress:
     return Progress(*columns, console=console)
 
 
-def titled_table(title: str, *headings: str, right: Iterable[str] = ()) -> Table:
-    """A table without rows, its title and columns to the left; those in `right` to the right."""
+def command_line(verb: str, options: Mapping[str, Any]) -> str:
+    """The command that makes a file again, from the verb's options by their Python names.
+
+    Options left to their default of None are left out. A folder outside the present one is left
+    out of the output's name, as it means nothing elsewhere.
+    """
+    parts = ["cablesense", verb]
+    for name, value in options.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            parts.append(f"--{option}" if value else f"--no-{option}")
+        elif name == "out" and Path(value).is_absolute():
+            parts += [f"--{option}", Path(value).name]
+        elif value is not None:
+            parts += [f"--{option}", f"{value}"]
+    return shlex.join(parts)
+
+
+def titled_table(
+    title: str,
+    *headings: str,
+    right: Iterable[str] = (),
+    rows: Iterable[Sequence[str]] = (),
+) -> Table:
+    """A table, its title and columns to the left; those in `right` to the right."""
     table = Table(
         title=title, title_justify="left", header_style="bold", show_header=bool(headings)
     )
     for heading in headings:
         table.add_column(heading, justify="right" if heading in right else "left")
+    for row in rows:
+        table.add_row(*row)
     return table

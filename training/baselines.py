@@ -18,7 +18,8 @@ from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import NORMAL_95, ContactAnswer, angle_difference_deg
 
-_HELD_OUT = 0.1
+_SEED, _HELD_OUT = 0, 0.1
+"""Of the share of the samples that the stated deviations are taken from."""
 
 
 @dataclass(frozen=True)
@@ -28,26 +29,22 @@ class BoostingSettings:
     Attributes:
         rounds: trees per model (per class for the contact).
         leaves: most leaves of a tree.
-        learning_rate: shrinkage of each tree.
         pose_aware: whether the commanded joint angles join the tension differences as input.
-        seed: of the held-out share that the stated deviations are taken from.
     """
 
     rounds: int = 200
     leaves: int = 63
-    learning_rate: float = 0.1
     pose_aware: bool = False
-    seed: int = 0
 
     @property
     def options(self) -> dict[str, Any]:
-        """The same by scikit-learn's names."""
+        """What scikit-learn's models of boosted trees take."""
         return {
             "max_iter": self.rounds,
             "max_leaf_nodes": self.leaves,
-            "learning_rate": self.learning_rate,
+            "learning_rate": 0.1,
             "early_stopping": False,
-            "random_state": self.seed,
+            "random_state": _SEED,
         }
 
 
@@ -57,11 +54,15 @@ class BoostingBaseline:
     def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
         """Fit to a single-contact dataset.
 
+        Trees state no uncertainty; the stated deviations are those that hold 95 % of held-out
+        errors.
+
         Raises:
             TrainingError: the dataset lacks contacts, contact-free samples or enough of both.
         """
-        self._settings = settings or BoostingSettings()
-        order = np.random.default_rng(self._settings.seed).permutation(len(dataset))
+        settings = settings or BoostingSettings()
+        self._pose_aware = settings.pose_aware
+        order = np.random.default_rng(_SEED).permutation(len(dataset))
         held_out = max(1, round(_HELD_OUT * len(dataset)))
         validation, training = dataset.select(order[:held_out]), dataset.select(order[held_out:])
         touched = training.segment > 0
@@ -70,7 +71,7 @@ class BoostingBaseline:
                 f"{int(touched.sum())} contacts of {len(training)} samples are too few kinds to "
                 "boost on; give samples with and without contact"
             )
-        x, options = self._inputs(training), self._settings.options
+        x, options = self._inputs(training), settings.options
         angle = np.deg2rad(training.angle_deg[touched])
         self._contact = HistGradientBoostingClassifier(**options).fit(x, training.segment)
         self._sine, self._cosine, self._magnitude = (
@@ -78,7 +79,13 @@ class BoostingBaseline:
             for label in (np.sin(angle), np.cos(angle), training.magnitude_n[touched])
         )
         self._magnitude_std_n, self._angle_std_deg = 1.0, 1.0
-        self._state_deviations(validation)
+        answer = self.answer(validation)
+        found = (validation.segment > 0) & (answer.segment > 0)
+        if found.any():
+            force = np.abs(answer.magnitude_n - validation.magnitude_n)[found]
+            off_deg = np.abs(angle_difference_deg(answer.angle_deg, validation.angle_deg))[found]
+            self._magnitude_std_n = float(np.quantile(force, 0.95)) / NORMAL_95
+            self._angle_std_deg = float(np.quantile(off_deg, 0.95)) / NORMAL_95
 
     def answer(self, dataset: Dataset) -> ContactAnswer:
         """Answers for a dataset; the stated deviations are the same for all samples."""
@@ -92,18 +99,8 @@ class BoostingBaseline:
             angle_std_deg=np.full(len(dataset), self._angle_std_deg),
         )
 
-    def _state_deviations(self, validation: Dataset) -> None:
-        """Trees state no uncertainty; take the deviation that holds 95 % of held-out errors."""
-        answer = self.answer(validation)
-        found = (validation.segment > 0) & (answer.segment > 0)
-        if found.any():
-            force = np.abs(answer.magnitude_n - validation.magnitude_n)[found]
-            angle = np.abs(angle_difference_deg(answer.angle_deg, validation.angle_deg))[found]
-            self._magnitude_std_n = float(np.quantile(force, 0.95)) / NORMAL_95
-            self._angle_std_deg = float(np.quantile(angle, 0.95)) / NORMAL_95
-
     def _inputs(self, dataset: Dataset) -> Array:
-        if self._settings.pose_aware:
+        if self._pose_aware:
             return np.hstack([dataset.tension_difference_n, dataset.command_rad])
         return dataset.tension_difference_n
 

@@ -10,43 +10,47 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
-from cablesense_base.progress import progress_bar
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import NORMAL_95
 from cablesense_training.losses import (
     LossTerms,
-    LossWeights,
     MultiContactTarget,
     SingleContactTarget,
-    angle_error_deg,
     multi_contact_loss,
+    multi_contact_ratios,
     single_contact_loss,
+    single_contact_ratios,
 )
 from cablesense_training.networks import MultiContactNetwork, Network
-from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import TemporalNetwork
 
-_ROWS_AT_ONCE = 8192
+ROWS_AT_ONCE = 8192
+"""Samples that a network answers together outside training."""
+
+_HELD_OUT = 0.1
+"""Share of the data held out to choose the best epoch and to calibrate."""
+
+Parts = TypeVar("Parts", bound=NamedTuple)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings:
-    """What every training run has.
+    """What every training run has; refused with a `TrainingError` when out of range.
 
     Attributes:
         seed: of the validation split and the order of the batches.
         epochs: at most this many.
         batch_size: samples, or sequences, a step.
         learning_rate: of Adam, at the start.
-        validation_share: part of the data held out to choose the best epoch and to calibrate.
         threads: of PyTorch; the result is the same for the same seed and the same number of
             threads.
     """
@@ -55,8 +59,14 @@ class LoopSettings:
     epochs: int
     batch_size: int
     learning_rate: float
-    validation_share: float = 0.1
     threads: int = 2
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch_size", "threads"):
+            if getattr(self, name) < 1:
+                raise TrainingError(f"{name} = {getattr(self, name)}: must be at least 1")
+        if not 0.0 < self.learning_rate <= 1.0:
+            raise TrainingError(f"learning_rate = {self.learning_rate:g}: must be in (0, 1]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +74,6 @@ class FitSettings(LoopSettings):
     """How to train on samples.
 
     Attributes:
-        weights: α, β, γ of equation (8).
         decay, patience, tolerance: λ, Δ and ε of equation (15): when the validation loss has not
             fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ
             (`ReduceLROnPlateau`). Read literally, (15) would set the rate to zero whenever the
@@ -75,26 +84,26 @@ class FitSettings(LoopSettings):
     epochs: int = 60
     batch_size: int = 512
     learning_rate: float = 2e-3
-    weights: LossWeights = field(default_factory=LossWeights)
     decay: float = 0.5
     patience: int = 2
     tolerance: float = 1e-3
     stop_patience: int = 12
 
 
-@dataclass(frozen=True)
-class EpochRecord:
-    """One pass over the data: means of its losses, and the loss on the held-out part."""
+class EpochRecord(NamedTuple):
+    """One pass over the data: the loss on the held-out part, and means of its `LossTerms`."""
 
     epoch: int
     learning_rate: float
+    validation: float
     total: float
     contact: float
     direction: float
     magnitude: float
     spread: float
-    validation: float
-    seconds: float
+
+
+OnEpoch = Callable[[EpochRecord], None]
 
 
 @dataclass(frozen=True)
@@ -111,27 +120,47 @@ class FitHistory:
         return self.epochs[self.best_epoch - 1].validation if self.epochs else math.nan
 
 
-OnEpoch = Callable[[EpochRecord], None]
+def each(parts: Parts, change: Callable[[Tensor], Tensor]) -> Parts:
+    """A named tuple of tensors, or of such tuples, with every tensor changed."""
+    return parts._make(
+        change(part) if isinstance(part, Tensor) else each(part, change) for part in parts
+    )
 
 
-class Objective(ABC):
+def take(parts: Parts, index: Tensor | tuple[slice, ...]) -> Parts:
+    """A named tuple of tensors, or of such tuples, with every tensor indexed alike."""
+    return each(parts, lambda part: part[index])
+
+
+class Objective(ABC, Generic[Parts]):
     """Data and losses that a network is trained with.
 
     Attributes:
         network: trained in place.
-        optimiser: of its trainable parameters; None where it has none.
+        training, held_out: the data.
+        generator: of all that is drawn.
+        optimiser: of the trainable parameters; None where there are none.
+        largest_gradient: norm to which the gradients of a step are clipped.
     """
 
     network: Network | TemporalNetwork
-    optimiser: torch.optim.Optimizer | None
+    optimiser: torch.optim.Optimizer | None = None
+    largest_gradient = math.inf
+
+    def __init__(self, samples: Parts, rows: int, settings: LoopSettings) -> None:
+        self.generator = torch.Generator().manual_seed(settings.seed)
+        order = torch.randperm(rows, generator=self.generator)
+        count = max(1, round(_HELD_OUT * rows))
+        self.training = take(samples, order[count:])
+        self.held_out = take(samples, order[:count])
 
     @abstractmethod
-    def train_epoch(self) -> LossTerms:
-        """One pass over the training data; means of the losses."""
+    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        """One pass over the training data: losses with their weights, a step after each."""
 
     @abstractmethod
-    def held_out_loss(self) -> float:
-        """The loss on the held-out data; called without gradients."""
+    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        """Losses with their weights."""
 
     @abstractmethod
     def end_epoch(self, held_out_loss: float) -> bool:
@@ -143,7 +172,7 @@ class Objective(ABC):
 
 
 def run_epochs(
-    objective: Objective, settings: LoopSettings, on_epoch: OnEpoch | None
+    objective: Objective[Any], settings: LoopSettings, on_epoch: OnEpoch | None
 ) -> FitHistory:
     """Train, keep the weights of the best epoch and calibrate the stated deviations.
 
@@ -159,52 +188,52 @@ def run_epochs(
         assert optimiser is not None
         rate = float(optimiser.param_groups[0]["lr"])
         network.train()
-        means = objective.train_epoch()
+        means = _train_epoch(objective, optimiser)
         network.eval()
         with torch.no_grad():
-            held_out = objective.held_out_loss()
+            losses = [(float(terms.total), rows) for terms, rows in objective.held_out_losses()]
+        held_out = sum(loss * rows for loss, rows in losses) / sum(rows for _, rows in losses)
         if not math.isfinite(held_out):
             raise TrainingError(
                 f"the loss is not finite in epoch {epoch}; lower the learning rate of {rate:g}"
             )
-        ends = objective.end_epoch(held_out)
-        losses = {name: float(value) for name, value in means._asdict().items()}
-        seconds = time.perf_counter() - start
-        records.append(
-            EpochRecord(
-                epoch=epoch, learning_rate=rate, validation=held_out, seconds=seconds, **losses
-            )
-        )
+        records.append(EpochRecord(epoch, rate, held_out, *means))
         if on_epoch is not None:
             on_epoch(records[-1])
         if held_out < best:
             best, best_epoch = held_out, epoch
             best_state = {name: value.clone() for name, value in network.state_dict().items()}
-        if ends:
+        if objective.end_epoch(held_out):
             break
     if best_state:
         network.load_state_dict(best_state)
     network.eval()
     with torch.no_grad():
-        _calibrate(network, objective.error_ratios())
+        _calibrate(network.spread.factor, objective.error_ratios())
     return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
 
 
-def _calibrate(network: Network | TemporalNetwork, ratios: Tensor) -> None:
+def _train_epoch(objective: Objective[Any], optimiser: torch.optim.Optimizer) -> list[float]:
+    """Means of the `LossTerms` of one pass over the training data, a step of Adam after each."""
+    sums, count = torch.zeros(len(LossTerms._fields)), 0
+    for terms, rows in objective.training_losses():
+        optimiser.zero_grad(set_to_none=True)
+        (terms.total + terms.spread).backward()
+        if math.isfinite(objective.largest_gradient):
+            parameters = objective.network.parameters()
+            torch.nn.utils.clip_grad_norm_(parameters, objective.largest_gradient)
+        optimiser.step()
+        sums, count = sums + torch.stack(terms).detach() * rows, count + rows
+    means: list[float] = (sums / count).tolist()
+    return means
+
+
+def _calibrate(factor: Tensor, ratios: Tensor) -> None:
     """Scale the stated deviations until 95 % of the held-out errors lie within 1.96 of them."""
     for column in range(ratios.shape[1]):
         known = ratios[:, column][torch.isfinite(ratios[:, column])]
         if len(known):
-            network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
-
-
-def split_rows(
-    rows: int, settings: LoopSettings, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Row numbers to train on, and those held out."""
-    order = torch.randperm(rows, generator=generator)
-    held_out = max(1, round(settings.validation_share * rows))
-    return order[held_out:], order[:held_out]
+            factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
 
 
 @contextmanager
@@ -241,76 +270,59 @@ def fit(
             or the loss is no longer finite.
     """
     settings = settings or FitSettings()
-    samples = _Samples.of(network, dataset)
     with torch_threads(settings.threads):
-        return run_epochs(_SampleObjective(network, samples, settings), settings, on_epoch)
+        return run_epochs(_SampleObjective(network, dataset, settings), settings, on_epoch)
 
 
-@dataclass(frozen=True)
-class _Samples:
+class _Samples(NamedTuple):
     """Tensors whose rows belong together."""
 
     tension_difference_n: Tensor
     joint_command_rad: Tensor
     target: SingleContactTarget | MultiContactTarget
 
-    @classmethod
-    def of(cls, network: Network, dataset: Dataset) -> _Samples:
-        shape = (dataset.arm.cable_count, dataset.arm.segment_count)
-        if shape != (network.cable_count, network.segment_count):
-            raise TrainingError(
-                f"the dataset is of arm {dataset.arm.identity} with {shape[0]} cables and "
-                f"{shape[1]} segments; the network is for {network.cable_count} and "
-                f"{network.segment_count}"
-            )
-        if len(dataset) < 10:
-            raise TrainingError(
-                f"{len(dataset)} samples are too few to train on; give at least 10"
-            )
-        dtype = next(network.parameters()).dtype
 
-        def real(values: object) -> Tensor:
-            return torch.as_tensor(values).to(dtype)
+def _samples(network: Network, dataset: Dataset) -> _Samples:
+    shape = (dataset.arm.cable_count, dataset.arm.segment_count)
+    if shape != (network.cable_count, network.segment_count):
+        raise TrainingError(
+            f"the dataset is of arm {dataset.arm.identity} with {shape[0]} cables and {shape[1]} "
+            f"segments; the network is for {network.cable_count} and {network.segment_count}"
+        )
+    if len(dataset) < 10:
+        raise TrainingError(f"{len(dataset)} samples are too few to train on; give at least 10")
+    dtype = next(network.parameters()).dtype
 
-        target: SingleContactTarget | MultiContactTarget
-        if isinstance(network, MultiContactNetwork):
-            target = MultiContactTarget(real(dataset.contacts), real(dataset.magnitudes_n))
-        else:
-            target = SingleContactTarget(
-                torch.as_tensor(dataset.segment, dtype=torch.int64),
-                real(dataset.angle_deg),
-                real(dataset.magnitude_n),
-            )
-        return cls(real(dataset.tension_difference_n), real(dataset.command_rad), target)
+    def real(values: object) -> Tensor:
+        return torch.as_tensor(values).to(dtype)
 
-    def __len__(self) -> int:
-        return len(self.tension_difference_n)
-
-    def rows(self, chosen: Tensor) -> _Samples:
-        target = type(self.target)(*(part[chosen] for part in self.target))
-        return _Samples(self.tension_difference_n[chosen], self.joint_command_rad[chosen], target)
-
-    def batches(self, size: int, order: Tensor | None = None) -> Iterator[_Samples]:
-        order = torch.arange(len(self)) if order is None else order
-        for chosen in order.split(size):
-            yield self.rows(chosen)
+    target: SingleContactTarget | MultiContactTarget
+    if isinstance(network, MultiContactNetwork):
+        target = MultiContactTarget(real(dataset.contacts), real(dataset.magnitudes_n))
+    else:
+        segment = torch.as_tensor(dataset.segment, dtype=torch.int64)
+        target = SingleContactTarget(segment, real(dataset.angle_deg), real(dataset.magnitude_n))
+    return _Samples(real(dataset.tension_difference_n), real(dataset.command_rad), target)
 
 
-class _SampleObjective(Objective):
+class _SampleObjective(Objective[_Samples]):
     """Losses (4) to (8) on shuffled batches; plateau scheduler and early stopping."""
 
     network: Network
 
-    def __init__(self, network: Network, samples: _Samples, settings: FitSettings) -> None:
+    def __init__(self, network: Network, dataset: Dataset, settings: FitSettings) -> None:
+        super().__init__(_samples(network, dataset), len(dataset), settings)
         self.network, self._settings = network, settings
-        self._generator = torch.Generator().manual_seed(settings.seed)
-        training, held_out = split_rows(len(samples), settings, self._generator)
-        self._training, self._held_out = samples.rows(training), samples.rows(held_out)
-        network.adapt(self._training.tension_difference_n, self._training.target.magnitude_n)
-        self._mark, self._since_mark = math.inf, 0
-        trainable = [part for part in network.parameters() if part.requires_grad]
-        self.optimiser = None
-        if trainable:
+        self._since_best = 0
+        several = isinstance(network, MultiContactNetwork)
+        self._loss: Callable[..., LossTerms] = (
+            multi_contact_loss if several else single_contact_loss
+        )
+        self._ratios: Callable[..., Tensor] = (
+            multi_contact_ratios if several else single_contact_ratios
+        )
+        network.adapt(self.training.tension_difference_n, self.training.target.magnitude_n)
+        if trainable := [part for part in network.parameters() if part.requires_grad]:
             self.optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
             self._scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
                 self.optimiser,
@@ -319,70 +331,35 @@ class _SampleObjective(Objective):
                 threshold=settings.tolerance,
             )
 
-    def train_epoch(self) -> LossTerms:
-        assert self.optimiser is not None
-        order = torch.randperm(len(self._training), generator=self._generator)
-        sums = torch.zeros(len(LossTerms._fields))
-        for batch in self._training.batches(self._settings.batch_size, order):
-            terms = self._loss(batch)
-            self.optimiser.zero_grad(set_to_none=True)
-            (terms.total + terms.spread).backward()
-            self.optimiser.step()
-            sums += torch.stack(terms).detach() * len(batch)
-        return LossTerms(*(sums / len(self._training)))
+    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        order = torch.randperm(len(self.training.tension_difference_n), generator=self.generator)
+        return self._losses(self.training, order.split(self._settings.batch_size))
 
-    def held_out_loss(self) -> float:
-        batches = self._held_out.batches(_ROWS_AT_ONCE)
-        total = sum(float(self._loss(batch).total) * len(batch) for batch in batches)
-        return total / len(self._held_out)
+    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        return self._losses(self.held_out, self._held_out_batches())
 
     def end_epoch(self, held_out_loss: float) -> bool:
+        best = self._scheduler.best
         self._scheduler.step(held_out_loss)
-        if held_out_loss < (1.0 - self._settings.tolerance) * self._mark:
-            self._mark, self._since_mark = held_out_loss, 0
-        else:
-            self._since_mark += 1
-        return self._since_mark >= self._settings.stop_patience
+        self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
+        return self._since_best >= self._settings.stop_patience
 
     def error_ratios(self) -> Tensor:
-        batches = self._held_out.batches(_ROWS_AT_ONCE)
-        return torch.cat([self._error_ratios(batch) for batch in batches])
+        answers = self._answers(self.held_out, self._held_out_batches())
+        return torch.cat([self._ratios(output, target) for output, target in answers])
 
-    def _loss(self, batch: _Samples) -> LossTerms:
-        output = self.network(batch.tension_difference_n, batch.joint_command_rad)
-        scale, weights = self.network.magnitude.std, self._settings.weights
-        if isinstance(batch.target, MultiContactTarget):
-            return multi_contact_loss(output, batch.target, scale, weights)
-        return single_contact_loss(output, batch.target, scale[0], weights)
+    def _held_out_batches(self) -> tuple[Tensor, ...]:
+        return torch.arange(len(self.held_out.tension_difference_n)).split(ROWS_AT_ONCE)
 
-    def _error_ratios(self, batch: _Samples) -> Tensor:
-        output = self.network(batch.tension_difference_n, batch.joint_command_rad)
-        if not isinstance(batch.target, MultiContactTarget):
-            return single_contact_ratios(output, batch.target)
-        ratio = (output.magnitude_n - batch.target.magnitude_n).abs() / output.magnitude_std_n
-        found = (batch.target.touched > 0) & (output.contact_logits > 0)
-        return torch.where(found, ratio, torch.full_like(ratio, math.nan))
+    def _answers(self, samples: _Samples, batches: Iterable[Tensor]) -> Iterator[tuple[Any, Any]]:
+        """Outputs and targets, batch by batch."""
+        for rows in batches:
+            batch = take(samples, rows)
+            yield self.network(batch.tension_difference_n, batch.joint_command_rad), batch.target
 
-
-def single_contact_ratios(output: SingleContactOutput, target: SingleContactTarget) -> Tensor:
-    """|error| / stated deviation (B, 2) of magnitude and angle; NaN where no contact was found."""
-    force = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
-    angle = angle_error_deg(output.direction, target.angle_deg).abs() / output.angle_std_deg
-    ratio = torch.stack([force, angle], dim=-1)
-    found = ((target.segment > 0) & (output.contact_logits.argmax(-1) > 0))[:, None]
-    return torch.where(found, ratio, torch.full_like(ratio, math.nan))
-
-
-@contextmanager
-def epoch_progress(epochs: int, *, shown: bool) -> Iterator[OnEpoch]:
-    """A bar of `epochs` at most, with the losses, on standard error; call it after every epoch.
-
-    Nothing is drawn unless `shown` and standard error is a terminal.
-    """
-    with progress_bar(epochs, shown=shown, what="epochs") as advance:
-        yield lambda record: advance(
-            1,
-            f"loss {record.total:.4f} (contact {record.contact:.4f}, "
-            f"direction {record.direction:.4f}, magnitude {record.magnitude:.4f}), "
-            f"held out {record.validation:.4f}, rate {record.learning_rate:.1e}",
-        )
+    def _losses(
+        self, samples: _Samples, batches: Iterable[Tensor]
+    ) -> Iterator[tuple[LossTerms, int]]:
+        for output, target in self._answers(samples, batches):
+            scale = self.network.magnitude.std
+            yield self._loss(output, target, scale), len(target.magnitude_n)

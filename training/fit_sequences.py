@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,13 +17,14 @@ from torch.nn import functional
 from cablesense_training.data.sequences import Sequences
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import (
+    ROWS_AT_ONCE,
     FitHistory,
     LoopSettings,
     Objective,
     OnEpoch,
+    each,
     run_epochs,
-    single_contact_ratios,
-    split_rows,
+    take,
     torch_threads,
 )
 from cablesense_training.losses import (
@@ -30,15 +32,12 @@ from cablesense_training.losses import (
     SingleContactTarget,
     direction_of,
     gaussian_nll,
+    single_contact_ratios,
 )
-from cablesense_training.networks.closed_form import Balance
 from cablesense_training.networks.temporal import CorrectedAnswer, TemporalNetwork, Ticks
 
-_ROWS_AT_ONCE = 8192
 
-
-@dataclass(frozen=True)
-class SequenceSamples:
+class SequenceSamples(NamedTuple):
     """S sequences of T ticks.
 
     Attributes:
@@ -69,50 +68,24 @@ class SequenceSamples:
             torch.as_tensor(sequences.angle_deg),
             torch.as_tensor(sequences.magnitude_n),
         )
-        flat, truth = ticks.flat(), SingleContactTarget(*(part.flatten() for part in target))
-        torques, lengths, trues = [], [], []
+        flat = each(ticks, lambda part: part.flatten(0, 1))
+        truth = each(target, torch.Tensor.flatten)
+        parts = []
         with torch.no_grad():
-            for start in range(0, len(truth.segment), _ROWS_AT_ONCE):
-                rows = slice(start, start + _ROWS_AT_ONCE)
-                balance = network.balance(Ticks(*(part[rows] for part in flat)))
-                lengths.append(balance.commanded_m)
-                torques.append(network.joint_torque_n_m(balance))
-                part = SingleContactTarget(*(value[rows] for value in truth))
-                trues.append(network.in_joint_order(contact_torque_n_m(balance, part)))
-        shape = (*target.segment.shape, -1)
-        torque, length, true = (
-            torch.cat(part).reshape(shape) for part in (torques, lengths, trues)
+            for rows in torch.arange(len(truth.segment)).split(ROWS_AT_ONCE):
+                balance = network.balance(take(flat, rows))
+                segment, angle_deg, magnitude_n = (part[rows] for part in truth)
+                levers = balance.lever[torch.arange(len(rows)), (segment - 1).clamp(min=0)]
+                force = direction_of(angle_deg) * magnitude_n[:, None]
+                force = force.where((segment > 0)[:, None], 0.0)
+                true = (force[:, None].to(levers.dtype) @ levers)[:, 0]
+                torque = network.joint_torque_n_m(balance)
+                parts.append((balance.commanded_m, torque, network.in_joint_order(true)))
+        lengths_m, torque_n_m, true_torque_n_m = (
+            torch.cat(part).unflatten(0, target.segment.shape) for part in zip(*parts, strict=True)
         )
-        past = _past(network, sequences, length, ticks.joint_command_rad)
-        return cls(ticks, torque, past, true, target)
-
-    def __len__(self) -> int:
-        return len(self.torque_n_m)
-
-    @property
-    def tick_count(self) -> int:
-        """T."""
-        return int(self.torque_n_m.shape[1])
-
-    def part(self, rows: Tensor | slice, ticks: slice) -> SequenceSamples:
-        """Some sequences, from some tick to another."""
-        return SequenceSamples(
-            Ticks(*(value[rows][:, ticks] for value in self.ticks)),
-            self.torque_n_m[rows][:, ticks],
-            self.past[rows][:, ticks],
-            self.true_torque_n_m[rows][:, ticks],
-            SingleContactTarget(*(value[rows][:, ticks] for value in self.target)),
-        )
-
-
-def contact_torque_n_m(balance: Balance, target: SingleContactTarget) -> Tensor:
-    """(B, 2N) joint torques, pitches first, of true contacts; zero where nothing touches."""
-    place = (target.segment - 1).clamp(min=0)
-    levers = balance.lever[torch.arange(len(place)), place]
-    force = direction_of(target.angle_deg) * target.magnitude_n[:, None]
-    force = torch.where((target.segment > 0)[:, None], force, torch.zeros_like(force))
-    torque: Tensor = (force[:, None].to(levers.dtype) @ levers)[:, 0]
-    return torque
+        past = _past(network, sequences, lengths_m, ticks.joint_command_rad)
+        return cls(ticks, torque_n_m, past, true_torque_n_m, target)
 
 
 def _past(
@@ -157,9 +130,6 @@ class SequenceFitSettings(LoopSettings):
     force_scale_n: float = 1.0
 
 
-_LARGEST_GRADIENT = 1.0
-
-
 def fit_sequences(
     network: TemporalNetwork,
     sequences: Sequences,
@@ -177,60 +147,41 @@ def fit_sequences(
         return run_epochs(_SequenceObjective(network, sequences, settings), settings, on_epoch)
 
 
-class _SequenceObjective(Objective):
+class _SequenceObjective(Objective[SequenceSamples]):
     """Truncated backpropagation through time: parts of sequences, the state carried on."""
 
     network: TemporalNetwork
-    optimiser: torch.optim.Optimizer
+    largest_gradient = 1.0
 
     def __init__(
         self, network: TemporalNetwork, sequences: Sequences, settings: SequenceFitSettings
     ) -> None:
-        self.network, self._settings = network, settings
-        self._generator = torch.Generator().manual_seed(settings.seed)
         samples = SequenceSamples.of(network, sequences)
-        training, held_out = split_rows(len(samples), settings, self._generator)
-        every = slice(None)
-        self._training = samples.part(training, every)
-        self._held_out = samples.part(held_out, every)
-        error = self._training.torque_n_m - self._training.true_torque_n_m
-        network.adapt(
-            self._training.torque_n_m.flatten(0, 1),
-            self._training.ticks.flat(),
-            error.flatten(0, 1),
-        )
+        super().__init__(samples, len(sequences), settings)
+        self.network, self._settings = network, settings
+        flat = each(self.training, lambda part: part.flatten(0, 1))
+        network.adapt(flat.torque_n_m, flat.ticks, flat.torque_n_m - flat.true_torque_n_m)
         self.optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
         self._scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(
             self.optimiser, settings.epochs
         )
 
-    def train_epoch(self) -> LossTerms:
-        settings, generator = self._settings, self._generator
-        order = torch.randperm(len(self._training), generator=generator)
-        sums, count = torch.zeros(len(LossTerms._fields)), 0
+    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        settings, generator = self._settings, self.generator
+        order = torch.randperm(len(self.training.torque_n_m), generator=generator)
         for rows in order.split(settings.batch_size):
             state = torch.zeros(len(rows), self.network.hidden)
-            for ticks in self._parts(self._training):
-                part = self._training.part(rows, ticks)
+            for part in self._parts(take(self.training, rows)):
                 lost = torch.rand(len(rows), 1, generator=generator) < settings.reset_share
-                state = torch.where(lost, torch.zeros_like(state), state)
                 phase = int(torch.randint(settings.judged_every, (1,), generator=generator))
-                terms, state = self._terms(part, state, phase)
-                self.optimiser.zero_grad(set_to_none=True)
-                (terms.total + terms.spread).backward()
-                torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
-                self.optimiser.step()
-                state = state.detach()
-                sums, count = sums + torch.stack(terms).detach(), count + 1
-        return LossTerms(*(sums / count))
+                terms, state = self._terms(part, state.detach().masked_fill(lost, 0.0), phase)
+                yield terms, 1
 
-    def held_out_loss(self) -> float:
-        totals = []
-        state = torch.zeros(len(self._held_out), self.network.hidden)
-        for ticks in self._parts(self._held_out):
-            terms, state = self._terms(self._held_out.part(slice(None), ticks), state, 0)
-            totals.append(float(terms.total))
-        return sum(totals) / len(totals)
+    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
+        state = torch.zeros(len(self.held_out.torque_n_m), self.network.hidden)
+        for part in self._parts(self.held_out):
+            terms, state = self._terms(part, state, 0)
+            yield terms, 1
 
     def end_epoch(self, held_out_loss: float) -> bool:
         self._scheduler.step()
@@ -238,17 +189,16 @@ class _SequenceObjective(Objective):
 
     def error_ratios(self) -> Tensor:
         ratios = []
-        state = torch.zeros(len(self._held_out), self.network.hidden)
-        for ticks in self._parts(self._held_out):
-            part = self._held_out.part(slice(None), ticks)
-            answer, target, _, state = self._answers(part, state, 0)
-            ratios.append(single_contact_ratios(answer.output, target))
+        state = torch.zeros(len(self.held_out.torque_n_m), self.network.hidden)
+        for part in self._parts(self.held_out):
+            answer, judged, state = self._answers(part, state, 0)
+            ratios.append(single_contact_ratios(answer.output, judged.target))
         return torch.cat(ratios)
 
-    def _parts(self, samples: SequenceSamples) -> Iterator[slice]:
-        ticks, size = samples.tick_count, self._settings.part_ticks
-        for start in range(0, ticks, size):
-            yield slice(start, min(start + size, ticks))
+    def _parts(self, samples: SequenceSamples) -> Iterator[SequenceSamples]:
+        size = self._settings.part_ticks
+        for start in range(0, samples.torque_n_m.shape[1], size):
+            yield take(samples, (slice(None), slice(start, start + size)))
 
     def _terms(self, part: SequenceSamples, state: Tensor, phase: int) -> tuple[LossTerms, Tensor]:
         """The loss of the judged ticks, and the last state.
@@ -256,34 +206,30 @@ class _SequenceObjective(Objective):
         The force is judged on the segment that is truly touched: where another was chosen, its
         force holds nothing about what to correct.
         """
-        answer, target, true_torque, following = self._answers(part, state, phase)
+        answer, judged, following = self._answers(part, state, phase)
+        target = judged.target
         contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
         touched = torch.nonzero(target.segment > 0)[:, 0]
         true_force = direction_of(target.angle_deg[touched]) * target.magnitude_n[touched, None]
         force = answer.force_n[touched, target.segment[touched] - 1]
         off_n = functional.huber_loss(force, true_force, reduction="sum") / max(1, len(touched))
         scale = self.network.error.std.double()
-        error = self.network.in_joint_order(answer.torque_n_m) - true_torque
+        error = self.network.in_joint_order(answer.torque_n_m) - judged.true_torque_n_m
         spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
         total = contact + off_n / self._settings.force_scale_n
         return LossTerms(total, contact, torch.zeros_like(total), off_n, spread), following
 
     def _answers(
         self, part: SequenceSamples, state: Tensor, phase: int
-    ) -> tuple[CorrectedAnswer, SingleContactTarget, Tensor, Tensor]:
-        """Answers, truths and true torques of the judged ticks, and the last state."""
-        network, kind = self.network, torch.float32
-        encoded = network.encode(
-            part.torque_n_m.to(kind),
-            part.past.to(kind),
-            Ticks(*(value.to(kind) for value in part.ticks)),
-        )
+    ) -> tuple[CorrectedAnswer, SequenceSamples, Tensor]:
+        """Answers on the judged ticks, these ticks as flat rows, and the last state."""
+        network, single = self.network, each(part, torch.Tensor.float)
+        encoded = network.encode(single.torque_n_m, single.past, single.ticks)
         states, following = network.remember(encoded, state)
-        judged = slice(phase, None, self._settings.judged_every)
-        seen = part.part(slice(None), judged)
-        balance = network.balance(seen.ticks.flat())
-        answer = network.answer(
-            balance, encoded[:, judged].flatten(0, 1), states[:, judged].flatten(0, 1)
-        )
-        target = SingleContactTarget(*(value.flatten() for value in seen.target))
-        return answer, target, seen.true_torque_n_m.flatten(0, 1), following
+
+        def judged(values: Tensor) -> Tensor:
+            return values[:, phase :: self._settings.judged_every].flatten(0, 1)
+
+        seen = each(part, judged)
+        answer = network.answer(network.balance(seen.ticks), judged(encoded), judged(states))
+        return answer, seen, following

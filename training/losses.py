@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import torch
@@ -10,15 +10,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from cablesense_training.networks.layers import MultiContactOutput, SingleContactOutput
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """α, β and γ of equation (8): weights of contact, direction and magnitude."""
-
-    alpha: float = 1.0
-    beta: float = 1.0
-    gamma: float = 1.0
 
 
 class SingleContactTarget(NamedTuple):
@@ -60,58 +51,60 @@ def angle_error_deg(direction: Tensor, angle_deg: Tensor) -> Tensor:
     return torch.rad2deg(torch.atan2(sine, cosine))
 
 
-def direction_loss(direction: Tensor, angle_deg: Tensor, touched: Tensor) -> Tensor:
-    """Squared error of (sin θ, cos θ), equation (6), over the touched samples."""
-    squared = ((direction - direction_of(angle_deg)) ** 2).sum(dim=-1)
-    return _mean_where(squared, touched)
-
-
 def gaussian_nll(error: Tensor, std: Tensor) -> Tensor:
     """Negative log-likelihood, without its constant, of errors under a stated deviation."""
     return 0.5 * (error / std) ** 2 + torch.log(std)
 
 
 def single_contact_loss(
-    output: SingleContactOutput,
-    target: SingleContactTarget,
-    magnitude_scale_n: Tensor,
-    weights: LossWeights,
+    output: SingleContactOutput, target: SingleContactTarget, magnitude_scale_n: Tensor
 ) -> LossTerms:
-    """Equation (8) with cross-entropy (4), direction (6) and L1 on standardised magnitudes (7).
+    """Equation (8) with α = β = γ = 1.
 
-    `magnitude_scale_n` is the standard deviation that standardises the labels; their mean cancels
-    in the difference.
+    Cross-entropy (4), the squared error (6) of (sin θ, cos θ) and L1 on standardised magnitudes
+    (7), the last two over contacts. `magnitude_scale_n` is the standard deviation that
+    standardises the labels; their mean cancels in the difference.
     """
     touched = target.segment > 0
     contact = functional.cross_entropy(output.contact_logits, target.segment)
-    direction = direction_loss(output.direction, target.angle_deg, touched)
+    off = output.direction - direction_of(target.angle_deg)
+    direction = _mean_where((off**2).sum(dim=-1), touched)
     error_n = output.magnitude_n - target.magnitude_n
     magnitude = _mean_where(error_n.abs() / magnitude_scale_n, touched)
-    total = weights.alpha * contact + weights.beta * direction + weights.gamma * magnitude
     angle_error = angle_error_deg(output.direction, target.angle_deg).detach()
     spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
     spread = spread + gaussian_nll(angle_error, output.angle_std_deg)
+    total = contact + direction + magnitude
     return LossTerms(total, contact, direction, magnitude, _mean_where(spread, touched))
 
 
 def multi_contact_loss(
-    output: MultiContactOutput,
-    target: MultiContactTarget,
-    magnitude_scale_n: Tensor,
-    weights: LossWeights,
+    output: MultiContactOutput, target: MultiContactTarget, magnitude_scale_n: Tensor
 ) -> LossTerms:
     """Cross-entropy of each segment's contact and L1 on standardised magnitudes; no directions."""
     contact = functional.binary_cross_entropy_with_logits(output.contact_logits, target.touched)
     error_n = output.magnitude_n - target.magnitude_n
     magnitude = (error_n.abs() / magnitude_scale_n).mean()
-    total = weights.alpha * contact + weights.gamma * magnitude
     spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
-    return LossTerms(
-        total, contact, torch.zeros_like(total), magnitude, _mean_where(spread, target.touched > 0)
-    )
+    spread = _mean_where(spread, target.touched > 0)
+    total = contact + magnitude
+    return LossTerms(total, contact, torch.zeros_like(total), magnitude, spread)
+
+
+def single_contact_ratios(output: SingleContactOutput, target: SingleContactTarget) -> Tensor:
+    """|error| / stated deviation (B, 2) of magnitude and angle; NaN where no contact was found."""
+    force = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
+    angle = angle_error_deg(output.direction, target.angle_deg).abs() / output.angle_std_deg
+    found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
+    return torch.stack([force, angle], dim=-1).where(found[:, None], math.nan)
+
+
+def multi_contact_ratios(output: MultiContactOutput, target: MultiContactTarget) -> Tensor:
+    """|error| / stated deviation (B, N) of magnitudes; NaN where no contact was found."""
+    ratio = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
+    return ratio.where((target.touched > 0) & (output.contact_logits > 0), math.nan)
 
 
 def _mean_where(values: Tensor, chosen: Tensor) -> Tensor:
     """Mean over the chosen entries, 0 where there are none."""
-    kept = torch.where(chosen, values, torch.zeros_like(values))
-    return kept.sum() / chosen.sum().clamp(min=1)
+    return values.where(chosen, 0.0).sum() / chosen.sum().clamp(min=1)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
+from cablesense_base.arrays import Array
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
@@ -35,15 +33,13 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.export import export_model
-from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit
+from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
 from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
 from cablesense_training.inference.metadata import SEQUENCE_UNITS, UNITS, ModelMetadata
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import build_network, network_name, recipe_for
-
-_ROWS_AT_ONCE = 8192
 
 TEST_SAMPLES = 20_000
 TEST_SHARE_OF_SEQUENCES = 0.125
@@ -179,7 +175,17 @@ def train_model(
             loss that is not finite.
     """
     path, name = Path(path), network_name(network)
-    _require_fit(name, data, settings)
+    recipe = recipe_for(name)
+    follows = "motion" if isinstance(data, Sequences) else data.protocol.kind
+    if follows != recipe.learns_from:
+        remedy = f" (cablesense dataset --protocol {recipe.learns_from})"
+        raise TrainingError(
+            f"network {name} is for protocol {recipe.learns_from}; the data follow {follows}"
+            + (remedy if recipe.learns_from != "motion" else "")
+        )
+    if not isinstance(settings, type(recipe.settings)):
+        wanted, given = type(recipe.settings).__name__, type(settings).__name__
+        raise TrainingError(f"network {name} is trained with {wanted}, not {given}")
     if not path.parent.is_dir():
         raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
     if path.is_dir():
@@ -187,49 +193,42 @@ def train_model(
     built = build_network(name, data.arm, settings.seed, data.protocol.tare_samples)
     metadata = _metadata(name, built, data, settings.seed, command)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
+    test_seed = data.seed + TEST_SEED_OFFSET
+    errors: dict[str, Any]
     if isinstance(built, TemporalNetwork):
         assert isinstance(data, Sequences)
         assert isinstance(settings, SequenceFitSettings)
         history = fit_sequences(built, data, settings, on_epoch)
         export_model(built, path, metadata)
-        test = _test_sequences(data, test_samples)
+        count = test_samples or max(1, round(TEST_SHARE_OF_SEQUENCES * data.protocol.sequences))
+        motion = replace(data.protocol, sequences=count)
+        test = draw_sequences(data.arm, motion, test_seed, workers=os.cpu_count() or 1)
         answer = sequence_answer(TemporalEstimator.load(path, data.arm), test)
-        errors: dict[str, Any] = {
-            "motion": sequence_metrics(answer, test),
-            "sequences": len(data),
-            "test_sequences": len(test),
-        }
+        errors = {"motion": sequence_metrics(answer, test)}
+        errors |= {"sequences": len(data), "test_sequences": len(test)}
     else:
         assert isinstance(data, Dataset)
         assert isinstance(settings, FitSettings)
         history = fit(built, data, settings, on_epoch)
         built.double()
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
-        errors = _sample_errors(
-            built, draw_dataset(data.arm, protocol, data.seed + TEST_SEED_OFFSET)
-        )
+        errors = _sample_errors(built, draw_dataset(data.arm, protocol, test_seed))
         export_model(built, path, metadata)
     return TrainingReport(path, name, parameters, history, **errors)
 
 
-def _test_sequences(training: Sequences, count: int | None) -> Sequences:
-    count = count or max(1, round(TEST_SHARE_OF_SEQUENCES * training.protocol.sequences))
-    protocol = replace(training.protocol, sequences=count)
-    seed = training.seed + TEST_SEED_OFFSET
-    return draw_sequences(training.arm, protocol, seed, workers=os.cpu_count() or 1)
-
-
 def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:
-    if isinstance(network, MultiContactNetwork):
-        touched, magnitude = multi_contact_answer(network, test)
-        return {
-            key: multi_contact_metrics(
-                test.contacts, test.magnitudes_n, touched, magnitude, weakest_n
-            )
-            for key, weakest_n in (("multi", 0.0), ("multi_firm", WEAKEST_JUDGED_N))
-        }
-    answer, truth = single_contact_answer(network, test), ContactTruth.of(test)
-    return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
+    """The metrics of a `TrainingReport` on samples."""
+    if not isinstance(network, MultiContactNetwork):
+        answer, truth = single_contact_answer(network, test), ContactTruth.of(test)
+        return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
+    logits, magnitude_n, _ = _outputs(network, test)
+    return {
+        key: multi_contact_metrics(
+            test.contacts, test.magnitudes_n, logits > 0.0, magnitude_n, weakest_n
+        )
+        for key, weakest_n in (("multi", 0.0), ("multi_firm", WEAKEST_JUDGED_N))
+    }
 
 
 def _metadata(
@@ -268,54 +267,24 @@ def _metadata(
     )
 
 
-def _require_fit(
-    name: str, data: Dataset | Sequences, settings: FitSettings | SequenceFitSettings
-) -> None:
-    recipe = recipe_for(name)
-    wanted = recipe.learns_from
-    found = "motion" if isinstance(data, Sequences) else data.protocol.kind
-    if found != wanted:
-        remedy = f" (cablesense dataset --protocol {wanted})" if wanted != "motion" else ""
-        raise TrainingError(
-            f"network {name} is for protocol {wanted}; the data follow {found}{remedy}"
-        )
-    if not isinstance(settings, type(recipe.settings)):
-        raise TrainingError(
-            f"network {name} is trained with {type(recipe.settings).__name__}, "
-            f"not {type(settings).__name__}"
-        )
-
-
 def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
     """Answers of a single-contact network on a dataset; angles in [0, 360)."""
-    outputs = list(_outputs(network, dataset))
-    logits, direction, magnitude, magnitude_std, angle_std = (
-        torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)
-    )
+    logits, direction, magnitude_n, magnitude_std_n, angle_std_deg = _outputs(network, dataset)
     return ContactAnswer(
         segment=logits.argmax(axis=1),
         angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
-        magnitude_n=magnitude,
-        magnitude_std_n=magnitude_std,
-        angle_std_deg=angle_std,
+        magnitude_n=magnitude_n,
+        magnitude_std_n=magnitude_std_n,
+        angle_std_deg=angle_std_deg,
     )
 
 
-def multi_contact_answer(
-    network: MultiContactNetwork, dataset: Dataset
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Touched segments (B, N) and magnitudes (B, N) of a multi-contact network on a dataset."""
-    logits, magnitude, _ = zip(*_outputs(network, dataset), strict=True)
-    touched: NDArray[np.bool_] = torch.cat(logits).numpy() > 0.0
-    return touched, torch.cat(magnitude).double().numpy()
-
-
-def _outputs(network: Network, dataset: Dataset) -> Iterator[tuple[Tensor, ...]]:
+def _outputs(network: Network, dataset: Dataset) -> list[Array]:
+    """The network's outputs for all samples, in float64."""
     dtype = next(network.parameters()).dtype
-    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype)
-    command = torch.as_tensor(dataset.command_rad).to(dtype)
+    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
+    command = torch.as_tensor(dataset.command_rad).to(dtype).split(ROWS_AT_ONCE)
     network.eval()
     with torch.no_grad():
-        for start in range(0, len(tension), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
-            yield tuple(network(tension[rows], command[rows]))
+        outputs = [network(*rows) for rows in zip(tension, command, strict=True)]
+    return [torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)]

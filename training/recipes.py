@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -20,7 +21,6 @@ from cablesense_training.networks.multi_contact import (
 )
 from cablesense_training.networks.single_contact import (
     DecoupledNetwork,
-    LearntNetwork,
     ScaleAwareNetwork,
     SharedBackboneNetwork,
     TwoStageNetwork,
@@ -28,8 +28,6 @@ from cablesense_training.networks.single_contact import (
 from cablesense_training.networks.temporal import TemporalNetwork
 
 Settings = TypeVar("Settings", bound=LoopSettings)
-Builder = Callable[[Arm, int], Network | TemporalNetwork]
-"""Makes a network from an arm and the number of readings averaged into a tare."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +36,19 @@ class Recipe:
 
     Attributes:
         learns_from: kind of the protocol of its samples, or `motion` for sequences.
-        build: makes it for an arm.
+        build: makes it for an arm and the number of readings averaged into a tare.
         samples: how many samples, or sequences, to draw.
         settings: of the training.
     """
 
     learns_from: Literal["single", "multi", "motion"]
-    build: Builder
+    build: Callable[[Arm, int], Network | TemporalNetwork]
     samples: int
     settings: FitSettings | SequenceFitSettings
 
 
-def _from_tensions(network: type[LearntNetwork | TwoStageMultiContactNetwork]) -> Builder:
-    return lambda arm, tare_samples: network(arm.cable_count, arm.segment_count)  # type: ignore[call-arg]
-
-
 _PAPER = FitSettings()
-_SEQUENCES = 256
+_IN_MOTION = SequenceFitSettings()
 
 RECIPES: dict[str, Recipe] = {
     "closed-form": Recipe("single", PlainClosedForm.for_arm, 20_000, _PAPER),
@@ -64,28 +58,25 @@ RECIPES: dict[str, Recipe] = {
         40_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
     ),
-    "decoupled": Recipe("single", _from_tensions(DecoupledNetwork), 100_000, _PAPER),
-    "shared-backbone": Recipe("single", _from_tensions(SharedBackboneNetwork), 100_000, _PAPER),
-    "two-stage": Recipe("single", _from_tensions(TwoStageNetwork), 100_000, _PAPER),
+    "decoupled": Recipe("single", DecoupledNetwork.for_arm, 100_000, _PAPER),
+    "shared-backbone": Recipe("single", SharedBackboneNetwork.for_arm, 100_000, _PAPER),
+    "two-stage": Recipe("single", TwoStageNetwork.for_arm, 100_000, _PAPER),
     "scale-aware": Recipe(
         "single",
-        _from_tensions(ScaleAwareNetwork),
+        ScaleAwareNetwork.for_arm,
         300_000,
         FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6),
     ),
-    "multi-contact": Recipe("multi", _from_tensions(TwoStageMultiContactNetwork), 100_000, _PAPER),
+    "multi-contact": Recipe("multi", TwoStageMultiContactNetwork.for_arm, 100_000, _PAPER),
     "multi-contact-closed-form": Recipe(
         "multi",
         MultiContactClosedForm.for_arm,
         50_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2),
     ),
-    "temporal": Recipe("motion", TemporalNetwork.for_arm, _SEQUENCES, SequenceFitSettings()),
+    "temporal": Recipe("motion", TemporalNetwork.for_arm, 256, _IN_MOTION),
     "memoryless": Recipe(
-        "motion",
-        lambda arm, tare_samples: TemporalNetwork.for_arm(arm, tare_samples, recurrent=False),
-        _SEQUENCES,
-        SequenceFitSettings(),
+        "motion", partial(TemporalNetwork.for_arm, recurrent=False), 256, _IN_MOTION
     ),
 }
 
@@ -106,48 +97,24 @@ def network_name(name: str) -> str:
 
 
 def recipe_for(name: str) -> Recipe:
-    """The recipe of a network.
-
-    Raises:
-        TrainingError: there is no network of that name; the message lists those there are.
-    """
+    """The recipe of a network; for an unknown name as `network_name`."""
     return RECIPES[network_name(name)]
 
 
 def build_network(
     name: str, arm: Arm, seed: int = 0, tare_samples: int = 50
 ) -> Network | TemporalNetwork:
-    """A network for an arm with the initial weights that the seed gives.
-
-    Raises:
-        TrainingError: there is no network of that name; the message lists those there are.
-    """
+    """A network for an arm with the initial weights that the seed gives; see `network_name`."""
     recipe = recipe_for(name)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return recipe.build(arm, tare_samples)
 
 
-def adjusted(
-    settings: Settings,
-    *,
-    seed: int,
-    threads: int,
-    epochs: int | None = None,
-    batch_size: int | None = None,
-    learning_rate: float | None = None,
-) -> Settings:
-    """A recipe's settings with what a caller chose otherwise.
+def adjusted(settings: Settings, **chosen: Any) -> Settings:
+    """A recipe's settings with what a caller chose otherwise; None leaves the recipe's value.
 
     Raises:
         TrainingError: a value out of range.
     """
-    chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
-    given: dict[str, Any] = {name: value for name, value in chosen.items() if value is not None}
-    settings = replace(settings, seed=seed, threads=threads, **given)
-    for name in ("epochs", "batch_size", "threads"):
-        if getattr(settings, name) < 1:
-            raise TrainingError(f"{name} = {getattr(settings, name)}: must be at least 1")
-    if not 0.0 < settings.learning_rate <= 1.0:
-        raise TrainingError(f"learning_rate = {settings.learning_rate:g}: must be in (0, 1]")
-    return settings
+    return replace(settings, **{k: value for k, value in chosen.items() if value is not None})

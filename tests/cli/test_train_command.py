@@ -8,7 +8,7 @@ import yaml
 from arm_variants import variant
 from typer.testing import CliRunner
 
-from cablesense_cli.dataset import command_line
+from cablesense_cli.options import command_line
 from cablesense_cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
@@ -57,12 +57,6 @@ def test_nothing_is_written_when_a_network_is_unknown(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("word", ["--network", "--data", "--samples", "--seed", "--out"])
-def test_help_explains_the_options(word):
-    result = _run("--help")
-    assert word in result.output
-
-
 def test_an_amended_arm_is_trained_for_as_any_other(tmp_path):
     listed = [
         {"effect": "payload", "at": "segment_4", "parameters": {"mass_kg": 0.3}},
@@ -93,16 +87,6 @@ def test_the_command_names_what_was_chosen_and_quotes_it():
     assert command_line("train", options) == (
         "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
     )
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("--pose", "straight"), ("--randomise", "payload"), ("--data", "data.parquet")],
-)
-def test_options_of_samples_are_refused_for_a_network_for_sequences(option, value):
-    result = _run("--network", "temporal", option, value)
-    assert isinstance(result.exception, TrainingError)
-    assert f"{option} {value}: network temporal learns from sequences" in str(result.exception)
 
 
 def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):

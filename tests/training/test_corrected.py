@@ -46,7 +46,7 @@ def _readings(arm, rows, reach_deg=10.0, seed=0):
 
 
 def _statics(network, tension, command):
-    """What statics alone says, weighed by what each candidate explains."""
+    """Candidates by statics alone, weighed by the misfit that each explains."""
     with torch.no_grad():
         return network.closed_form.weigh(
             tension,
@@ -119,7 +119,7 @@ def test_absurd_readings_get_finite_answers(arm, tension):
         torch.testing.assert_close(probabilities.sum(), torch.tensor(1.0, dtype=torch.float64))
 
 
-def test_without_contact_it_says_so(untrained):
+def test_noise_alone_is_no_contact(untrained):
     rng = np.random.default_rng(3)
     noise = torch.as_tensor(rng.normal(0.0, 0.07, (500, 12)))
     command = torch.as_tensor(rng.uniform(-0.17, 0.17, (500, 8)))
@@ -149,11 +149,11 @@ def test_a_stiff_arm_is_expanded_and_a_soft_one_is_solved_anew(untrained):
     assert lab.closed_form.pose_corrections > 1
 
 
-def test_it_tells_which_cables_are_taut(untrained):
+def test_the_taut_cables_are_those_of_the_exact_form(untrained):
     tension, command, _ = _readings(CDSM, 100)
     with torch.no_grad():
         output, taut = untrained.answer_and_taut(tension, command)
-        exact = ClosedForm(mechanism_of(CDSM), 0.005, 2)(tension, command)
+        exact = ClosedForm(mechanism_of(CDSM), 0.005, 2).balance(tension, command)
     assert 0.0 < float(taut.mean()) < 1.0
     assert float((taut == exact.taut).double().mean()) > 0.99
     torch.testing.assert_close(output, untrained(tension, command))

@@ -8,11 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_training.losses import (
-    LossWeights,
     MultiContactTarget,
     SingleContactTarget,
     angle_error_deg,
-    direction_loss,
     direction_of,
     gaussian_nll,
     multi_contact_loss,
@@ -48,40 +46,39 @@ def test_direction_is_sine_then_cosine():
 
 def test_cross_entropy_of_even_logits_is_log_of_classes():
     output = _output([[0.0] * 5], [10.0], [20.0])
-    terms = single_contact_loss(
-        output, _target([2], [10.0], [20.0]), torch.tensor(50.0), LossWeights()
-    )
+    terms = single_contact_loss(output, _target([2], [10.0], [20.0]), torch.tensor(50.0))
     assert float(terms.contact) == pytest.approx(math.log(5.0), rel=1e-5)
     assert float(terms.total) == pytest.approx(math.log(5.0), rel=1e-5)
 
 
 def test_direction_loss_is_squared_chord_over_touched_samples_only():
-    output = direction_of(torch.tensor([60.0, 0.0, 123.0]))
-    true = torch.tensor([0.0, 180.0, 0.0])
-    touched = torch.tensor([True, True, False])
+    output = _output([[0.0, 0.0]] * 3, [60.0, 0.0, 123.0], [10.0] * 3)
+    terms = single_contact_loss(
+        output, _target([1, 1, 0], [0.0, 180.0, 0.0], [10.0, 10.0, 0.0]), torch.tensor(50.0)
+    )
     # a chord of 60 degrees is 1 long, one of 180 degrees is 2 long
-    assert float(direction_loss(output, true, touched)) == pytest.approx((1.0 + 4.0) / 2.0)
+    assert float(terms.direction) == pytest.approx((1.0 + 4.0) / 2.0)
 
 
-def test_direction_loss_of_no_contact_at_all_is_zero():
-    none = torch.tensor([False, False])
-    loss = direction_loss(torch.ones(2, 2), torch.tensor([5.0, 6.0]), none)
-    assert float(loss) == 0.0
+def test_losses_of_no_contact_at_all_are_zero():
+    output = _output([[0.0, 0.0]] * 2, [5.0, 6.0], [1.0, 2.0])
+    terms = single_contact_loss(
+        output, _target([0, 0], [0.0, 0.0], [0.0, 0.0]), torch.tensor(50.0)
+    )
+    assert (float(terms.direction), float(terms.magnitude), float(terms.spread)) == (0, 0, 0)
 
 
 def test_magnitude_loss_is_l1_in_standard_deviations_over_the_contacts():
     output = _output([[9.0, 0.0], [0.0, 9.0], [0.0, 9.0]], [0.0] * 3, [10.0, 100.0, 20.0])
     target = _target([0, 1, 1], [0.0] * 3, [0.0, 60.0, 30.0])
-    terms = single_contact_loss(output, target, torch.tensor(50.0), LossWeights())
+    terms = single_contact_loss(output, target, torch.tensor(50.0))
     assert float(terms.magnitude) == pytest.approx((40.0 / 50.0 + 10.0 / 50.0) / 2.0)
 
 
-def test_total_weighs_the_three_terms():
+def test_total_is_the_sum_of_the_three_terms():
     output = _output([[1.0, 0.0]], [30.0], [10.0])
-    target = _target([1], [0.0], [20.0])
-    weights = LossWeights(alpha=2.0, beta=3.0, gamma=5.0)
-    terms = single_contact_loss(output, target, torch.tensor(10.0), weights)
-    expected = 2.0 * terms.contact + 3.0 * terms.direction + 5.0 * terms.magnitude
+    terms = single_contact_loss(output, _target([1], [0.0], [20.0]), torch.tensor(10.0))
+    expected = terms.contact + terms.direction + terms.magnitude
     assert float(terms.total) == pytest.approx(float(expected))
 
 
@@ -90,9 +87,7 @@ def test_spread_loss_leaves_the_answers_alone():
     output.magnitude_n.requires_grad_()
     stds = torch.ones(1, requires_grad=True)
     output = output._replace(magnitude_std_n=stds, angle_std_deg=stds)
-    terms = single_contact_loss(
-        output, _target([1], [0.0], [20.0]), torch.tensor(10.0), LossWeights()
-    )
+    terms = single_contact_loss(output, _target([1], [0.0], [20.0]), torch.tensor(10.0))
     terms.spread.backward()
     assert output.magnitude_n.grad is None
     assert stds.grad is not None
@@ -127,7 +122,7 @@ def test_multi_contact_loss_by_hand():
         magnitude_std_n=torch.tensor([[2.0, 7.0]]),
     )
     target = MultiContactTarget(torch.tensor([[1.0, 0.0]]), torch.tensor([[6.0, 0.0]]))
-    terms = multi_contact_loss(output, target, torch.tensor([4.0, 2.0]), LossWeights())
+    terms = multi_contact_loss(output, target, torch.tensor([4.0, 2.0]))
     assert float(terms.contact) == pytest.approx(math.log(2.0))
     assert float(terms.magnitude) == pytest.approx((1.0 + 0.5) / 2.0)
     assert float(terms.direction) == 0.0

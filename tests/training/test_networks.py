@@ -15,7 +15,6 @@ from cablesense_training.networks import MultiContactNetwork
 from cablesense_training.networks.layers import (
     GatedLayer,
     Standardiser,
-    gated_perceptron,
     tension_norm_n,
 )
 from cablesense_training.recipes import RECIPES, build_network
@@ -95,12 +94,6 @@ def test_a_gated_layer_can_multiply_its_inputs():
         layer.value.bias.zero_()
         found = layer(torch.tensor([[30.0, 7.0], [40.0, -2.0]]))
     assert found[:, 0].tolist() == pytest.approx([210.0, -80.0])
-
-
-def test_gated_layers_are_as_wide_as_asked():
-    layers = gated_perceptron(5, (7, 3))
-    assert layers(torch.zeros(2, 5)).shape == (2, 3)
-    assert layers[0](torch.zeros(2, 5)).shape == (2, 7)
 
 
 def test_the_length_of_nothing_is_a_millinewton():

@@ -20,6 +20,10 @@ CDSM = mechanism_of(open_arm("cdsm"))
 ROWS = 600
 
 
+def _second_order():
+    return SecondOrderClosedForm(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=1))
+
+
 def _weighed(closed_form, tension_difference_n, command_rad):
     """Candidates whose evidence (B, N) is the misfit that each explains."""
     with torch.no_grad():
@@ -49,19 +53,19 @@ def pushes(request):
     angle_deg, magnitude = rng.uniform(0.0, 360.0, ROWS), rng.uniform(1.0, 200.0, ROWS)
     loaded, unloaded = _tensions(command, segment, angle_deg, magnitude)
     slack = loaded == 0.0
-    # as many taut cables as joint angles tell the pose
-    told = slack.sum(axis=1) <= CDSM.cable_count - CDSM.joint_count
-    told &= ~((loaded > 0.0) & (loaded < BARELY_TAUT_N)).any(axis=1)
-    assert told.sum() > 0.95 * ROWS
-    assert slack[told].any(axis=1).mean() > 0.5
+    # as many taut cables as joint angles determine the pose
+    known = slack.sum(axis=1) <= CDSM.cable_count - CDSM.joint_count
+    known &= ~((loaded > 0.0) & (loaded < BARELY_TAUT_N)).any(axis=1)
+    assert known.sum() > 0.95 * ROWS
+    assert slack[known].any(axis=1).mean() > 0.5
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=1)
-    return tuple(part[told] for part in (command, segment, force, loaded - unloaded, slack))
+    return tuple(part[known] for part in (command, segment, force, loaded - unloaded, slack))
 
 
 def test_it_agrees_with_the_closed_form_at_the_true_pose_slack_or_not(pushes):
     command, segment, force, difference, slack = pushes
-    found = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), difference, command)
+    found = _weighed(_second_order(), difference, command)
     exact = _weighed(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=2), difference, command)
     np.testing.assert_array_equal(found.taut == 0.0, slack)
     np.testing.assert_array_equal(found.evidence.argmax(axis=1) + 1, segment)
@@ -92,7 +96,7 @@ def test_information_is_the_inverse_of_the_covariance(pushes):
         seen.append((information.numpy(), covariance_n2.numpy()))
         return information, covariance_n2[..., 0, 0]
 
-    closed_form = SecondOrderClosedForm(CDSM, VARIANCE_N2)
+    closed_form = _second_order()
     with torch.no_grad():
         found = closed_form.weigh(torch.as_tensor(difference), torch.as_tensor(command), weighing)
     [(information, covariance)] = seen
@@ -104,7 +108,7 @@ def test_information_is_the_inverse_of_the_covariance(pushes):
 
 def test_the_constant_of_the_weighing_is_added(pushes):
     command, _, _, difference, _ = pushes
-    closed_form = SecondOrderClosedForm(CDSM, VARIANCE_N2)
+    closed_form = _second_order()
     constant = torch.arange(4.0, dtype=torch.float64).repeat(len(command), 1)
     with torch.no_grad():
         found = closed_form.weigh(
@@ -125,7 +129,9 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
     noise = rng.normal(0.0, VARIANCE_N2**0.5, (3000, CDSM.cable_count))
     read = np.where(loaded > 0.0, loaded + noise, 0.0) - unloaded
     found = _weighed(
-        SecondOrderClosedForm(CDSM, VARIANCE_N2), read, np.repeat(command, 3000, axis=0)
+        _second_order(),
+        read,
+        np.repeat(command, 3000, axis=0),
     )
     own = found.force_n[:, 3]
     stated = found.covariance_n2[:, 3].mean(axis=0)
@@ -137,7 +143,7 @@ def test_without_contact_what_a_segment_explains_is_chi_squared():
     rng = np.random.default_rng(3)
     command = rng.uniform(-0.17, 0.17, (4000, CDSM.joint_count))
     noise = rng.normal(0.0, VARIANCE_N2**0.5, (4000, CDSM.cable_count))
-    explained = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), noise, command).evidence
+    explained = _weighed(_second_order(), noise, command).evidence
     for segment in range(CDSM.segment_count):
         assert stats.kstest(explained[:, segment], stats.chi2(2).cdf).pvalue > 1e-3
 
@@ -145,5 +151,5 @@ def test_without_contact_what_a_segment_explains_is_chi_squared():
 @pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])
 def test_absurd_readings_get_finite_weighed(size_n):
     command = np.stack([np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)])
-    found = _weighed(SecondOrderClosedForm(CDSM, VARIANCE_N2), np.full((3, 12), size_n), command)
+    found = _weighed(_second_order(), np.full((3, 12), size_n), command)
     assert all(np.isfinite(part).all() for part in found)

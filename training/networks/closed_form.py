@@ -11,8 +11,8 @@ command this is
 
 2N equations for the two components of f, solved by generalised least squares for every segment in
 turn; the segment whose misfit chi² is least is the contact. The pose q is not the commanded one:
-the arm gives way. Each taut cable's stretch T/k tells its true length, and Gauss-Newton on those
-lengths gives q.
+the arm gives way. Each taut cable's stretch T/k determines its true length, and Gauss-Newton on
+those lengths gives q.
 
 Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly
 zero for slack ones, whose tension is known; with T = k J dq this compresses the M tensions without
@@ -38,9 +38,8 @@ SLACK_WEIGHT = 1e-3
 NUDGE_N = 1e-6
 """Added to weighed forces to keep them off zero, so that they always have a direction."""
 
-MOST_POSE_CORRECTIONS = 4
-
-POSE_TOLERANCE_RAD = 1e-5
+_MOST_POSE_CORRECTIONS = 4
+_POSE_TOLERANCE_RAD = 1e-5
 """Where Gauss-Newton on the pose may stop: it moves a 200 N estimate by some millinewtons."""
 
 
@@ -55,40 +54,18 @@ def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
     straight = np.zeros(mechanism.joint_count)
     give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
     steps = 0
-    while give > POSE_TOLERANCE_RAD and steps < MOST_POSE_CORRECTIONS:
+    while give > _POSE_TOLERANCE_RAD and steps < _MOST_POSE_CORRECTIONS:
         give, steps = give * give, steps + 1
     return steps
 
 
 class Candidates(NamedTuple):
-    """The estimates by statics, one hypothesis per segment.
+    """The contacts by statics, one for each segment, with the evidence for them.
 
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
         covariance_n2: (B, N, 2, 2) of the force, N².
-        information: (B, N, 2, 2) its inverse, 1/N².
-        misfit_none: (B,) chi² of "no contact", 2N degrees of freedom.
         taut: (B, M) one for taut cables, zero for slack ones.
-    """
-
-    force_n: Tensor
-    covariance_n2: Tensor
-    information: Tensor
-    misfit_none: Tensor
-    taut: Tensor
-
-    @property
-    def explained(self) -> Tensor:
-        """(B, N) chi² that a contact on the segment explains, of `misfit_none`."""
-        force = self.force_n[:, :, None]
-        return (force @ self.information * force).sum((2, 3))
-
-
-class Weighed(NamedTuple):
-    """Candidates with the evidence for each.
-
-    Attributes:
-        force_n, covariance_n2, taut: as in `Candidates`.
         evidence: (B, 1, N) log evidence of a contact on each segment against none.
     """
 
@@ -137,7 +114,7 @@ class ClosedForm(nn.Module):
         unexplained_n2: what effects that no statics carries add to that variance; a slack cable
             is recognised by the sensor's own.
         held_by: the arm whose cable lengths the actuators hold at a command, where that is not
-            `mechanism`: an arm whose holes are elsewhere than its controller believes.
+            `mechanism`: an arm whose holes are elsewhere than its controller assumes.
     """
 
     compliance_m_n: Tensor
@@ -172,26 +149,20 @@ class ClosedForm(nn.Module):
             spring = np.tile(mechanism.joint_stiffness_n_m_rad, 2)[:, None]
             self.register_buffer("spring_n_m_rad", torch.as_tensor(spring))
 
-    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Candidates:
-        """See `Candidates`."""
-        return self.least_squares(self.balance(tension_difference_n, joint_command_rad))
-
     def weigh(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
-    ) -> Weighed:
-        """Candidates, and the evidence for them."""
-        found = self(tension_difference_n, joint_command_rad)
-        trusted, constant = weighing(found.information, found.covariance_n2)
-        force = found.force_n[:, :, None]
-        evidence = (force @ trusted * force).sum((2, 3)) + constant
-        return Weighed(found.force_n + NUDGE_N, found.covariance_n2, found.taut, evidence[:, None])
+    ) -> Candidates:
+        """The candidates, and the evidence for them."""
+        balance = self.balance(tension_difference_n, joint_command_rad)
+        force, covariance, information, _ = self.least_squares(balance)
+        trusted, constant = weighing(information, covariance)
+        rows = force[:, :, None]
+        evidence = (rows @ trusted * rows).sum((2, 3)) + constant
+        return Candidates(force + NUDGE_N, covariance, balance.taut, evidence[:, None])
 
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """Torques of the environment on the joints at the true pose."""
-        n = self.kinematics.segment_count
-        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
-        commanded = self.kinematics(angles)
-        normal_cross = self.kinematics.normal_cross(commanded)
+        angles, commanded, normal_cross = self.at_command(joint_command_rad)
         unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
 
         tension = tension_difference_n[:, :, None] + unloaded_tension
@@ -200,11 +171,11 @@ class ClosedForm(nn.Module):
         weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
         stretch = (tension - self._at_command_n(angles, commanded)) * self.compliance_m_n
         pose = commanded
-        inverse_gram = _gram_inverse(commanded.jacobian_t_m, weight)
+        inverse_gram = gram_inverse(commanded.jacobian_t_m, weight)
         for step in range(self.pose_corrections):
             if step:
                 stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
-                inverse_gram = _gram_inverse(pose.jacobian_t_m, weight)
+                inverse_gram = gram_inverse(pose.jacobian_t_m, weight)
                 moved = inverse_gram @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
             else:
                 moved = inverse_gram @ (pose.jacobian_t_m @ (weight * stretch))
@@ -224,13 +195,20 @@ class ClosedForm(nn.Module):
             commanded_m=commanded.span_m.sum((1, 2)),
         )
 
+    def at_command(self, joint_command_rad: Tensor) -> tuple[Tensor, Pose, Tensor]:
+        """Angles (B, 2N, 1), pitches first, pose and `normal_cross` of joint commands (B, 2N)."""
+        n = self.kinematics.segment_count
+        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
+        commanded = self.kinematics(angles)
+        return angles, commanded, self.kinematics.normal_cross(commanded)
+
     def unloaded(
         self, angles: Tensor, commanded: Pose, normal_cross: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Tensions under the arm's own weight, and the joint torque that they leave unbalanced.
 
-        Tensions are (B, M, 1), of cables taken as taut; the torque is (B, 2N, 1), that at the pose
-        which the unloaded arm is taken to stand in: the command, without corrections.
+        Tensions are (B, M, 1), of cables assumed taut; the torque is (B, 2N, 1), that at the pose
+        where the unloaded arm is assumed to stand: the command, without corrections.
         """
         pose = commanded
         stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
@@ -239,7 +217,7 @@ class ClosedForm(nn.Module):
         for _ in range(max(1, self.pose_corrections)):
             _, weight_torque = self.kinematics.levers(pose, normal_cross)
             stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
-            inverse_gram = _gram_inverse(pose.jacobian_t_m, stiffness)
+            inverse_gram = gram_inverse(pose.jacobian_t_m, stiffness)
             unbalanced = weight_torque - pose.jacobian_t_m @ tension
             if self.springy:
                 unbalanced = unbalanced - self.spring_n_m_rad * angles
@@ -266,26 +244,24 @@ class ClosedForm(nn.Module):
         assert self.held_by is not None
         return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
 
-    def least_squares(self, balance: Balance) -> Candidates:
-        """Generalised least squares of the torques on every segment's two force components."""
+    def least_squares(self, balance: Balance) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Generalised least squares of the torques on every segment's two force components.
+
+        Gives forces (B, N, 2), their covariance and its inverse, the information (B, N, 2, 2), and
+        chi² of "no contact" (B,) with 2N degrees of freedom.
+        """
         n = self.kinematics.segment_count
-        lever, precision, torque, taut = balance[:4]
+        lever, precision, torque = balance[:3]
         weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
         pull = (weighted @ torque).reshape(-1, n, 2, 1)
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
         covariance = inverse(information)
         force = covariance @ pull
         misfit_none = (torque * (precision @ torque)).sum((1, 2))
-        return Candidates(
-            force_n=force.reshape(-1, n, 2),
-            covariance_n2=covariance,
-            information=information,
-            misfit_none=misfit_none,
-            taut=taut,
-        )
+        return force.reshape(-1, n, 2), covariance, information, misfit_none
 
 
-def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+def gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
     """Inverse (B, 2N, 2N) of J' W J, with weights (B, M, 1)."""
     return inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
 

@@ -24,11 +24,10 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.networks.closed_form import ClosedForm, Weighed, pose_corrections_for
+from cablesense_training.networks.closed_form import Candidates, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import (
     SingleContactOutput,
     StatedSpread,
@@ -53,38 +52,31 @@ def exact_statics(
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
+    # where holes are elsewhere, the held lengths are not the arm's own
+    own_lengths = (
+        mechanism.segment_hole_y_m is None
+        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
+        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
+    )
     if pose_corrections is None:
         pose_corrections = pose_corrections_for(mechanism)
-        if _holds_other_lengths(mechanism, nominal):
+        if not own_lengths:
             pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
     return ClosedForm(
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
         unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
-        nominal if _holds_other_lengths(mechanism, nominal) else None,
+        None if own_lengths else nominal,
     )
 
 
 def statics(arm: Arm, tare_samples: int) -> ClosedForm | SecondOrderClosedForm:
     """The closed form of an arm; to second order where that is enough, which is faster."""
-    nominal = mechanism_of(arm)
-    mechanism = amended(nominal, entries_of(arm))
-    plain = not mechanism.joint_stiffness_n_m_rad.any()
-    plain = plain and not _holds_other_lengths(mechanism, nominal)
-    if plain and pose_corrections_for(mechanism) <= 1:
-        variance = difference_variance_n2(arm.sensors, tare_samples)
-        return SecondOrderClosedForm(mechanism, variance, unexplained_variance_n2(arm))
-    return exact_statics(arm, tare_samples)
-
-
-def _holds_other_lengths(mechanism: Mechanism, nominal: Mechanism) -> bool:
-    """Whether holes are elsewhere, so that the held lengths are not the arm's own."""
-    return not (
-        mechanism.segment_hole_y_m is None
-        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
-        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
-    )
+    exact = exact_statics(arm, tare_samples)
+    if exact.springy or exact.held_by is not None or exact.pose_corrections > 1:
+        return exact
+    return SecondOrderClosedForm(exact)
 
 
 def unexplained_variance_n2(arm: Arm) -> float:
@@ -92,16 +84,18 @@ def unexplained_variance_n2(arm: Arm) -> float:
     entries = entries_of(arm)
     if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
         return 0.0
-    protocol = SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False)
-    seen = draw_dataset(arm, protocol)
+    drawn = draw_dataset(arm, SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False))
     nominal = mechanism_of(arm)
-    mechanism, held = amended(nominal, entries), held_lengths_m(nominal, seen.command_rad)
+    mechanism, held = amended(nominal, entries), held_lengths_m(nominal, drawn.command_rad)
     loaded, unloaded = (
-        solve_equilibrium(mechanism, seen.command_rad, forces, held_m=held).tensions_n
-        for forces in (seen.forces_n, np.zeros_like(seen.forces_n))
+        solve_equilibrium(mechanism, drawn.command_rad, forces, held_m=held).tensions_n
+        for forces in (drawn.forces_n, np.zeros_like(drawn.forces_n))
     )
-    return float(((seen.tension_difference_n - (loaded - unloaded)) ** 2).mean())
+    return float(((drawn.tension_difference_n - (loaded - unloaded)) ** 2).mean())
 
+
+LOG_PRIOR = -2.0 * math.log(200.0)
+"""Of a contact: uniform over the disc of forces up to 200 N, but for pi."""
 
 LARGEST_CORRECTION = 1.0
 """In standard deviations of the closed form."""
@@ -111,42 +105,32 @@ class CorrectedClosedForm(SingleContactNetwork):
     """Single contact from tension differences (B, M) and joint commands (B, 2N), in float64.
 
     Args:
-        mechanism: the arm.
-        closed_form: statics of that arm.
-        force_range_n: largest force expected; the prior of a contact is uniform over the disc of
-            forces up to it.
-        width: of the hidden layer.
+        arm: the arm.
+        closed_form: its statics.
     """
 
     pose_aware: ClassVar[bool] = True
     frame: Tensor
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        closed_form: ClosedForm | SecondOrderClosedForm,
-        force_range_n: float = 200.0,
-        width: int = 48,
-    ) -> None:
-        segments, cables = mechanism.segment_count, mechanism.cable_count
-        super().__init__(cables, segments)
+    def __init__(self, arm: Arm, closed_form: ClosedForm | SecondOrderClosedForm) -> None:
+        segments, width = arm.segment_count, 48
+        super().__init__(arm.cable_count, segments)
         self.closed_form = closed_form
         self.spread = StatedSpread(2)
-        self.log_prior = -2.0 * math.log(force_range_n)
         self.log_trust = nn.Parameter(torch.zeros(()))
         self.segment_bias = nn.Parameter(torch.zeros(segments))
-        self.hidden = nn.Linear(cables, width)
+        self.hidden = nn.Linear(arm.cable_count, width)
         self.hidden_segment = nn.Parameter(0.1 * torch.randn(segments, width))
         self.heads = nn.Linear(width, 4, bias=False)
         nn.init.zeros_(self.heads.weight)
-        turns = torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]])
-        self.register_buffer("frame", turns)
+        along_and_across = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
+        self.register_buffer("frame", torch.tensor(along_and_across))
         self.double()
 
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(mechanism_of(arm), statics(arm, tare_samples))
+        return cls(arm, statics(arm, tare_samples))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
@@ -184,7 +168,7 @@ class CorrectedClosedForm(SingleContactNetwork):
         )
         return output, found.taut
 
-    def _known(self, found: Weighed) -> Tensor:
+    def _known(self, found: Candidates) -> Tensor:
         """(B, N, 8) per segment: root of the covariance, correction, and widening of the spread.
 
         The network sees which cables are taut, so all this changes only when they do.
@@ -203,7 +187,7 @@ class CorrectedClosedForm(SingleContactNetwork):
         best fit (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
         chapter 28).
         """
-        occam = 0.5 * torch.log(_determinant(covariance_n2)) + math.log(2.0) + self.log_prior
+        occam = 0.5 * torch.log(_determinant(covariance_n2)) + math.log(2.0) + LOG_PRIOR
         trust = 0.5 * torch.exp(self.log_trust)
         return information * trust, occam + self.segment_bias
 
@@ -213,11 +197,9 @@ class PlainClosedForm(CorrectedClosedForm):
 
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
-        """The closed form of an arm that is taken to stand where it is commanded."""
-        closed_form = exact_statics(arm, tare_samples, pose_corrections=0)
-        network = cls(mechanism_of(arm), closed_form)
-        network.requires_grad_(False)
-        return network
+        """The closed form of an arm that is assumed to stand where it is commanded."""
+        network = cls(arm, exact_statics(arm, tare_samples, pose_corrections=0))
+        return network.requires_grad_(False)
 
 
 def _length(rows: Tensor) -> Tensor:

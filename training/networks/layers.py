@@ -41,12 +41,6 @@ class GatedLayer(nn.Module):
         return functional.silu(self.gate(x)) * self.value(x)
 
 
-def gated_perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
-    """Gated hidden layers of the given widths."""
-    pairs = zip([inputs, *widths], widths, strict=False)
-    return nn.Sequential(*(GatedLayer(before, width) for before, width in pairs))
-
-
 def one_hot_of_argmax(logits: Tensor) -> Tensor:
     """One-hot code (B, K) of the likeliest class, equation (10); no gradient passes through it."""
     winner = logits.argmax(dim=-1, keepdim=True)
@@ -93,11 +87,8 @@ class MultiContactOutput(NamedTuple):
     magnitude_std_n: Tensor
 
 
-_LOG_RANGE = (-9.0, 6.0)
-
-
 class StatedSpread(nn.Module):
-    """What every head for stated standard deviations has.
+    """Common to every head for stated standard deviations.
 
     Attributes:
         factor: (outputs,) set after training such that 95 % of held-out errors lie within 1.96
@@ -132,20 +123,13 @@ class Spread(StatedSpread):
         """Standard deviations (B, outputs) from features (B, F) and tension differences (B, M)."""
         length = torch.log(tension_norm_n(tension_difference_n))
         hidden = self.hidden(torch.cat([features.detach(), length], dim=-1))
-        log_std = self.log_std(hidden).clamp(*_LOG_RANGE)
+        log_std = self.log_std(hidden).clamp(-9.0, 6.0)
         std: Tensor = torch.exp(log_std) * self.unit * self.factor
         return std
 
 
-SMALLEST_STD = 1e-9
-"""A column that never varies is left unscaled instead of being divided by its rounding error."""
-
-
 class Standardiser(nn.Module):
-    """`(x - mean) / std` per column, and back; `adapt` sets these buffers from training data.
-
-    Before `adapt` it changes nothing.
-    """
+    """`(x - mean) / std` per column, and back; `adapt` sets these buffers from training data."""
 
     mean: Tensor
     std: Tensor
@@ -156,10 +140,11 @@ class Standardiser(nn.Module):
         self.register_buffer("std", torch.ones(columns))
 
     def adapt(self, values: Tensor) -> None:
-        """Take mean and standard deviation from rows (B, columns)."""
+        """Take mean and standard deviation from rows (B, columns); a constant is not scaled."""
         std = values.std(dim=0, correction=0)
         self.mean.copy_(values.mean(dim=0))
-        self.std.copy_(torch.where(std > SMALLEST_STD, std, torch.ones_like(std)))
+        # not above zero: a constant would be divided by its rounding error
+        self.std.copy_(std.where(std > 1e-9, 1.0))
 
     def forward(self, values: Tensor) -> Tensor:
         """Standardised rows (B, columns)."""
@@ -181,7 +166,7 @@ class ContactNetwork(nn.Module, ABC, Generic[Output]):
     Attributes:
         pose_aware: whether `forward` needs the commanded joint angles.
         magnitude: scaling of the force magnitudes in the loss.
-        spread: head for the stated standard deviations, see `StatedSpread`.
+        spread: head for the stated standard deviations.
     """
 
     pose_aware: ClassVar[bool] = False

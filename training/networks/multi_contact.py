@@ -56,6 +56,11 @@ class TwoStageMultiContactNetwork(MultiContactNetwork):
         self.trunk = perceptron(cable_count + segment_count, widths)
         self.magnitude_head = nn.Linear(widths[-1], segment_count)
 
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> TwoStageMultiContactNetwork:
+        """The network for an arm, whatever its tare."""
+        return cls(arm.cable_count, arm.segment_count)
+
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Set the scaling from samples: tension differences (B, M) and magnitudes (B, N)."""
         self.tension.adapt(tension_difference_n)
@@ -91,13 +96,14 @@ class MultiContactClosedForm(MultiContactNetwork):
     pose_aware: ClassVar[bool] = True
 
     def __init__(self, closed_form: ClosedForm, width: int = 32) -> None:
+        cables = closed_form.kinematics.cable_count
         segments = closed_form.kinematics.segment_count
-        super().__init__(closed_form.kinematics.cable_count, segments)
+        super().__init__(cables, segments)
         self.spread = StatedSpread(segments)
         self.closed_form = closed_form
         self.trust = nn.Parameter(torch.full((segments,), 0.5))
         self.bias = nn.Parameter(torch.full((segments,), -6.0))
-        self.widen = perceptron(2 * segments + closed_form.kinematics.cable_count, (width,))
+        self.widen = perceptron(2 * segments + cables, (width,))
         self.log_widen = nn.Linear(width, segments)
         nn.init.zeros_(self.log_widen.weight)
         nn.init.zeros_(self.log_widen.bias)
@@ -126,30 +132,20 @@ class MultiContactClosedForm(MultiContactNetwork):
         information = weighted @ lever.transpose(1, 2)
         pull = weighted @ balance.torque_n_m
         covariance = inverse(information)
-        significance = _own_chi2(covariance @ pull, covariance, n)
+        # chi² of each segment's own two components, the others unknown
+        together = covariance @ pull
+        own, pairs = own_blocks(covariance, n), together.reshape(-1, n, 2, 1)
+        significance = (pairs * (inverse(own) @ pairs)).sum((2, 3))
         logits = self.trust * significance + self.bias
         touched = (logits > 0.0).to(pull.dtype)
         held = ((1.0 - touched) * UNTOUCHED_PRECISION)[:, :, None].expand(-1, -1, 2)
         covariance = inverse(information + torch.diag_embed(held.reshape(-1, 2 * n)))
         force = (covariance @ pull).reshape(-1, n, 2)
         magnitude = torch.sqrt((force * force).sum(-1) + _WEAKEST_N**2)
-        std = _radial_std(force, magnitude, covariance)
+        radial = (force / magnitude[..., None])[..., None]
+        variance = (radial * (own_blocks(covariance, n) @ radial)).sum((2, 3))
+        std = torch.sqrt(variance.clamp(min=0.0) + 1e-6)
         features = [magnitude / _FORCE_SCALE_N, touched, balance.taut]
         hidden = self.widen(torch.cat(features, dim=-1).detach())
         scale = torch.exp(torch.tanh(self.log_widen(hidden)))
         return MultiContactOutput(logits, magnitude, std.detach() * scale * self.spread.factor)
-
-
-def _own_chi2(force: Tensor, covariance: Tensor, segments: int) -> Tensor:
-    """(B, N) f' C^-1 f of each segment's own two components, the others unknown."""
-    own = own_blocks(covariance, segments)
-    pairs = force.reshape(-1, segments, 2, 1)
-    return (pairs * (inverse(own) @ pairs)).sum((2, 3))
-
-
-def _radial_std(force: Tensor, magnitude: Tensor, covariance: Tensor) -> Tensor:
-    """(B, N) standard deviation of each force along itself, at least a millinewton."""
-    radial = (force / magnitude[..., None])[..., None]
-    own = own_blocks(covariance, force.shape[1])
-    variance = (radial * (own @ radial)).sum((2, 3))
-    return torch.sqrt(variance.clamp(min=0.0) + 1e-6)

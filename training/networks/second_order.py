@@ -24,19 +24,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.closed_form import (
     NUDGE_N,
     SLACK_WEIGHT,
+    Candidates,
     ClosedForm,
-    Weighed,
     Weighing,
+    gram_inverse,
     inverse,
     own_blocks,
 )
 from cablesense_training.networks.compact import Pose
 
-STEP_RAD = 1e-4
+_STEP_RAD = 1e-4
 """Of the central differences that give derivatives by the pose; their error is a part in 1e8."""
 
 
@@ -57,12 +57,10 @@ class _Expansion(NamedTuple):
 
 
 class SecondOrderClosedForm(nn.Module):
-    """Weighed candidates from tension differences (B, M) and joint commands (B, 2N), in float64.
+    """Candidates from tension differences (B, M) and joint commands (B, 2N), in float64.
 
     Args:
-        mechanism: the arm; stiff, see `pose_corrections_for`.
-        reading_variance_n2: variance of one tension difference, N².
-        unexplained_n2: what effects add to that, see `ClosedForm`.
+        exact: the closed form of the arm; stiff, see `pose_corrections_for`.
     """
 
     offsets: Tensor
@@ -70,48 +68,36 @@ class SecondOrderClosedForm(nn.Module):
     left_factor: Tensor
     right_factor: Tensor
 
-    def __init__(
-        self, mechanism: Mechanism, reading_variance_n2: float, unexplained_n2: float = 0.0
-    ) -> None:
+    def __init__(self, exact: ClosedForm) -> None:
         super().__init__()
-        self.exact = ClosedForm(
-            mechanism, reading_variance_n2, pose_corrections=1, unexplained_n2=unexplained_n2
-        )
-        joints, segments = mechanism.joint_count, mechanism.segment_count
-        forward = STEP_RAD * torch.eye(joints, dtype=torch.float64)
+        self.exact = exact
+        self.reading_variance_n2 = exact.reading_variance_n2
+        segments = exact.kinematics.segment_count
+        forward = _STEP_RAD * torch.eye(2 * segments, dtype=torch.float64)
         self.register_buffer("offsets", torch.cat([forward, -forward])[:, :, None])
         self.register_buffer("own", torch.eye(segments, dtype=torch.float64)[:, None, :, None])
         first = 2 * torch.arange(segments)[:, None]
         self.register_buffer("left_factor", (first + torch.tensor([0, 0, 1])).ravel())
         self.register_buffer("right_factor", (first + torch.tensor([0, 1, 1])).ravel())
 
-    @property
-    def reading_variance_n2(self) -> float:
-        """Variance of one tension difference, N²."""
-        return self.exact.reading_variance_n2
-
     def weigh(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
-    ) -> Weighed:
-        """Candidates, and the evidence for them.
+    ) -> Candidates:
+        """The candidates, and the evidence for them.
 
         Both are polynomials of f0, linear in its components and their products within a segment:
         one product with a matrix that is held while command and taut cables stay the same. The
         evidence takes f0 for f, which is a part in a thousand.
         """
         n = self.exact.kinematics.segment_count
-        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
-        commanded = self.exact.kinematics(angles)
-        normal_cross = self.exact.kinematics.normal_cross(commanded)
+        angles, commanded, normal_cross = self.exact.at_command(joint_command_rad)
         unloaded_tension, _ = self.exact.unloaded(angles, commanded, normal_cross)
         about = self._expand(angles, commanded, normal_cross)
         slack_at = self.exact.slack_below_n - unloaded_tension[..., 0]
 
         taut = (tension_difference_n > slack_at).to(tension_difference_n.dtype)
         weight = taut[:, :, None] * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
-        precision = inverse(about.jacobian_t @ (about.jacobian_t.transpose(1, 2) * weight)) * (
-            1.0 / self.reading_variance_n2
-        )
+        precision = gram_inverse(about.jacobian_t, weight) * (1.0 / self.reading_variance_n2)
         weighted = about.lever @ precision
         information = own_blocks(weighted @ about.lever.transpose(1, 2), n)
         covariance = inverse(information)
@@ -132,7 +118,7 @@ class SecondOrderClosedForm(nn.Module):
         )
         answer = torch.cat([guess, products], dim=2) @ polynomial + remainder
         force, evidence = answer.split([2 * n, n], dim=2)
-        return Weighed(force.reshape(-1, n, 2), covariance, taut, evidence)
+        return Candidates(force.reshape(-1, n, 2), covariance, taut, evidence)
 
     def _polynomial(
         self, gain: Tensor, bilinear: Tensor, linear: Tensor, trusted: Tensor, prior: Tensor
@@ -165,7 +151,7 @@ class SecondOrderClosedForm(nn.Module):
 
         def by_angle(values: Tensor, size: int) -> Tensor:
             sides = values.reshape(-1, 2, joints, size)
-            return (sides[:, 0] - sides[:, 1]) * (0.5 / STEP_RAD)
+            return (sides[:, 0] - sides[:, 1]) * (0.5 / _STEP_RAD)
 
         return _Expansion(
             jacobian_t=commanded.jacobian_t_m,

@@ -7,37 +7,23 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Self
 
 import torch
 from torch import Tensor, nn
 
+from cablesense_sim.arm import Arm
 from cablesense_training.networks.layers import (
     ContactNetwork,
+    GatedLayer,
     SingleContactOutput,
     Spread,
     Standardiser,
-    gated_perceptron,
     one_hot_of_argmax,
     perceptron,
     tension_norm_n,
 )
-
-
-class Answer(NamedTuple):
-    """A network's answer before its uncertainty is stated.
-
-    Attributes:
-        contact_logits: (B, N + 1).
-        direction: (B, 2).
-        magnitude_n: (B,).
-        features: (B, F) hidden features that the uncertainty is read from.
-    """
-
-    contact_logits: Tensor
-    direction: Tensor
-    magnitude_n: Tensor
-    features: Tensor
 
 
 class SingleContactNetwork(ContactNetwork[SingleContactOutput]):
@@ -48,7 +34,7 @@ class SingleContactNetwork(ContactNetwork[SingleContactOutput]):
 
 
 class LearntNetwork(SingleContactNetwork):
-    """A network without physics in it; subclasses give `answer`.
+    """A network without physics in it; subclasses give `_answer`.
 
     Attributes:
         tension: scaling of the M tension differences, in buffers that `adapt` sets.
@@ -56,10 +42,15 @@ class LearntNetwork(SingleContactNetwork):
 
     spread: Spread
 
-    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+    def __init__(self, cable_count: int, segment_count: int, features: int = 192) -> None:
         super().__init__(cable_count, segment_count)
         self.tension = Standardiser(cable_count)
         self.spread = Spread(features, outputs=2)
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
+        """The network for an arm, whatever its tare."""
+        return cls(arm.cable_count, arm.segment_count)
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Set the scaling from samples: tension differences (B, M) and magnitudes (B,)."""
@@ -70,22 +61,16 @@ class LearntNetwork(SingleContactNetwork):
         )
 
     @abstractmethod
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """Contact, direction and magnitude for raw tension differences (B, M)."""
+    def _answer(self, tension_difference_n: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Contact logits (B, N + 1), direction (B, 2), magnitude (B,), N, and hidden features."""
 
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
     ) -> SingleContactOutput:
-        """Answers for tension differences (B, M); if `pose_aware`, of commanded angles (B, 2N)."""
-        answer = self.answer(tension_difference_n, joint_command_rad)
-        std = self.spread(answer.features, tension_difference_n)
-        return SingleContactOutput(
-            contact_logits=answer.contact_logits,
-            direction=answer.direction,
-            magnitude_n=answer.magnitude_n,
-            magnitude_std_n=std[:, 0],
-            angle_std_deg=std[:, 1],
-        )
+        """Answers for tension differences (B, M); the commanded angles are not used."""
+        logits, direction, magnitude_n, features = self._answer(tension_difference_n)
+        std = self.spread(features, tension_difference_n)
+        return SingleContactOutput(logits, direction, magnitude_n, std[:, 0], std[:, 1])
 
 
 class TwoStageNetwork(LearntNetwork):
@@ -104,7 +89,7 @@ class TwoStageNetwork(LearntNetwork):
         contact_widths: Sequence[int] = (128, 128),
         widths: Sequence[int] = (192, 192, 192),
     ) -> None:
-        super().__init__(cable_count, segment_count, features=widths[-1])
+        super().__init__(cable_count, segment_count, widths[-1])
         classes = segment_count + 1
         self.contact_trunk = perceptron(cable_count, contact_widths)
         self.contact_head = nn.Linear(contact_widths[-1], classes)
@@ -112,18 +97,12 @@ class TwoStageNetwork(LearntNetwork):
         self.direction_head = nn.Linear(widths[-1], 2)
         self.magnitude_head = nn.Linear(widths[-1], 1)
 
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """See the base class."""
+    def _answer(self, tension_difference_n: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         x = self.tension(tension_difference_n)
         logits = self.contact_head(self.contact_trunk(x))
-        contact = one_hot_of_argmax(logits)
-        hidden = self.trunk(torch.cat([x, contact], dim=-1))
-        return Answer(
-            contact_logits=logits,
-            direction=self.direction_head(hidden),
-            magnitude_n=self.magnitude.undo(self.magnitude_head(hidden))[:, 0],
-            features=hidden,
-        )
+        hidden = self.trunk(torch.cat([x, one_hot_of_argmax(logits)], dim=-1))
+        direction = self.direction_head(hidden)
+        return logits, direction, self.magnitude.undo(self.magnitude_head(hidden))[:, 0], hidden
 
 
 class DecoupledNetwork(LearntNetwork):
@@ -132,7 +111,7 @@ class DecoupledNetwork(LearntNetwork):
     def __init__(
         self, cable_count: int, segment_count: int, widths: Sequence[int] = (128, 128, 128)
     ) -> None:
-        super().__init__(cable_count, segment_count, features=2 * widths[-1])
+        super().__init__(cable_count, segment_count, 2 * widths[-1])
         self.contact_trunk = perceptron(cable_count, widths)
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
         self.direction_trunk = perceptron(cable_count, widths)
@@ -140,17 +119,14 @@ class DecoupledNetwork(LearntNetwork):
         self.magnitude_trunk = perceptron(cable_count, widths)
         self.magnitude_head = nn.Linear(widths[-1], 1)
 
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """See the base class."""
+    def _answer(self, tension_difference_n: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         x = self.tension(tension_difference_n)
         for_direction, for_magnitude = self.direction_trunk(x), self.magnitude_trunk(x)
         magnitude = self.magnitude.undo(self.magnitude_head(for_magnitude))
-        return Answer(
-            contact_logits=self.contact_head(self.contact_trunk(x)),
-            direction=self.direction_head(for_direction),
-            magnitude_n=magnitude[:, 0],
-            features=torch.cat([for_direction, for_magnitude], dim=-1),
-        )
+        logits = self.contact_head(self.contact_trunk(x))
+        direction = self.direction_head(for_direction)
+        magnitude_n = magnitude[:, 0]
+        return logits, direction, magnitude_n, torch.cat([for_direction, for_magnitude], dim=-1)
 
 
 class SharedBackboneNetwork(LearntNetwork):
@@ -159,21 +135,16 @@ class SharedBackboneNetwork(LearntNetwork):
     def __init__(
         self, cable_count: int, segment_count: int, widths: Sequence[int] = (192, 192, 192)
     ) -> None:
-        super().__init__(cable_count, segment_count, features=widths[-1])
+        super().__init__(cable_count, segment_count, widths[-1])
         self.backbone = perceptron(cable_count, widths)
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
         self.direction_head = nn.Linear(widths[-1], 2)
         self.magnitude_head = nn.Linear(widths[-1], 1)
 
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """See the base class."""
+    def _answer(self, tension_difference_n: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         hidden = self.backbone(self.tension(tension_difference_n))
-        return Answer(
-            contact_logits=self.contact_head(hidden),
-            direction=self.direction_head(hidden),
-            magnitude_n=self.magnitude.undo(self.magnitude_head(hidden))[:, 0],
-            features=hidden,
-        )
+        logits, direction = self.contact_head(hidden), self.direction_head(hidden)
+        return logits, direction, self.magnitude.undo(self.magnitude_head(hidden))[:, 0], hidden
 
 
 class ScaleAwareNetwork(LearntNetwork):
@@ -189,14 +160,14 @@ class ScaleAwareNetwork(LearntNetwork):
     def __init__(
         self, cable_count: int, segment_count: int, widths: Sequence[int] = (208, 208, 208)
     ) -> None:
-        super().__init__(cable_count, segment_count, features=widths[-1])
-        self.trunk = gated_perceptron(2 * cable_count + 1, widths)
+        super().__init__(cable_count, segment_count, widths[-1])
+        sizes = pairwise([2 * cable_count + 1, *widths])
+        self.trunk = nn.Sequential(*(GatedLayer(inputs, width) for inputs, width in sizes))
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
         self.direction_head = nn.Linear(widths[-1], 2)
         self.ratio_head = nn.Linear(widths[-1], 1)
 
-    def answer(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Answer:
-        """See the base class."""
+    def _answer(self, tension_difference_n: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         length = tension_norm_n(tension_difference_n)
         pattern = tension_difference_n / length
         x = torch.cat(
@@ -204,9 +175,5 @@ class ScaleAwareNetwork(LearntNetwork):
         )
         hidden = self.trunk(x)
         ratio = torch.exp(self.ratio_head(hidden).clamp(max=3.0))
-        return Answer(
-            contact_logits=self.contact_head(hidden),
-            direction=self.direction_head(hidden),
-            magnitude_n=(length * ratio)[:, 0],
-            features=hidden,
-        )
+        logits, direction = self.contact_head(hidden), self.direction_head(hidden)
+        return logits, direction, (length * ratio)[:, 0], hidden

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.temporal_estimator import TemporalState
 from cablesense_training.networks.closed_form import NUDGE_N, Balance, ClosedForm, inverse
-from cablesense_training.networks.corrected import exact_statics
+from cablesense_training.networks.corrected import LOG_PRIOR, exact_statics
 from cablesense_training.networks.layers import (
     SingleContactOutput,
     Standardiser,
@@ -36,18 +36,35 @@ from cablesense_training.networks.layers import (
 GIVES_M = (2e-5, 2e-4, 2e-3)
 """Lengths of cable drawn from the middle of a stop operator to its end."""
 
+LARGEST_CORRECTION = 6.0
+"""In standard deviations of what is to be corrected in training, joint by joint."""
+
+LARGEST_LOG_FACTOR = 0.5
+"""Bound on the logarithm of a cable's factor: friction beyond it is beyond this correction."""
+
+LARGEST_OFFSET = 4.0
+"""Bound on a cable's offset, in standard deviations of its tension differences in training."""
+
+_LOG_STD_RANGE = (-7.0, 3.0)
+
+_PER_RAD = 10.0
+"""Brings set-points to the size of the shares."""
+
 
 class DrawnCables:
-    """Follows set-points; the past is the part of a `TemporalState` behind the hidden one."""
+    """Follows set-points; the past is the part of a `TemporalState` behind the hidden one.
+
+    Attributes:
+        layout: of the whole state.
+        size: of the past (…, size).
+        seen_size: of what `seen` gives.
+    """
 
     def __init__(self, cables: int, joints: int, hidden: int) -> None:
         self.layout = TemporalState(hidden, cables * len(GIVES_M), cables, joints)
         self._parts = self.layout.parts[1:]
-
-    @property
-    def size(self) -> int:
-        """Of the past (…, size)."""
-        return sum(self._parts)
+        self.size = sum(self._parts)
+        self.seen_size = 2 * self.layout.shares + joints
 
     def follow(self, past: Tensor, lengths_m: Tensor, set_point_rad: Tensor) -> Tensor:
         """The past (B, size) one tick later, at cable lengths (B, M) and a set-point (B, 2N)."""
@@ -70,27 +87,6 @@ class DrawnCables:
         shares, _, _, shares_tared, set_point_tared, _ = past.split(self._parts, dim=-1)
         return torch.cat([shares, shares_tared, _PER_RAD * set_point_tared], dim=-1)
 
-    @property
-    def seen_size(self) -> int:
-        """Of what `seen` gives."""
-        return 2 * self.layout.shares + self.layout.joints
-
-
-_PER_RAD = 10.0
-"""Brings set-points to the size of the shares."""
-
-
-LARGEST_CORRECTION = 6.0
-"""In standard deviations of what is to be corrected in training, joint by joint."""
-
-LARGEST_LOG_FACTOR = 0.5
-"""Bound on the logarithm of a cable's factor: friction beyond it is beyond this correction."""
-
-LARGEST_OFFSET = 4.0
-"""Bound on a cable's offset, in standard deviations of its tension differences in training."""
-
-_LOG_STD_RANGE = (-7.0, 3.0)
-
 
 class Ticks(NamedTuple):
     """Inputs of one or more ticks, leading axes alike.
@@ -104,10 +100,6 @@ class Ticks(NamedTuple):
     joint_command_rad: Tensor
     joint_speed_rad_s: Tensor
     joint_acceleration_rad_s2: Tensor
-
-    def flat(self) -> Ticks:
-        """All leading axes as one."""
-        return Ticks(*(part.flatten(0, -2) for part in self))
 
 
 class CorrectedAnswer(NamedTuple):
@@ -133,25 +125,19 @@ class TemporalNetwork(nn.Module):
         arm: the arm.
         closed_form: its statics.
         hidden: size of the recurrent unit's state.
-        force_range_n: largest force expected, see `CorrectedClosedForm`.
+        recurrent: where false, every tick is answered as the first: the baseline that shows what
+            the history is worth.
 
     Attributes:
         pose_aware: it needs the set-point.
         drawn: follows the commands.
         memory: size of the state that is carried from tick to tick.
-        recurrent: where false, every tick is answered as the first: the baseline that shows what
-            the history is worth.
     """
 
     pose_aware: ClassVar[bool] = True
 
     def __init__(
-        self,
-        arm: Arm,
-        closed_form: ClosedForm,
-        hidden: int = 96,
-        force_range_n: float = 200.0,
-        recurrent: bool = True,
+        self, arm: Arm, closed_form: ClosedForm, hidden: int = 96, recurrent: bool = True
     ) -> None:
         super().__init__()
         joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
@@ -177,7 +163,6 @@ class TemporalNetwork(nn.Module):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
         self.log_trust = nn.Parameter(torch.zeros(()))
-        self.log_prior = -2.0 * math.log(force_range_n)
         self.spread = StatedSpread(2)
 
     @classmethod
@@ -246,14 +231,13 @@ class TemporalNetwork(nn.Module):
         torque = torque + balance.jacobian_t_m @ lost
         noise = inverse(balance.precision)
         precision = inverse(noise + torch.diag_embed(self.pitches_first(std * std)))
-        found = self.closed_form.least_squares(
+        found, covariance, information, _ = self.closed_form.least_squares(
             balance._replace(torque_n_m=torque, precision=precision)
         )
-        force = found.force_n + NUDGE_N
-        covariance = found.covariance_n2
+        force = found + NUDGE_N
         determinant = covariance[..., 0, 0] * covariance[..., 1, 1] - covariance[..., 0, 1] ** 2
-        occam = 0.5 * torch.log(determinant) + math.log(2.0) + self.log_prior
-        explained = (force[:, :, None] @ found.information * force[:, :, None]).sum((2, 3))
+        occam = 0.5 * torch.log(determinant) + math.log(2.0) + LOG_PRIOR
+        explained = (force[:, :, None] @ information * force[:, :, None]).sum((2, 3))
         evidence = 0.5 * torch.exp(self.log_trust) * explained + occam + self.belief(read)
         none = torch.zeros_like(evidence[:, :1])
         chosen = one_hot_of_argmax(evidence)
@@ -280,13 +264,9 @@ class TemporalNetwork(nn.Module):
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
         before, past = state.split([self.hidden, self.drawn.size], dim=-1)
-        set_point = ticks.joint_command_rad.to(kind)
-        past = self.drawn.follow(past, balance.commanded_m.to(kind), set_point)
-        encoded = self.encode(
-            self.joint_torque_n_m(balance).to(kind),
-            past,
-            Ticks(*(part.to(kind) for part in ticks)),
-        )
+        inputs = Ticks(*(part.to(kind) for part in ticks))
+        past = self.drawn.follow(past, balance.commanded_m.to(kind), inputs.joint_command_rad)
+        encoded = self.encode(self.joint_torque_n_m(balance).to(kind), past, inputs)
         following = self.next_state(encoded, before) if self.recurrent else 0.0 * before
         output = self.answer(balance, encoded, following).output
         return output, torch.cat([following, past], dim=-1)
