@@ -62,8 +62,8 @@ def test_table_without_terminal_has_no_progress_bar(tmp_path):
     [
         (["--protocol", "triple"], "must be one of single, multi"),
         (["--samples", "0"], "samples = 0"),
-        (["--pose", "bent"], "must be one of straight, random"),
-        (["--pose", "random", "--pose-range-deg", "90"], "must be a number from 0.0 to 45.0"),
+        (["--pose", "bent"], "pose = 'bent': must be"),
+        (["--pose", "random", "--pose-range-deg", "90"], "must be at most 45.0"),
         (["--force-high-n", "nan"], "force_high_n = nan"),
         (["--max-contacts", "2"], "unknown option 'max_contacts'"),
         (["--protocol", "multi", "--max-contacts", "9"], "the arm has 4 segments"),
