@@ -38,9 +38,8 @@ def read_bounded_bytes(
         raise refusal(f"{path}: not a file; {what} is one") from error
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else str(error)
-        raise refusal(
-            f"{_shown(path)}: cannot be read ({why}); give the path of {what}"
-        ) from error
+        wrong = f"{_shown(path)}: cannot be read ({why})"
+        raise refusal(f"{wrong}; give the path of {what}") from error
     raise refusal(f"{path}: larger than {max_bytes} bytes, so not {what}")
 
 

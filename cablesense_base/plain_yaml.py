@@ -100,15 +100,11 @@ class _PlainLoader(yaml.SafeLoader):
         if getattr(event, "tag", None) is not None:
             self.refuse(f"a tag ({_short(event.tag)}); write the plain value", event.start_mark)
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_SCALAR_CHARACTERS:
-            self.refuse(
-                f"a value of {len(event.value)} characters; at most {MAX_SCALAR_CHARACTERS} "
-                "can be meant",
-                event.start_mark,
-            )
+            long = f"{len(event.value)} characters; at most {MAX_SCALAR_CHARACTERS} can be meant"
+            self.refuse(f"a value of {long}", event.start_mark)
         if self.depth >= MAX_DEPTH:
-            self.refuse(
-                f"lists and mappings nested deeper than {MAX_DEPTH} levels", event.start_mark
-            )
+            nested = f"lists and mappings nested deeper than {MAX_DEPTH} levels"
+            self.refuse(nested, event.start_mark)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -134,15 +130,10 @@ def _short(text: str) -> str:
     return repr(text[:_SHOWN_CHARACTERS])
 
 
-_UNITS = (
-    ("_n_m_s", "N·m·s/rad"),
-    ("_m_s2", "m/s²"),
-    ("_n_m", "N/m"),
-    ("_kg", "kg"),
-    ("_hz", "Hz"),
-    ("_n", "N"),
-    ("_m", "m"),
-)
+_UNITS = {
+    "_n_m_s": "N·m·s/rad", "_m_s2": "m/s²", "_n_m": "N/m", "_kg": "kg", "_hz": "Hz", "_n": "N",
+    "_m": "m",
+}  # fmt: skip
 """Units by the end of a key; the first that fits counts."""
 
 _MESSAGES = {
@@ -151,14 +142,10 @@ _MESSAGES = {
     "less_than": "must be less than {lt}",
     "less_than_equal": "must be at most {le}",
     "finite_number": "must be a finite number",
-    "float_type": "must be a number",
-    "float_parsing": "must be a number",
-    "int_type": "must be a whole number",
-    "int_parsing": "must be a whole number",
-    "int_from_float": "must be a whole number",
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
     "literal_error": "must be {expected}",
-    "list_type": "must be a list",
-    "tuple_type": "must be a list",
     "string_type": "must be text",
     "string_pattern_mismatch": "must be 1 to 64 letters, digits, _ or -",
 }
@@ -199,7 +186,7 @@ def _message(key: str, problem: Any, root: type[BaseModel]) -> str:
     else:
         text = problem["msg"][0].lower() + problem["msg"][1:]
     written = re.sub(r"\.\d+$", "", key)  # without the position in a list
-    unit = next((unit for end, unit in _UNITS if written.endswith(end)), None)
+    unit = next((unit for end, unit in _UNITS.items() if written.endswith(end)), None)
     if unit and (kind.startswith(("greater", "less")) or text in _NUMBER_MESSAGES):
         text += f", in {unit}"
     return f"= {value}: {text}"
@@ -207,12 +194,8 @@ def _message(key: str, problem: Any, root: type[BaseModel]) -> str:
 
 def _key(problem: Any) -> str:
     location = problem["loc"]
-    written = [
-        part
-        for i, part in enumerate(location)
-        if not _is_type_tag(part)
-        or (problem["type"] == "extra_forbidden" and i + 1 == len(location))
-    ]
+    last = len(location) - 1 if problem["type"] == "extra_forbidden" else len(location)
+    written = [part for i, part in enumerate(location) if i == last or not _is_type_tag(part)]
     return ".".join(
         part if isinstance(part, str) and part.isidentifier() else _shorten.repr(part)
         for part in written

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import (
@@ -19,13 +18,6 @@ from rich.progress import (
 from rich.text import Text
 
 
-class Advance(Protocol):
-    """Moves a bar on by `done`; a note (losses of an epoch) stands in place of the rate."""
-
-    def __call__(self, done: int, note: str = "") -> None:
-        """`done` more are done."""
-
-
 class _RateColumn(ProgressColumn):
     def render(self, task: Task) -> Text:
         """The note if there is one, the rate of late, or a dash until there is one."""
@@ -37,10 +29,13 @@ class _RateColumn(ProgressColumn):
 
 
 @contextmanager
-def progress_bar(total: int, *, shown: bool, what: str = "samples") -> Iterator[Advance]:
-    """A bar of `total` samples, or `what` they are; call what it gives with how many were done.
+def progress_bar(
+    total: int, *, shown: bool, what: str = "samples"
+) -> Iterator[Callable[..., None]]:
+    """A bar of `total` samples, or `what` they are; nothing is drawn but if `shown` on a terminal.
 
-    Nothing is drawn unless `shown` and standard error is a terminal.
+    What it gives is called with how many more are done, and may be with a note (losses of an
+    epoch) that stands in place of the rate.
     """
     console = Console(stderr=True)
     with Progress(

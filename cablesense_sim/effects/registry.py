@@ -83,27 +83,24 @@ def checked_entry(
         several = ", ".join(places[:6]) + (", …" if len(places) > 6 else "")
         raise EffectError(f"effect {name} cannot be at {place!r}; valid: {several}")
     history = effect.history(segment_count, cable_count)
-    parameters = (*effect.parameters, *(p for p in history if p.name in given))
     names = [parameter.name for parameter in (*effect.parameters, *history)]
     for key in given:
         if key not in names:
             raise EffectError(f"effect {name} has no parameter {key!r}; it has {', '.join(names)}")
-    for parameter in parameters:
-        value = given.get(parameter.name, parameter.default)
+    values = {}
+    for parameter in (*effect.parameters, *(p for p in history if p.name in given)):
+        value = values[parameter.name] = float(given.get(parameter.name, parameter.default))
         if not parameter.low <= value <= parameter.high:
             raise EffectError(
                 f"effect {name} at {place}: {parameter.name} = {value:g} {parameter.unit} must be "
                 f"from {parameter.low:g} to {parameter.high:g}"
             )
-    values = {p.name: float(given.get(p.name, p.default)) for p in parameters}
     return EffectEntry(effect, place, values)
 
 
 def side_by_side(entries: Sequence[EffectEntry]) -> Values:
     """The values of one effect in P arms, each (P,)."""
-    return {
-        name: np.array([entry.values[name] for entry in entries]) for name in entries[0].values
-    }
+    return {name: np.array([e.values[name] for e in entries]) for name in entries[0].values}
 
 
 Variants = Sequence[Sequence[EffectEntry]]
