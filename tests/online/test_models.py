@@ -8,7 +8,7 @@ import pytest
 
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.estimation import Estimation
-from cablesense_online.models import ContactModel, HistoryDependentModel, decide
+from cablesense_online.models import ContactModel, HistoryDependentModel, decide, load_model
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import EstimationSettings
@@ -17,7 +17,6 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 ARM = open_arm("cdsm")
 MECHANISM = mechanism_of(ARM)
@@ -126,6 +125,10 @@ def _raw(tensions_n, stamp_ns):
     return serialization.serialize_message(message)
 
 
+def _in_motion():
+    return Estimation(ARM, load_model("cdsm", "cdsm_moving").estimator, SETTINGS, 0.0)
+
+
 def _run(estimation, samples, command_at, answers, states):
     for tick, tensions in samples:
         if tick == command_at:
@@ -137,19 +140,16 @@ def _run(estimation, samples, command_at, answers, states):
 
 
 @pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
-def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states(
-    temporal_model_file,
-):
+def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states():
     rng = np.random.default_rng(0)
     tensions = predicted_n(STRAIGHT) + np.cumsum(rng.normal(0.0, 0.3, (150, 12)), axis=0)
     tensions[:10] = predicted_n(STRAIGHT)
     samples = list(enumerate(tensions))
-    model = TemporalEstimator.load(temporal_model_file, ARM)
     answers, states = {}, {}
-    _run(Estimation(ARM, model, SETTINGS, 0.0), samples, 30, answers, states)
+    _run(_in_motion(), samples, 30, answers, states)
     assert all(answers[tick].probabilities for tick in range(30, 150))  # in motion, too
 
-    again = Estimation(ARM, TemporalEstimator.load(temporal_model_file, ARM), SETTINGS, 0.0)
+    again = _in_motion()
     assert not again.reproducible
     for tick, sample in samples:
         if tick in states:
@@ -160,7 +160,7 @@ def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states(
         assert answer.contact == answers[tick].contact
         assert list(answer.probabilities) == list(answers[tick].probabilities)
 
-    late = Estimation(ARM, TemporalEstimator.load(temporal_model_file, ARM), SETTINGS, 0.0)
+    late = _in_motion()
     late.restore(states[30].model_copy(update={"events": states[30].events[-1:]}))
     assert not late.reproducible  # its past was not recorded
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 
 import pytest
@@ -23,9 +24,12 @@ pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=Impor
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
+made_run = functools.cache(MadeRun)
+
+
 @pytest.fixture(scope="module")
 def made():
-    return MadeRun()
+    return made_run()
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +52,7 @@ def test_every_byte_is_the_same(whole):
 @pytest.mark.parametrize("model", ["", "cdsm_moving"])
 @pytest.mark.parametrize("missed", [2, 30])
 def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, missed, tmp_path):
-    made = MadeRun(model=model)
+    made = made_run(model=model) if model else made_run()
     first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
     path = made.write(tmp_path / "late.mcap", [r for r in made.records if r not in first])
     got = replayed(path)

@@ -23,7 +23,11 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "sensors"]
+SHORT_WAITS = (
+    "from cablesense_ros import tension_capture as capture; "
+    "capture._FIRST_SAMPLE_S, capture._PULLING_S, capture._RELEASED_S = {}, 0.5, 0.5; "
+    "from cablesense_cli.app import main; main()"
+)
 HEARING = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     "from cablesense_cli.app import main; main()"
@@ -32,16 +36,17 @@ HEARING = (
 ROOT = Path(__file__).parents[2]
 
 
-def check(*arguments):
+def check(*arguments, first_sample_s=5.0):
+    command = [sys.executable, "-c", SHORT_WAITS.format(first_sample_s), "sensors", "check"]
     return subprocess.run(
-        [*COMMAND, "check", *arguments], capture_output=True, text=True, cwd=ROOT, timeout=60
+        [*command, *arguments], capture_output=True, text=True, cwd=ROOT, timeout=60
     )
 
 
 def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted():
     sim = NodeProcess("cablesense_ros.sim_node")
     try:
-        result = check("--seconds", "4", "--pull", "cable_3", "--rate", "100", "--json")
+        result = check("--seconds", "2", "--pull", "cable_3", "--rate", "100", "--json")
     finally:
         assert sim.stop() == 0, sim.log
     content = json.loads(result.stdout)
@@ -73,7 +78,7 @@ def test_ctrl_c_ends_it_at_once():
 
 
 def test_silence_is_one_line_and_exit_code_2():
-    result = check("--seconds", "2")
+    result = check("--seconds", "2", first_sample_s=0.5)
     assert result.returncode == 2
     assert "nothing on cable_tensions" in result.stderr
     assert "Traceback" not in result.stderr
