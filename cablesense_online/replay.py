@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
@@ -24,21 +25,23 @@ from cablesense_online.recorded_run import RecordedRun, Step, shows_contact
 from cablesense_online.state import LIVE_SETTINGS, EstimatorState
 from cablesense_training.inference.metadata import find_model
 
+COUNTED: Final = {
+    "samples": "samples recorded",
+    "unanswered": "not answered when recorded (no estimator, or refused by their stamp)",
+    "before_journal": "answered before the journal has a usable state, so not compared",
+    "unstamped": "samples without a stamp, so not compared",
+    "lone_contacts": "contacts whose sample is not in the recording",
+    "lone_zeros": "zero wrenches of the estimator in a silence",
+    "compared": "compared",
+    "contacts": "of these contacts",
+    "identical": "bit-identical",
+}
+_ALWAYS_SHOWN: Final = ("samples", "compared", "identical")
+
 
 @dataclass
 class Comparison:
-    """Counts, and the first difference as text.
-
-    Attributes:
-        samples: recorded, with a stamp.
-        compared: those whose answer is recorded and whose state is in the journal.
-        identical: those of which every byte of the wrench is the same.
-        contacts: those compared whose recorded answer is a contact.
-        unanswered: without a recorded answer.
-        before_journal: answered, but the state that the answer rests on is not in the recording.
-        unstamped, lone_contacts, lone_zeros: as in `RecordedRun`.
-        first_difference: empty where there is none.
-    """
+    """Counts, with their meanings in `COUNTED`, and the first difference as text, if any."""
 
     samples: int = 0
     compared: int = 0
@@ -248,25 +251,12 @@ def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
 
     `cut` is where the file breaks off, as text; empty if it is whole.
     """
-    counted = {
-        "samples recorded": comparison.samples,
-        "not answered when recorded (no estimator, or refused by their stamp)": (
-            comparison.unanswered
-        ),
-        "answered before the journal has a usable state, so not compared": (
-            comparison.before_journal
-        ),
-        "samples without a stamp, so not compared": comparison.unstamped,
-        "contacts whose sample is not in the recording": comparison.lone_contacts,
-        "zero wrenches of the estimator in a silence": comparison.lone_zeros,
-        "compared": comparison.compared,
-        "of these contacts": comparison.contacts,
-        "bit-identical": comparison.identical,
-    }
-    always = ("samples recorded", "compared", "bit-identical")
+    counts = {name: getattr(comparison, name) for name in COUNTED}
     lines = [f"the file {cut}"] if cut else []
     lines += [
-        f"{count:>10,}  {what}" for what, count in counted.items() if count or what in always
+        f"{count:>10,}  {COUNTED[name]}"
+        for name, count in counts.items()
+        if count or name in _ALWAYS_SHOWN
     ]
     if comparison.first_difference:
         lines.append(f"first difference: {comparison.first_difference}")

@@ -173,7 +173,10 @@ class BusState:
         if not self._classes:
             self._ledger.note(FaultKind.ERROR_FRAME, self._place, "an error frame without class")
             return
-        text = error_text(arbitration_id, data)
+        bits = data[1] if arbitration_id & CONTROLLER_CLASS and len(data) > 1 else 0
+        parts = [part for bit, part in _CLASSES.items() if arbitration_id & bit]
+        parts += [part for bit, part in _CONTROLLER_BITS.items() if bits & bit]
+        text = ", ".join(parts) or f"error frame of class 0x{arbitration_id:X}"
         if arbitration_id & BUS_OFF_CLASS:
             if self.condition is not BusCondition.OFF:
                 self._ledger.note(FaultKind.BUS_OFF, self._place, text)
@@ -183,7 +186,6 @@ class BusState:
         if arbitration_id & RESTARTED_CLASS:
             self.data_frame()
             self.condition = BusCondition.ACTIVE
-        bits = data[1] if arbitration_id & CONTROLLER_CLASS and len(data) > 1 else 0
         if self.condition is not BusCondition.OFF:
             for mask, condition in _CONDITIONS:
                 if bits & mask:
@@ -195,14 +197,6 @@ class BusState:
         if self.condition is BusCondition.OFF:
             self.recoveries += 1
             self.condition = BusCondition.ACTIVE
-
-
-def error_text(arbitration_id: int, data: bytes) -> str:
-    """The meaning of an error frame as text."""
-    parts = [part for bit, part in _CLASSES.items() if arbitration_id & bit]
-    if arbitration_id & CONTROLLER_CLASS and len(data) > 1:
-        parts += [part for bit, part in _CONTROLLER_BITS.items() if data[1] & bit]
-    return ", ".join(parts) or f"error frame of class 0x{arbitration_id:X}"
 
 
 class BusClock:

@@ -17,7 +17,6 @@ from cablesense_online.can.bus import (
     FaultKind,
     FaultLedger,
     booted_node,
-    error_text,
     start_frames,
 )
 
@@ -108,11 +107,16 @@ def test_codes_of_other_drivers_are_not_read_as_classes():
     assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
 
 
-def test_an_error_frame_is_put_in_words():
-    assert error_text(0x24, bytes([0, 0x01])) == (
-        "controller, no acknowledge, receive buffer overflow"
-    )
-    assert "0x200" in error_text(0x200, b"")
+@pytest.mark.parametrize(
+    ("number", "data", "text"),
+    [
+        (0x24, bytes([0, 0x01]), "controller, no acknowledge, receive buffer overflow"),
+        (0x200, b"", "error frame of class 0x200"),
+    ],
+)
+def test_the_meaning_of_an_error_frame_is_kept(watch, number, data, text):
+    watch.error_frame(number, data)
+    assert watch.ledger.report().last == {FaultKind.ERROR_FRAME: text}
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**29 - 1), st.binary(max_size=8)), max_size=20))
