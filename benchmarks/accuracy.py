@@ -12,28 +12,30 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 import harness
 
-from cablesense_sim.arm import open_arm
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import Protocol
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
     SHIPPED,
     TABLE2_MODELS,
     Setting,
-    SettingEvaluation,
     evaluate_answer,
     evaluate_multi_models,
     evaluate_setting,
     metrics_json,
     multi_protocol,
 )
+from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.estimator import Estimator
@@ -67,29 +69,39 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="bundled models only")
     options = parser.parse_args()
     start = time.perf_counter()
+
+    def drawn(arm: Arm, protocol: Protocol) -> Dataset:
+        return draw_dataset(arm, protocol, TEST_SEED, workers=options.workers)
+
+    single: dict[str, Any] = {}
+    for setting in SETTINGS:
+        _log(f"{setting.name} …")
+        dataset = drawn(setting.arm, setting.protocol(options.samples))
+        found = evaluate_setting(setting, dataset)
+        shipped = found.models.pop(SHIPPED)
+        peers = {name: metrics_json(metrics) for name, metrics in found.models.items()}
+        if not options.quick:
+            peers |= _trained_baselines(setting, dataset, options.workers)
+        coverage = ("magnitude_coverage95", "direction_coverage95")
+        single[setting.name] = {
+            "shipped": metrics_json(shipped)
+            | {name: getattr(shipped.errors, name) for name in coverage},
+            "mae_over_bound_above_2_n": found.firm_ratio,
+            "bound": asdict(found.bound),
+            "peers": peers,
+            "confusion": shipped.confusion,
+        }
+    multi = drawn(open_arm(MULTI_ARM), multi_protocol(options.samples))
     result: dict[str, Any] = {
         **harness.origin(),
         "seed": TEST_SEED,
         "samples": options.samples,
         "paper": PAPER,
-        "single": {},
+        "single": single,
+        "multi": {n: asdict(found.metrics) for n, found in evaluate_multi_models(multi).items()},
+        "table2": {name: _table2_rows(model) for name, model in TABLE2_MODELS.items()},
+        "seconds": time.perf_counter() - start,
     }
-    for setting in SETTINGS:
-        print(f"{setting.name} …", file=sys.stderr, flush=True)
-        dataset = draw_dataset(
-            setting.arm, setting.protocol(options.samples), TEST_SEED, workers=options.workers
-        )
-        evaluation = evaluate_setting(setting, dataset)
-        extra = {} if options.quick else _trained_baselines(setting, dataset, options.workers)
-        result["single"][setting.name] = _setting_json(evaluation, extra)
-    multi = draw_dataset(
-        open_arm(MULTI_ARM), multi_protocol(options.samples), TEST_SEED, workers=options.workers
-    )
-    result["multi"] = {
-        name: asdict(found.metrics) for name, found in evaluate_multi_models(multi).items()
-    }
-    result["table2"] = {name: _table2_rows(model) for name, model in TABLE2_MODELS.items()}
-    result["seconds"] = time.perf_counter() - start
     table = markdown(result)
     print(table)
     if options.write:
@@ -97,47 +109,35 @@ def main() -> None:
         harness.write_result("accuracy.md", table)
 
 
+def _log(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
 def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[str, Any]:
     """Errors of the baselines that are trained here, with the seconds their training took."""
     baselines: dict[str, Any] = {}
+
+    def add(name: str, answer: ContactAnswer, seconds: float) -> None:
+        metrics = evaluate_answer(answer, test).metrics
+        baselines[name] = {**metrics_json(metrics), "training_seconds": seconds}
+
     names = TRAINED_HERE.get(setting.name, ())
     samples = max([BOOSTING_SAMPLES, *(recipe_for(name).samples for name in names)])
     training = draw_dataset(setting.arm, setting.protocol(samples), TRAIN_SEED, workers=workers)
     for name in names:
-        print(f"  training {name} …", file=sys.stderr, flush=True)
+        _log(f"  training {name} …")
         recipe, network = recipe_for(name), build_network(name, setting.arm, TRAIN_SEED)
         assert isinstance(network, SingleContactNetwork)
         assert isinstance(recipe.settings, FitSettings)
         history = fit(network, training.select(slice(recipe.samples)), recipe.settings)
-        answer = single_contact_answer(network.double(), test)
-        metrics = evaluate_answer(answer, test).metrics
-        baselines[name] = {**metrics_json(metrics), "training_seconds": history.seconds}
-    print("  training gradient boosting …", file=sys.stderr, flush=True)
+        add(name, single_contact_answer(network.double(), test), history.seconds)
+    _log("  training gradient boosting …")
     start = time.perf_counter()
-    aware = setting.name in ("random_pose", "compliant")
-    boosting = BoostingBaseline(
-        training.select(slice(BOOSTING_SAMPLES)), BoostingSettings(pose_aware=aware)
-    )
+    settings = BoostingSettings(pose_aware=setting.name in ("random_pose", "compliant"))
+    boosting = BoostingBaseline(training.select(slice(BOOSTING_SAMPLES)), settings)
     seconds = time.perf_counter() - start
-    metrics = evaluate_answer(boosting.answer(test), test).metrics
-    baselines["gradient_boosting"] = {**metrics_json(metrics), "training_seconds": seconds}
+    add("gradient_boosting", boosting.answer(test), seconds)
     return baselines
-
-
-def _setting_json(evaluation: SettingEvaluation, extra: dict[str, Any]) -> dict[str, Any]:
-    shipped, errors = evaluation.models[SHIPPED], evaluation.models[SHIPPED].errors
-    bundled = {n: metrics_json(m) for n, m in evaluation.models.items() if n != SHIPPED}
-    return {
-        "shipped": {
-            **metrics_json(shipped),
-            "magnitude_coverage95": errors.magnitude_coverage95,
-            "direction_coverage95": errors.direction_coverage95,
-        },
-        "mae_over_bound_above_2_n": evaluation.firm_ratio,
-        "bound": asdict(evaluation.bound),
-        "peers": {**bundled, **extra},
-        "confusion": [list(row) for row in shipped.confusion],
-    }
 
 
 def _table2_rows(model: str) -> list[dict[str, float]]:
@@ -153,6 +153,16 @@ def _table2_rows(model: str) -> list[dict[str, float]]:
     ]
 
 
+_COLUMNS = {
+    "contact": ("contact_accuracy", ".2%"),
+    "direction MAE, °": ("direction_mae_deg", ".3f"),
+    "force MAE, N": ("magnitude_mae_n", ".3f"),
+    "force RMSE, N": ("magnitude_rmse_n", ".3f"),
+    "95 % interval holds": ("coverage95", ".1%"),
+    "training, s": ("training_seconds", ".0f"),
+}
+
+
 def markdown(result: dict[str, Any]) -> str:
     """The result as tables for people."""
     lines = [
@@ -165,69 +175,54 @@ def markdown(result: dict[str, Any]) -> str:
         "The paper's numbers are for a straight arm without noise and without contact-free "
         "samples.",
     ]
-    headings = [heading for heading, _, _ in _COLUMNS]
+
+    def add(headings: str, rows: Iterable[str]) -> None:
+        lines.extend(["", *harness.markdown_table(f"estimator | {headings}", rows)])
+
+    columns = list(_COLUMNS)
     for name, setting in result["single"].items():
-        lines += ["", f"## {name.replace('_', ' ')}", "", *_head("estimator", *headings)]
-        lines.append(_row("**shipped model**", setting["shipped"]))
-        lines += [_row(baseline.replace("_", " "), m) for baseline, m in setting["peers"].items()]
-        lines.append(_row("noise bound", setting["bound"]))
-        lines.append(_row("the paper", result["paper"]))
-        ratio = setting["mae_over_bound_above_2_n"]
-        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}.", ""]
-        columns = ("force, N", "contact", "direction MAE, °", "force MAE, N")
-        lines += _head("estimator", *columns)
-        lines += _bin_rows("shipped", setting["shipped"])
-        lines += _bin_rows("two stage", setting["peers"]["two_stage"])
-    lines += ["", "## several contacts", ""]
-    lines += _head("estimator", "recognised", "macro F1", "force MAE per segment, N")
-    for name, multi in result["multi"].items():
-        errors = ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
-        lines.append(
-            f"| {name.replace('_', ' ')} | {multi['recognition_accuracy']:.2%} "
-            f"| {multi['macro_f1']:.4f} | {errors} |"
+        compared = {"**shipped model**": setting["shipped"], **setting["peers"]}
+        compared |= {"noise bound": setting["bound"], "the paper": result["paper"]}
+        lines += ["", f"## {_words(name)}"]
+        add(
+            " | ".join(columns),
+            (f"{_words(n)} | {_cells(m, columns)}" for n, m in compared.items()),
         )
-    lines += ["", "## Table II, physical rows", ""]
-    lines += _head("estimator", "true", "estimated", "off from down", "error")
-    for name, rows in result["table2"].items():
-        for row in rows:
-            error = row["magnitude_n"] / row["true_n"] - 1.0
-            lines.append(
-                f"| {name.replace('_', ' ')} "
-                f"| segment {row['true_segment']}, {row['true_n']:.2f} N "
-                f"| segment {row['segment']}, {row['magnitude_n']:.2f} N "
-                f"| {row['off_from_down_deg']:+.2f}° | {error:+.1%} |"
-            )
+        ratio = setting["mae_over_bound_above_2_n"]
+        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}."]
+        binned = {"shipped": setting["shipped"], "two stage": setting["peers"]["two_stage"]}
+        rows = (
+            f"{label} | {part['low_n']:g}–{part['high_n']:g} | {_cells(part, columns[:3])}"
+            for label, metrics in binned.items()
+            for part in metrics["by_force"]
+        )
+        add(" | ".join(["force, N", *columns[:3]]), rows)
+    lines += ["", "## several contacts"]
+    rows = (
+        f"{_words(name)} | {multi['recognition_accuracy']:.2%} | {multi['macro_f1']:.4f} | "
+        + ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
+        for name, multi in result["multi"].items()
+    )
+    add("recognised | macro F1 | force MAE per segment, N", rows)
+    lines += ["", "## Table II, physical rows"]
+    rows = (
+        f"{_words(name)} | segment {row['true_segment']}, {row['true_n']:.2f} N | "
+        f"segment {row['segment']}, {row['magnitude_n']:.2f} N | "
+        f"{row['off_from_down_deg']:+.2f}° | {row['magnitude_n'] / row['true_n'] - 1.0:+.1%}"
+        for name, answers in result["table2"].items()
+        for row in answers
+    )
+    add("true | estimated | off from down | error", rows)
     return "\n".join(lines) + "\n"
 
 
-_COLUMNS = (
-    ("contact", "contact_accuracy", ".2%"),
-    ("direction MAE, °", "direction_mae_deg", ".3f"),
-    ("force MAE, N", "magnitude_mae_n", ".3f"),
-    ("force RMSE, N", "magnitude_rmse_n", ".3f"),
-    ("95 % interval holds", "coverage95", ".1%"),
-    ("training, s", "training_seconds", ".0f"),
-)
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
-def _head(*columns: str) -> list[str]:
-    return [f"| {' | '.join(columns)} |", f"|{' --- |' * len(columns)}"]
-
-
-def _row(name: str, metrics: dict[str, Any]) -> str:
-    cells = [
-        format(metrics[key], form) if metrics.get(key) is not None else ""
-        for _, key, form in _COLUMNS
-    ]
-    return f"| {' | '.join([name, *cells])} |"
-
-
-def _bin_rows(name: str, metrics: dict[str, Any]) -> list[str]:
-    return [
-        f"| {name} | {b['low_n']:g}–{b['high_n']:g} | {b['contact_accuracy']:.2%} "
-        f"| {b['direction_mae_deg']:.3f} | {b['magnitude_mae_n']:.3f} |"
-        for b in metrics["by_force"]
-    ]
+def _cells(metrics: dict[str, Any], columns: list[str]) -> str:
+    found = ((metrics.get(key), form) for key, form in map(_COLUMNS.__getitem__, columns))
+    return " | ".join("" if value is None else format(value, form) for value, form in found)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -78,6 +78,12 @@ def percentiles(values: Any, names: Sequence[str], digits: int = 3) -> dict[str,
     at = [float({"median": "50", "worst": "100"}.get(n, n.removesuffix(" %"))) for n in names]
     found = np.percentile(values, at).round(digits).tolist()
     return dict(zip(names, found, strict=True))
+
+
+def markdown_table(headings: str, rows: Iterable[str]) -> list[str]:
+    """Lines of a table in Markdown, its cells divided by bars."""
+    rule = " | ".join("---" for _ in headings.split("|"))
+    return [f"| {line} |" for line in (headings, rule, *rows)]
 
 
 def rss_mb(pid: int) -> float:

@@ -107,6 +107,8 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
     long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
     long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     metrics: dict[str, Any] = {}
+    moving = unsettled(sequences)  # or did within half a second
+    shown = moving & (sequences.segment > 0)
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
         answer = sequence_answer(estimator, sequences)
@@ -124,15 +126,13 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
             }
         metrics[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
-            silent = unsettled(sequences).ravel()  # in motion and half a second after
-            gated = replace(answer, segment=np.where(silent, 0, answer.segment))
+            gated = replace(answer, segment=np.where(moving.ravel(), 0, answer.segment))
             metrics[GATED] = _plain(sequence_metrics(gated, sequences))
-        _draw(axis, name, answer, sequences)
+        error = np.sort(_force_error_n(answer, sequences)[shown])
+        axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
     axis.set_title(f"arm {case.arm}", fontsize=9)
-    axis.set_xlabel("error of the force, N")
-    axis.set_ylabel("share of contacts in motion")
-    axis.set_xscale("log")
-    axis.set_xlim(0.01, 30.0)
+    axis.set(xlabel="error of the force, N", ylabel="share of contacts in motion")
+    axis.set(xscale="log", xlim=(0.01, 30.0))
     axis.legend(fontsize=6, frameon=False)
     return {
         "why": case.why,
@@ -159,14 +159,7 @@ def _plain(metrics: SequenceMetrics) -> dict[str, Any]:
 
 def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
     """(S, T) absolute errors of the force, where nothing is answered the force itself."""
-    answered = np.where(answer.segment > 0, answer.magnitude_n, 0.0)
-    return np.abs(answered.reshape(sequences.segment.shape) - sequences.magnitude_n)
-
-
-def _draw(axis: Axes, name: str, answer: ContactAnswer, sequences: Sequences) -> None:
-    chosen = unsettled(sequences) & (sequences.segment > 0)
-    error = np.sort(_force_error_n(answer, sequences)[chosen])
-    axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
+    return np.abs(answer.force_n.reshape(sequences.segment.shape) - sequences.magnitude_n)
 
 
 def _tables(result: dict[str, Any]) -> str:
@@ -182,14 +175,8 @@ def _tables(result: dict[str, Any]) -> str:
         "",
     ]
     for arm, part in result["arms"].items():
-        lines += [
-            f"## {arm}: {part['why']}",
-            "",
-            "| estimator | contact in motion | direction | force MAE | false force | "
-            "contact at rest | direction | force MAE | false force |",
-            "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-        ]
-        for name, metrics in part["estimators"].items():
+        estimators, rows = part["estimators"], []
+        for name, metrics in estimators.items():
             cells = [name]
             for state in ("moving", "rest"):
                 errors = metrics[state]["errors"]
@@ -200,38 +187,30 @@ def _tables(result: dict[str, Any]) -> str:
                     f"{errors['magnitude_mae_n']:.3f} N",
                     f"{metrics[f'false_force_{state}_n']:.3f} N",
                 ]
-            lines.append("| " + " | ".join(cells) + " |")
+            rows.append(" | ".join(cells))
+        measured = " | direction | force MAE | false force"
+        headings = f"estimator | contact in motion{measured} | contact at rest{measured}"
+        lines += [f"## {arm}: {part['why']}", "", *harness.markdown_table(headings, rows), ""]
+        trained = {name: m for name, m in estimators.items() if "trained by" in m}
+        errors_n = (
+            f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
+            for name, m in trained.items()
+        )
+        starts = (
+            f" {name}, started {', '.join(f'{when}: {n:.2f} N' for when, n in started.items())}."
+            for name, m in trained.items()
+            if (started := m.get("of_long_courses_started"))
+        )
         lines += [
-            "",
             f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
-            + "; ".join(
-                f"{name}: " + " ".join(f"{n:.2f}" for n in metrics["by_tenth_of_the_long_courses"])
-                for name, metrics in part["estimators"].items()
-                if "by_tenth_of_the_long_courses" in metrics
-            )
-            + " N."
-            + _starts(part["estimators"]),
+            f"{'; '.join(errors_n)} N.{''.join(starts)}",
             "",
             "Trained by:",
             "",
-            *(
-                f"- {name}: `{metrics['trained by']}`"
-                for name, metrics in part["estimators"].items()
-                if "trained by" in metrics
-            ),
+            *(f"- {name}: `{m['trained by']}`" for name, m in trained.items()),
             "",
         ]
     return "\n".join(lines)
-
-
-def _starts(estimators: dict[str, Any]) -> str:
-    return "".join(
-        f" {name}, started "
-        + ", ".join(f"{when}: {n:.2f} N" for when, n in metrics["of_long_courses_started"].items())
-        + "."
-        for name, metrics in estimators.items()
-        if "of_long_courses_started" in metrics
-    )
 
 
 if __name__ == "__main__":
