@@ -1,8 +1,9 @@
 """The studies on a single cable: Fig. 3 to 5 against closed forms."""
 
 import pytest
-from paper_studies import compared, disagreeing, quick_result
+from paper_studies import compared, disagreeing, quick_result, result_of
 
+from cablesense_paper.studies import servo
 from cablesense_paper.study import CLOSED_FORM, PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # step MuJoCo, render in a process of their own, and draw
@@ -59,7 +60,7 @@ def test_both_ways_to_the_pretension_come_to_the_same(pretension):
 
 @pytest.fixture(scope="module")
 def self_locking():
-    return quick_result("self_locking")
+    return result_of("self_locking", servo.self_locking, {"commands": 3, "gains": 4, "side": 7})
 
 
 def test_errors_and_map_are_those_of_the_closed_forms(self_locking):

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper_studies import compared, disagreeing, quick_result
+from paper_studies import compared, disagreeing, result_of
 
 from cablesense_paper.studies.friction import (
     Friction,
     capstan_limit_n,
+    friction,
     quasi_static_tensions_n,
     stepped_tensions_n,
 )
@@ -17,10 +18,10 @@ from cablesense_paper.study import PAPER, Agreement
 MU, WRAP_RAD = 0.2, np.pi
 
 
-def pulled(friction, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300, then=()):
+def pulled(law, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300, then=()):
     """Tensions in a pull of a second, some steps of rest and a path thereafter."""
     path = high_m * np.clip(np.arange(1000 + rest) / 1000, 0.0, 1.0)
-    return stepped_tensions_n(np.append(path, then), friction, coefficient, wrap_rad)
+    return stepped_tensions_n(np.append(path, then), law, coefficient, wrap_rad)
 
 
 @given(st.floats(1.0, 1e3), st.floats(0.0, 6.0))
@@ -47,9 +48,9 @@ def test_without_friction_both_halves_carry_the_same():
     np.testing.assert_allclose(pulled(Friction.NONE)[-1], 50.0 + 1e7 * 8e-6, rtol=1e-6)
 
 
-@pytest.mark.parametrize("friction", [Friction.YIELDING, Friction.CAPSTAN])
-def test_what_yields_holds_for_ever(friction):
-    tensions = pulled(friction, rest=5300)
+@pytest.mark.parametrize("law", [Friction.YIELDING, Friction.CAPSTAN])
+def test_what_yields_holds_for_ever(law):
+    tensions = pulled(law, rest=5300)
     np.testing.assert_allclose(tensions[-1], tensions[1299], rtol=1e-6)
 
 
@@ -100,7 +101,8 @@ def test_in_slip_mujoco_comes_to_the_same():
 
 @pytest.fixture(scope="module")
 def result():
-    return quick_result("friction")
+    sweep = {"coefficients": [0.05, 0.5], "half_turns": [0.25, 1.5]}
+    return result_of("friction", friction, {"cycle_s": 2.0, "rest_s": 5.0, **sweep})
 
 
 @pytest.mark.slow
