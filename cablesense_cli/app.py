@@ -21,9 +21,6 @@ from cablesense_cli.runs import demo, record, replay
 from cablesense_cli.sensors import sensors
 from cablesense_cli.train import train
 
-EXIT_WRONG_INPUT = 2
-EXIT_INTERRUPTED = 130
-
 app = typer.Typer(
     name="cablesense",
     help="Estimates from cable tensions where a cable-driven arm is touched, "
@@ -64,14 +61,14 @@ def main() -> None:
         app()
     except CableSenseError as error:
         print(f"cablesense: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(getattr(error, "exit_code", EXIT_WRONG_INPUT))
+        sys.exit(getattr(error, "exit_code", 2))
     except ModuleNotFoundError as error:
         print(
             f"cablesense: this needs the Python package {error.name}, which is not installed; in "
             "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train,gap]'",
             file=sys.stderr,
         )
-        sys.exit(EXIT_WRONG_INPUT)
+        sys.exit(2)
     except KeyboardInterrupt:
         print("cablesense: interrupted", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
+        sys.exit(130)

@@ -100,9 +100,6 @@ def record(
     record_topics(out, CONTRACT, duration, None, Console(), namespace)
 
 
-EXIT_DIFFERENT = 1
-
-
 def replay(
     context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="The .mcap file of `cablesense record`.")],
@@ -160,4 +157,4 @@ def replay(
         for line in comparison_lines(comparison, run.cut):
             typer.echo(line)
     if not (comparison.same or arm or model):
-        raise typer.Exit(EXIT_DIFFERENT)
+        raise typer.Exit(1)

@@ -164,9 +164,6 @@ def _newtons(value: float | None, form: str = ".3f", missing: str = "not shown")
     return missing if value is None else f"{value:{form}}"
 
 
-EXIT_UNUSABLE = 1
-
-
 def check(
     context: typer.Context,
     recording: Annotated[
@@ -269,7 +266,7 @@ def check(
         if report.usable:
             console.print("Nothing wrong was found.")
     if not report.usable:
-        raise typer.Exit(EXIT_UNUSABLE)
+        raise typer.Exit(1)
 
 
 sensors = typer.Typer(

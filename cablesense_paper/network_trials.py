@@ -109,13 +109,9 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class TrialResults:
-    """Of one plan.
+    """All trials of a plan, and microseconds of one answer of the compared shapes.
 
-    Attributes:
-        plan: what was tried.
-        done: of every shape and seed of the plan.
-        cost_us: microseconds of one answer of the compared shapes.
-        with_little_data: by pose, the network that learnt from the paper's amount of data.
+    `with_little_data` are the networks that learnt from the paper's amount of data, by pose.
     """
 
     plan: Plan
@@ -235,22 +231,20 @@ def explore(plan: Plan, progress: Callable[[float], None]) -> TrialResults:
         for one in pool.map(trial, *zip(*cases, strict=True)):
             done.append(one)
             progress(0.7 * len(done) / len(cases))
-    with_little_data = {pose: _with_little_data(plan, arm, pose) for pose in plan.paper_poses}
+    with_little_data = {}
+    for pose in plan.paper_poses:
+        protocol = SingleContact(
+            samples=PAPER_SAMPLES, pose=pose, noise=False, no_contact_fraction=0.0
+        )
+        like_paper = FitSettings(epochs=2 * plan.epochs, batch_size=PAPER_BATCH_SIZE)
+        few = _datasets(arm, protocol, plan.test_samples)
+        with_little_data[pose] = trial(*few, like_paper, PAPER_SHAPE, 0)
     progress(0.8)
     cost_us = {}
     for shape in plan.compared:
         cost_us[shape] = answer_us(shape, arm)
         progress(0.8 + 0.19 * len(cost_us) / len(plan.compared))
     return TrialResults(plan, done, cost_us, with_little_data)
-
-
-def _with_little_data(plan: Plan, arm: Arm, pose: Pose) -> Trial:
-    """A two-stage network on the paper's amount of data, tested as the paper tests."""
-    protocol = SingleContact(
-        samples=PAPER_SAMPLES, pose=pose, noise=False, no_contact_fraction=0.0
-    )
-    settings = FitSettings(epochs=2 * plan.epochs, batch_size=PAPER_BATCH_SIZE)
-    return trial(*_datasets(arm, protocol, plan.test_samples), settings, PAPER_SHAPE, 0)
 
 
 def _datasets(arm: Arm, protocol: SingleContact, test_samples: int) -> tuple[Dataset, Dataset]:

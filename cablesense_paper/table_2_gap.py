@@ -73,13 +73,10 @@ _SMALLEST_N, _LARGEST_N = 0.5, 3.0
 
 @dataclass(frozen=True)
 class Judged:
-    """A table under every explanation.
+    """A table under every explanation: each number alone, and the search's hypotheses.
 
-    Attributes:
-        singles: each number over its range.
-        hypotheses: of the search, up to two effects at once.
-        least_left: least that any of them leaves of the whole table that it was fitted to, as a
-            share of the gap.
+    `least_left` is the least that any of them leaves of the whole table that it was fitted to, as
+    a share of the gap.
     """
 
     singles: tuple[Explained, ...]
@@ -119,16 +116,12 @@ class Rehearsal(BaseModel):
 
 @dataclass(frozen=True)
 class TableDiagnosis:
-    """All that the report states.
+    """All that the report states of the table's physical rows, `changes`.
 
     Attributes:
-        arm: of the table.
-        changes: the physical rows.
         nominal_n, paper_n: (6, 9) this project's and the paper's simulated rows.
         blind: effects that no change in this table could show, with the most that they do, N.
         scans: of every number that can be seen.
-        judged, rehearsal: see there.
-        verdict: of it all.
     """
 
     arm: Arm

@@ -61,9 +61,13 @@ def displacement(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     commanded_m = held_lengths_m(mechanism, angles)
     measured_m = _lengths_by_mujoco_m(mechanism, angles, progress)
     row = len(angles) - 1 - len(angles) // 8  # at a peak
-    recovered = _angles_rad(mechanism, commanded_m[row])
-    figure, every = panels(2, 1, 4.6, sharex=True)
-    top, bottom = every[:, 0]
+    recovered = np.zeros(mechanism.joint_count)
+    target_m = cable_lengths_m(mechanism, recovered) + commanded_m[row]
+    for _ in range(12):  # Gauss-Newton
+        missing = target_m - cable_lengths_m(mechanism, recovered)
+        jacobian = cable_jacobian_m(mechanism, recovered)
+        recovered = recovered + np.linalg.lstsq(jacobian, missing, rcond=None)[0]
+    figure, ((top,), (bottom,)) = panels(2, 1, 4.6, sharex=True)
     top.plot(time_s, np.rad2deg(angles[:, 0]), color=BLACK)
     top.set(ylabel="pitch of every joint, °")
     plot_by_cable(bottom, time_s, 1e3 * commanded_m)
@@ -95,28 +99,12 @@ def _lengths_by_mujoco_m(mechanism: Mechanism, angles: Array, progress: Progress
     return lengths
 
 
-def _angles_rad(mechanism: Mechanism, change_m: Array) -> Array:
-    """Joint angles (2N,) with these changes of cable length (M,), by Gauss-Newton from zero."""
-    angles = np.zeros(mechanism.joint_count)
-    target_m = cable_lengths_m(mechanism, angles) + change_m
-    for _ in range(12):
-        missing = target_m - cable_lengths_m(mechanism, angles)
-        jacobian = cable_jacobian_m(mechanism, angles)
-        angles = angles + np.linalg.lstsq(jacobian, missing, rcond=None)[0]
-    return np.asarray(angles)
-
-
 class _Motion(NamedTuple):
-    """The arm on the trajectory, T samples.
+    """T samples: times (T,), joint angles (T, 2N), tensions and actuators' lags (T, M).
 
-    Attributes:
-        time_s: (T,).
-        command_rad, angle_rad: (T, 2N).
-        tension_n: (T, M).
-        short_m: (T, M) actuators' commands less their positions.
-        statistics: of whole periods after the start; `low_n` and `high_n` are about the
-            pretension, `lag_m` is how far actuators are off the servo's own law, `inertia_n` how
-            far tensions are from those at rest under the same command.
+    The statistics are of whole periods after the start; `low_n` and `high_n` are about the
+    pretension, `lag_m` is how far actuators are off the servo's own law, `inertia_n` how far
+    tensions are from those at rest under the same command.
     """
 
     time_s: Array
@@ -194,8 +182,7 @@ def _moved(weight: float, periods: int) -> _Motion:
 
 
 def _joint_figure(motion: _Motion) -> Any:
-    figure, every = panels(2, 1, 4.2, sharex=True, height_ratios=(1.4, 1.0))
-    above, below = every[:, 0]
+    figure, ((above,), (below,)) = panels(2, 1, 4.2, sharex=True, height_ratios=(1.4, 1.0))
     time_s, command_deg = motion.time_s, np.rad2deg(motion.command_rad[:, ::2])
     above.plot(time_s, command_deg[:, 0], color=BLACK, lw=1.0, label="command")
     for n, angle_deg in enumerate(np.rad2deg(motion.angle_rad[:, ::2]).T):

@@ -162,8 +162,7 @@ def _plus_minus(line: Any) -> str:
 
 
 def _pretension_figure(start: _Start, drive: _Drive, line: Any) -> Any:
-    figure, every = panels(1, 3, 3.3)
-    a, b, c = every[0]
+    figure, ((a, b, c),) = panels(1, 3, 3.3)
     a.plot(drive.time_s, 1e6 * drive.command_m, color=BLACK)
     a.set(title="(a)", xlabel="time, s", ylabel="actuator position (drive signal), µm")
     b.plot(start.time_s, start.servo_n, color=ORANGE, lw=1.0, label="start, at the actuator")

@@ -61,7 +61,11 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     wrong = answers[TWO_STAGE].touched != test.contacts
     weak = wrong & test.contacts & (test.magnitudes_n < WEAKEST_MULTI_N)
     errors_n = np.array(two_stage.magnitude_mae_n)
-    mean_n, alone_n = float(errors_n.mean()), _alone_mae_n(len(test))
+    # one contact, 0 to 200 N on the straight arm
+    setting = SETTINGS[0]
+    alone = draw_dataset(setting.arm, setting.protocol(len(test)), TEST_SEED)
+    of_one = evaluate_models({TWO_STAGE: setting.models[TWO_STAGE]}, alone)[TWO_STAGE]
+    mean_n, alone_n = float(errors_n.mean()), of_one.metrics.errors.magnitude_mae_n
     metrics = {name: one.metrics for name, one in answers.items()}
     numbers = {
         "weakest_n": WEAKEST_MULTI_N,
@@ -95,14 +99,6 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
         "fig_14_magnitude": _magnitude_figure(test, answers),
         "fig_14_error_by_point": _error_figure(answers, bound_n),
     }
-
-
-def _alone_mae_n(samples: int) -> float:
-    """Force error of the paper's network for one contact, 0 to 200 N on the straight arm."""
-    straight = SETTINGS[0]
-    test = draw_dataset(straight.arm, straight.protocol(samples), TEST_SEED)
-    alone = evaluate_models({TWO_STAGE: straight.models[TWO_STAGE]}, test)[TWO_STAGE]
-    return alone.metrics.errors.magnitude_mae_n
 
 
 def _confusion_figure(test: Dataset, answers: dict[str, MultiEvaluation]) -> Any:

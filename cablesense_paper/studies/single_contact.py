@@ -75,14 +75,10 @@ PAPER_DIRECTION_DEG, PAPER_MAE_N, PAPER_RMSE_N = 5.96, 9.97, 14.26
 
 @dataclass(frozen=True, eq=False)
 class SettingTest:
-    """One setting.
+    """One setting of `TITLES`, with those estimators of `LABELS` that there are.
 
-    Attributes:
-        name: of the setting, one of `TITLES`.
-        truth: of the samples.
-        tested: by the names of `LABELS`, those that there are.
-        bound: what noise leaves of an efficient unbiased estimator.
-        bound_by_force: the same between `FORCE_EDGES_N`.
+    The bound is what noise leaves of an efficient unbiased estimator, of all contacts and of those
+    between `FORCE_EDGES_N`.
     """
 
     name: str
