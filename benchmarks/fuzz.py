@@ -59,7 +59,7 @@ def main() -> int:
     started_s = time.monotonic()
     results = _run_all(chosen, options)
     if LIVE in options.only or not (options.only or options.quick):
-        from fuzz_messages import fuzz_live_node
+        from fuzz_live import fuzz_live_node
 
         results[LIVE] = fuzz_live_node(options.seed, options.live_messages)
     report = _report(units, results, options, time.monotonic() - started_s)

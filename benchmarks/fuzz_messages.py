@@ -1,37 +1,27 @@
-"""Mutated serialized messages to the estimator: without ROS, and to a live node over Fast DDS.
+"""Mutated serialized messages and commands to an estimation, without ROS.
 
-Without ROS, an oracle reads each message by rosbags, which the estimator does not use. A contact
-is right if the bytes are a message with every cable's plausible tension and a present stamp, and
-if the model estimates that contact from those tensions; from anything else there must be none.
-
-The live node's arm rests untouched, so every wrench must be zero: only messages that the oracle
-calls broken are sent between the good ones, cut to whole words of four bytes, as DDS fills others
-up with what lies in memory. At the end a push must be answered, and the node must end with exit
-code 0 and no traceback.
+An oracle reads each message by rosbags, which the estimator does not use. A contact is right if
+the bytes are a message with every cable's plausible tension and a present stamp, and if the model
+estimates that contact from those tensions; from anything else there must be none.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import random
 import struct
-import tempfile
-import time
 from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from fuzz_mutation import mutated_bytes
-from fuzz_watched import FalseAnswerError, Outcome, Result, Run, item_random, require_one_line
+from fuzz_watched import FalseAnswerError, Outcome, Run, item_random, require_one_line
 from rosbags.typesys import Stores, get_typestore
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py import topics
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_online.state import EstimationSettings
@@ -45,7 +35,6 @@ from cablesense_training.inference.metadata import find_model
 _KIND = "sensor_msgs/msg/JointState"
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _DEFINITION = _STORE.get_msgdef(_KIND)
-_HEAD_BYTES = 12
 
 MESSAGES = 100
 COMMANDS = 8
@@ -63,15 +52,12 @@ SETTINGS = EstimationSettings(
 ARM = open_arm("cdsm")
 PUSHES = 40
 
-PATIENCE_S = 30.0
-PERIOD_S = 0.002
-_EFFORTS = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e6, -21.0, 5e-324)
-_NAMES = ("", "cable_1", "cable_13", "rope", "cable_1\0", "é" * 40, "x" * 5000)
+_NUMBERS = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e6, -21.0, 57.0, 1.0, -0.6, 5e-324)
+_NAMES = ("", "cable_1", "cable_13", "joint_1_pitch", "cable_1\0", "\0", "é" * 40, "x" * 5000)
 _STAMPS_NS = (-(2**31) * 10**9, 2**31 * 10**9 - 1)
-_NODE = "fuzzed_estimator"
 
 
-class _Content(NamedTuple):
+class Content(NamedTuple):
     """Of a message, as far as the estimator reads it."""
 
     stamp_ns: int
@@ -89,7 +75,7 @@ class _Content(NamedTuple):
         )
 
 
-def _joint_state(
+def joint_state(
     stamp_ns: int,
     efforts: Sequence[float] | Array,
     names: Sequence[str] = ARM.cable_names,
@@ -97,6 +83,7 @@ def _joint_state(
     position: Sequence[float] = (),
     little: bool = True,
 ) -> bytes:
+    """A serialized message."""
     seconds, nanoseconds = divmod(stamp_ns, 10**9)
     time_of = _STORE.types["builtin_interfaces/msg/Time"]
     stamp = time_of(min(max(seconds, -(2**31)), 2**31 - 1), nanoseconds)
@@ -106,8 +93,8 @@ def _joint_state(
     return bytes(_STORE.serialize_cdr(message, _KIND, little_endian=little))
 
 
-def _content(raw: bytes) -> _Content | None:
-    """None where the bytes are no such message; more may stand behind it."""
+def content_of(raw: bytes) -> Content | None:
+    """None where the bytes are no joint state; more may stand behind it."""
     try:
         if raw[0] != 0 or raw[1] > 1:
             return None
@@ -115,49 +102,56 @@ def _content(raw: bytes) -> _Content | None:
         message: Any = read(raw[4:], 0, _DEFINITION.cls, _STORE)[0]
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        content = _Content(stamp_ns, tuple(message.name), tuple(map(float, message.effort)))
+        content = Content(stamp_ns, tuple(message.name), tuple(map(float, message.effort)))
     except Exception:  # whatever fails, it is no message
         return None
     return content if stamp.nanosec < 10**9 else None
 
 
-def _mutated_joint_state(rng: random.Random, stamp_ns: int, tensions_n: Array) -> bytes:
+def mutated_joint_state(rng: random.Random, stamp_ns: int, tensions_n: Array) -> bytes:
     """The message of a sample changed in its bytes, or written with other fields."""
     if rng.random() < 0.5:
-        return mutated_bytes(rng, _joint_state(stamp_ns, tensions_n), most=3)
+        return mutated_bytes(rng, joint_state(stamp_ns, tensions_n), most=3)
     names, efforts = list(ARM.cable_names), tensions_n.tolist()
     more: dict[str, Any] = {}
     for _ in range(rng.randint(1, 2)):
-        at = rng.randrange(len(efforts)) if efforts else 0
         match rng.randrange(9):
-            case 0 if efforts:
-                efforts[at] = rng.choice(_EFFORTS)
-            case 1:
-                del efforts[at : at + rng.randint(1, 12)]
-            case 2:
-                names[rng.randrange(len(names))] = rng.choice(_NAMES)
-            case 3:
-                names += rng.choice((["cable_1"], ["x"] * 5000, list(names)))
-            case 4:
-                efforts += [0.0] * rng.choice((1, 12, 10_000))
-            case 5:
+            case 0:
                 stamp_ns = rng.choice((0, 1, stamp_ns - 10**9, stamp_ns + 10**9, *_STAMPS_NS))
-            case 6:
+            case 1:
                 more["frame_id"] = rng.choice(("", "x" * 3000, "\0"))
                 more["little"] = rng.random() < 0.5
-            case 7:
+            case 2:
                 more["position"] = [math.nan] * rng.choice((1, 12, 5000))
             case _:
-                rng.shuffle(names)
-    written = _joint_state(stamp_ns, efforts, names, **more)
-    if rng.random() < 0.2 and len(written) > _HEAD_BYTES:
+                _mutate(rng, names, efforts)
+    written = joint_state(stamp_ns, efforts, names, **more)
+    if rng.random() < 0.2:
         at = 4 * rng.randrange(1, len(written) // 4)
         written = written[:at] + struct.pack("<I", rng.getrandbits(32)) + written[at + 4 :]
     return written
 
 
+def _mutate(rng: random.Random, names: list[str], values: list[float]) -> None:
+    """One change of the names of a joint state, or of its numbers, in place."""
+    at = rng.randrange(len(values)) if values else 0
+    match rng.randrange(6):
+        case 0 if values:
+            values[at] = rng.choice(_NUMBERS)
+        case 1:
+            del values[at : at + rng.randint(1, 12)]
+        case 2:
+            values += [0.0] * rng.choice((1, 12, 10_000))
+        case 3:
+            names[rng.randrange(len(names))] = rng.choice(_NAMES)
+        case 4:
+            names += rng.choice((names[:1], ["x"] * 5000, list(names)))
+        case _:
+            rng.shuffle(names)
+
+
 @cache
-def _rig() -> tuple[Estimator, Array, Array]:
+def rig() -> tuple[Estimator, Array, Array]:
     """The arm's model; tensions (M,) of the straight arm, and (P, M) pushed on segment 1, 2, …."""
     rng, rows = np.random.default_rng(0), np.arange(PUSHES)
     mechanism, straight = mechanism_of(ARM), np.zeros((PUSHES, ARM.joint_count))
@@ -173,11 +167,11 @@ class TaredEstimation:
     """An estimation that was tared, the clock beside it, and the judge of its answers."""
 
     def __init__(self) -> None:
-        self._model, unloaded_n, self.pushed_n = _rig()
+        self._model, unloaded_n, self.pushed_n = rig()
         self.estimation = Estimation(ARM, self._model, SETTINGS, 0.0)
         self.now_ns = TARED_NS
         for _ in range(SETTINGS.tare_samples):
-            self.take(_joint_state(self.next_ns, unloaded_n))
+            self.take(joint_state(self.next_ns, unloaded_n))
 
     @property
     def next_ns(self) -> int:
@@ -202,7 +196,7 @@ class TaredEstimation:
         contact = answer.contact
         if contact.segment == 0:
             return answer
-        content = _content(raw)
+        content = content_of(raw)
         if content is None or not content.plausible:
             raise FalseAnswerError(f"a contact from no message of this arm: {raw.hex()[:400]}")
         tensions = [content.efforts[content.names.index(name)] for name in ARM.cable_names]
@@ -217,7 +211,7 @@ class TaredEstimation:
 
     def take_pushed(self) -> Answer:
         """The answer to a good message of a push on segment 1."""
-        return self.take(_joint_state(self.next_ns, self.pushed_n[0]))
+        return self.take(joint_state(self.next_ns, self.pushed_n[0]))
 
 
 def make_messages(seed: int) -> Run:
@@ -232,9 +226,9 @@ def make_messages(seed: int) -> Run:
             stamp_ns = tared.next_ns - rng.randint(0, 10**6)
             if rng.random() < 0.67:
                 mutated += 1
-                raw = _mutated_joint_state(rng, stamp_ns, tensions_n)
+                raw = mutated_joint_state(rng, stamp_ns, tensions_n)
             else:
-                raw = _joint_state(stamp_ns, tensions_n)
+                raw = joint_state(stamp_ns, tensions_n)
             refused += tared.take(raw).problem is not None
         tared.now_ns += 10**9
         if tared.take_pushed().contact.segment != 1:
@@ -278,109 +272,5 @@ def make_commands(seed: int) -> Run:
 def _command(rng: random.Random) -> SimpleNamespace:
     names, angles = list(ARM.joint_names), [rng.uniform(-0.15, 0.15) for _ in ARM.joint_names]
     for _ in range(rng.randint(0, 2)):
-        at = rng.randrange(len(angles)) if angles else 0
-        match rng.randrange(5):
-            case 0 if angles:
-                angles[at] = rng.choice((math.nan, math.inf, -math.inf, 1e308, 1.0, -0.6, 57.0))
-            case 1:
-                del angles[at:]
-            case 2:
-                others = ("", "joint_1_pitch", "x" * 9999, "\0")
-                names[rng.randrange(len(names))] = rng.choice(others)
-            case 3:
-                names += rng.choice((names[:1], ["x"] * 5000))
-            case _ if angles:
-                pairs = list(zip(names, angles, strict=False))
-                rng.shuffle(pairs)
-                names, angles = map(list, zip(*pairs, strict=True))
+        _mutate(rng, names, angles)
     return SimpleNamespace(name=names, position=angles)
-
-
-def fuzz_live_node(seed: int, count: int) -> Result:
-    """Send `count` broken messages to a live estimator node; what was found."""
-    import rclpy  # only here, as the fuzzed children need no ROS
-
-    from cablesense_ros.discovery import own_graph
-    from cablesense_ros.processes import Process, node_command
-
-    os.environ.update(own_graph())
-    result = Result(items=count, refused=count)
-    with tempfile.TemporaryDirectory() as folder:
-        command = node_command("estimator", remaps={"__node": _NODE})
-        node = Process(_NODE, command, Path(folder) / "node.log")
-        rclpy.init()
-        try:
-            _send_broken(result, node, seed, count)
-        finally:
-            rclpy.shutdown()
-            code, text = node.stop(PATIENCE_S), node.log
-    if code != 0 or "Traceback" in text:
-        result.count("crashes", f"{_NODE}: exit code {code}: {text[-600:]}")
-    if "sample refused" not in text:
-        result.count("false_answers", f"{_NODE}: its log has no line on refused samples")
-    return result
-
-
-def _send_broken(result: Result, process: Any, seed: int, count: int) -> None:
-    """Good and broken messages by turns, then a push that must be answered."""
-    import rclpy
-    from geometry_msgs.msg import WrenchStamped
-    from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import JointState
-
-    from cablesense_ros.processes import wait_until
-
-    _, unloaded_n, pushed_n = _rig()
-    node = rclpy.create_node("fuzzer")
-    publisher = node.create_publisher(JointState, topics.CABLE_TENSIONS, 100)
-    frames: list[str] = []
-    node.create_subscription(
-        WrenchStamped,
-        f"/{_NODE}/wrench",
-        lambda wrench: frames.append(wrench.header.frame_id),
-        qos_profile_sensor_data,
-    )
-
-    def send(raw: bytes) -> None:
-        publisher.publish(raw)
-        for _ in range(4):
-            rclpy.spin_once(node, timeout_sec=0.0)
-        time.sleep(PERIOD_S)
-
-    def send_good(tensions_n: Array) -> None:
-        send(_joint_state(time.time_ns(), tensions_n))
-
-    wait_until(publisher.get_subscription_count, PATIENCE_S, "the node takes no samples")
-    for _ in range(150):
-        send_good(unloaded_n)
-    frames.clear()
-    started_s = time.monotonic()
-    for number in range(count):
-        send(_broken(item_random("live", seed, number), pushed_n[2]))
-        result.inputs += 1
-        if number % 4 == 0:
-            send_good(unloaded_n)
-    result.longest_item_s = (time.monotonic() - started_s) / count
-    if touched := sum(frame.startswith("segment") for frame in frames):
-        result.count("false_answers", f"{_NODE}: {touched} wrenches that are not zero")
-        result.false_answers += touched - 1
-    time.sleep(0.5)  # until no stamp is ahead of the clock
-    end_s = time.monotonic() + PATIENCE_S
-    while "segment_3" not in frames:
-        if not process.alive or time.monotonic() > end_s:
-            result.count("hangs", f"{_NODE}: answers no push after {count} messages")
-            return
-        send_good(pushed_n[2])
-
-
-def _broken(rng: random.Random, tensions_n: Array) -> bytes:
-    """A mutated message from which no contact may come."""
-    while True:
-        stamp_ns = time.time_ns()
-        raw = _mutated_joint_state(rng, stamp_ns, tensions_n)
-        raw = raw[: len(raw) // 4 * 4]
-        content = _content(raw)
-        if content is None or not content.plausible:
-            return raw
-        if content.stamp_ns and abs(content.stamp_ns - stamp_ns) > 0.5e9:
-            return raw
