@@ -33,7 +33,6 @@ from kill_trials import (
     STALE_AFTER_S,
     VICTIMS,
     KillTrials,
-    Watcher,
     start_chain,
 )
 from live_run import LiveRun
@@ -64,16 +63,15 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
     shared_mb = harness.shared_memory_mb()
     with LiveRun() as run:
         start_chain(run, arm_name, rate_hz)
-        watcher = Watcher(arm)
-        trials = KillTrials(arm, run.processes, watcher, seed=0)
+        trials = KillTrials(arm, run.processes, seed=0)
         trials.bring_up()
         for _, victim in itertools.product(range(times), VICTIMS):
             kills[victim].append(trials.kill(victim))
-        watcher.spin(1.0)
-        recorders = _kill_recorders(times, run, watcher)
+        trials.spin(1.0)
+        recorders = _kill_recorders(times, run, trials)
         codes = run.stop()
-        watcher.destroy_node()
-        recording = _whole(run.folder / "recorder.mcap", watcher.samples, arm)
+        trials.destroy_node()
+        recording = _whole(run.folder / "recorder.mcap", trials.samples, arm)
     statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
         "arm": arm_name,
@@ -117,7 +115,7 @@ def _whole(path: Path, received_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
     }
 
 
-def _kill_recorders(times: int, run: LiveRun, watcher: Watcher) -> dict[str, Any]:
+def _kill_recorders(times: int, run: LiveRun, trials: KillTrials) -> dict[str, Any]:
     """Kill recorders while they write, and read what they leave."""
     rng = np.random.default_rng(1)
     lost_s: list[float] = []
@@ -125,8 +123,8 @@ def _kill_recorders(times: int, run: LiveRun, watcher: Watcher) -> dict[str, Any
     for number in range(times):
         path = run.folder / f"killed_{number}.mcap"
         killed = run.record(path.stem)
-        watcher.spin_until(partial(_begun, path), "tensions in a recording")
-        watcher.spin(float(rng.uniform(*WRITING_S)))
+        trials.spin_until(partial(_begun, path), "tensions in a recording")
+        trials.spin(float(rng.uniform(*WRITING_S)))
         killed_ns = time.time_ns()
         killed.kill()
         del run.processes[path.stem]

@@ -1,4 +1,4 @@
-"""Processes that are killed and started again, and a watcher that pushes the arm and notes all.
+"""Processes that are killed and started again by a node that pushes the arm and notes all.
 
 One trial: push, wait until the wrench is right, kill at a random moment, watch, start again.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import re
 import time
+from collections.abc import Mapping
 from math import nan
 from typing import NamedTuple
 
@@ -79,28 +80,26 @@ class Received(NamedTuple):
         return self.segment == 0 and not self.force_n.any()
 
 
-class Watcher(SpunNode):
-    """Publishes the present load and command periodically, notes every wrench and sample.
+class KillTrials(SpunNode):
+    """Pushes the arm and commands it periodically, notes every wrench and sample, and kills.
 
     Times are monotonic.
 
     Attributes:
-        wrenches: since `forget`.
         samples: stamps of all samples received, ns.
-        sample_s: arrivals of the samples since `forget`, and of the one before.
-        liveliness: (time, number of living estimators) since `forget`.
-        load_since_s: first publication of the present load.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, chain: Mapping[str, Process], seed: int) -> None:
         super().__init__("watcher")
-        self.wrenches: list[Received] = []
+        self._arm, self._mechanism, self._chain = arm, mechanism_of(arm), chain
+        self._rng = np.random.default_rng(seed)
         self.samples: list[int] = []
-        self.sample_s: list[float] = []
-        self.liveliness: list[tuple[float, int]] = []
-        self.load_since_s = time.monotonic()
+        self._wrenches: list[Received] = []
+        self._sample_s: list[float] = []
+        self._living: list[tuple[float, int]] = []
+        self._load_since_s = time.monotonic()
         self._force_n: Array = np.zeros(3)
-        self._segment, self._segment_count = 1, arm.segment_count
+        self._segment = 1
         names = list(arm.joint_names)
         self._command = JointState(name=names, position=[0.0] * len(names))
         self._load_out = self.create_publisher(WrenchStamped, "applied_wrench", 10)
@@ -117,67 +116,10 @@ class Watcher(SpunNode):
         sample_qos = qos_profile(Qos(depth=2000, reliable=True))
         self.create_subscription(JointState, "cable_tensions", self._on_sample, sample_qos)
 
-    def push(self, segment: int, force_base_n: Array) -> None:
-        """Push there instead of where it was pushed before."""
-        self._segment, self._force_n = segment, force_base_n
-        self._publish_load()
-        self.load_since_s = time.monotonic()
-
-    def right(self, wrench: Received) -> bool:
-        """Whether a wrench is the present load. The arm is straight: base axes are its own."""
-        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
-        off_n = np.linalg.norm(wrench.force_n - self._force_n)
-        return wrench.segment == self._segment and bool(off_n <= limit_n)
-
-    def forget(self) -> None:
-        """Begin to note anew."""
-        self.wrenches.clear()
-        self.liveliness.clear()
-        del self.sample_s[:-1]
-
-    def _publish_load(self) -> None:
-        segments = range(1, self._segment_count + 1)
-        for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
-            load = WrenchStamped()
-            load.header.frame_id = f"segment_{segment}"
-            if segment == self._segment:
-                force = load.wrench.force
-                force.x, force.y, force.z = self._force_n.tolist()
-            self._load_out.publish(load)
-
-    def _publish_command(self) -> None:
-        self._command.header.stamp = self.get_clock().now().to_msg()
-        self._command_out.publish(self._command)
-
-    def _on_wrench(self, message: WrenchStamped) -> None:
-        force, stamp = message.wrench.force, message.header.stamp
-        age_s = time.time() - stamp.sec - stamp.nanosec * 1e-9
-        frame = message.header.frame_id
-        segment = int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0
-        force_n = np.array([force.x, force.y, force.z])
-        self.wrenches.append(Received(time.monotonic(), age_s, segment, force_n))
-
-    def _on_sample(self, message: JointState) -> None:
-        stamp = message.header.stamp
-        self.samples.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        self.sample_s.append(time.monotonic())
-
-    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
-        self.liveliness.append((time.monotonic(), event.alive_count))
-
-
-class KillTrials:
-    """Kills in a running chain."""
-
-    def __init__(self, arm: Arm, chain: dict[str, Process], watcher: Watcher, seed: int) -> None:
-        self._arm, self._mechanism = arm, mechanism_of(arm)
-        self._chain, self._watcher = chain, watcher
-        self._rng = np.random.default_rng(seed)
-
     def bring_up(self) -> None:
         """Wait until the unloaded arm is tared and wrenches follow the load."""
-        self._watcher.spin_until(lambda: len(self._watcher.sample_s) > 100, "samples")
-        self._watcher.spin(2.0)
+        self.spin_until(lambda: len(self._sample_s) > 100, "samples")
+        self.spin(2.0)
         self._push()
         self._until_right("the first right wrench")
 
@@ -196,31 +138,33 @@ class KillTrials:
         Raises:
             TimeoutError: what should come did not come in time.
         """
-        watcher, process = self._watcher, self._chain[victim]
+        process = self._chain[victim]
         self._push()
         self._until_right(f"a right wrench before {victim} is killed")
-        watcher.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
+        self.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
         before, set_ups = self._other_pids(victim), len(self._set_up_epoch_s(victim))
-        watcher.forget()
+        self._wrenches.clear()
+        self._living.clear()
+        del self._sample_s[:-1]
         killed_s = process.kill()
         if self._rng.random() < 0.5:
             self._push()  # the process must not come back to the old load
-        watcher.spin(float(self._rng.uniform(*DEAD_S)))
-        zeros = [one for one in watcher.wrenches if one.zero and one.arrived_s >= killed_s]
-        forces_s = [one.arrived_s for one in watcher.wrenches if not one.zero]
-        silent_from_s = watcher.sample_s[-1] if watcher.sample_s else killed_s
+        self.spin(float(self._rng.uniform(*DEAD_S)))
+        zeros = [one for one in self._wrenches if one.zero and one.arrived_s >= killed_s]
+        forces_s = [one.arrived_s for one in self._wrenches if not one.zero]
+        silent_from_s = self._sample_s[-1] if self._sample_s else killed_s
         started_epoch_s = time.time()
         process.start()
         started_s = process.started_s
-        watcher.spin_until(
+        self.spin_until(
             lambda: len(self._set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
         )
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
-        gone_s = [at for at, alive in watcher.liveliness if alive == 0]
+        gone_s = [at for at, alive in self._living if alive == 0]
         stale_s = [one.arrived_s for one in zeros]
         if victim == "estimator":
             stale_s = [at for at in gone_s if killed_s <= at < started_s]
-        samples_s = [at for at in watcher.sample_s if at > max(started_s, silent_from_s)]
+        samples_s = [at for at in self._sample_s if at > max(started_s, silent_from_s)]
         set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
         return {
             "others_lived": before == self._other_pids(victim),
@@ -235,6 +179,42 @@ class KillTrials:
             "false_deaths": sum(victim != "estimator" or at > right_s for at in gone_s),
         }
 
+    def _right(self, wrench: Received) -> bool:
+        """Whether a wrench is the present load. The arm is straight: base axes are its own."""
+        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
+        off_n = np.linalg.norm(wrench.force_n - self._force_n)
+        return wrench.segment == self._segment and bool(off_n <= limit_n)
+
+    def _publish_load(self) -> None:
+        segments = range(1, self._arm.segment_count + 1)
+        for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
+            load = WrenchStamped()
+            load.header.frame_id = f"segment_{segment}"
+            if segment == self._segment:
+                force = load.wrench.force
+                force.x, force.y, force.z = self._force_n.tolist()
+            self._load_out.publish(load)
+
+    def _publish_command(self) -> None:
+        self._command.header.stamp = self.get_clock().now().to_msg()
+        self._command_out.publish(self._command)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        force, stamp = message.wrench.force, message.header.stamp
+        age_s = time.time() - stamp.sec - stamp.nanosec * 1e-9
+        frame = message.header.frame_id
+        segment = int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0
+        force_n = np.array([force.x, force.y, force.z])
+        self._wrenches.append(Received(time.monotonic(), age_s, segment, force_n))
+
+    def _on_sample(self, message: JointState) -> None:
+        stamp = message.header.stamp
+        self.samples.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        self._sample_s.append(time.monotonic())
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        self._living.append((time.monotonic(), event.alive_count))
+
     def _other_pids(self, victim: str) -> dict[str, int]:
         return {k: one.pid for k, one in self._chain.items() if k != victim and one.alive}
 
@@ -247,15 +227,15 @@ class KillTrials:
 
         A sim that comes back is unloaded, and swings when it takes the load again.
         """
-        forces = [one for one in self._watcher.wrenches if not one.zero]
-        settled_s = self._watcher.load_since_s + SETTLED_S
+        forces = [one for one in self._wrenches if not one.zero]
+        settled_s = self._load_since_s + SETTLED_S
         back = [one.arrived_s for one in forces if one.arrived_s > started_s]
         if victim == "sim" and back:
             settled_s = max(settled_s, back[0] + SWING_S)
-        return sum(one.arrived_s > settled_s and not self._watcher.right(one) for one in forces)
+        return sum(one.arrived_s > settled_s and not self._right(one) for one in forces)
 
     def _push(self) -> None:
-        segment = int(self._rng.integers(1, self._arm.segment_count + 1))
+        self._segment = segment = int(self._rng.integers(1, self._arm.segment_count + 1))
         forces = normal_force_n(
             self._mechanism,
             np.zeros(self._arm.joint_count),
@@ -263,16 +243,18 @@ class KillTrials:
             angle_deg=float(self._rng.uniform(0.0, 360.0)),
             magnitude_n=float(self._rng.uniform(20.0, 100.0)),
         )
-        self._watcher.push(segment, np.asarray(forces)[segment - 1])
+        self._force_n = forces[segment - 1]
+        self._publish_load()
+        self._load_since_s = time.monotonic()
 
     def _until_right(self, what: str, since_s: float = 0.0) -> float:
         """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
-        wrenches = self._watcher.wrenches
+        wrenches = self._wrenches
 
         def right(one: Received) -> bool:
-            return one.arrived_s >= since_s and self._watcher.right(one)
+            return one.arrived_s >= since_s and self._right(one)
 
-        self._watcher.spin_until(
+        self.spin_until(
             lambda: len(wrenches) >= STEADY and all(map(right, wrenches[-STEADY:])), what
         )
         return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from cantools.database.can import Database
 from harness import percentiles
 from numpy.typing import NDArray
@@ -183,25 +184,18 @@ def line_limits(data_bytes: Sequence[int], rate_hz: float) -> dict[str, Any]:
     """
     bits = sum(47 + 8 * size + (34 + 8 * size - 1) // 4 for size in data_bytes)
     line = sum(6 + 2 * size for size in data_bytes)
+
+    def limit(per_cycle: int, per_s: int) -> dict[str, float]:
+        load = round(per_cycle * rate_hz / per_s, 3)
+        return {"load": load, "most cycles (1/s)": per_s // per_cycle}
+
     return {
         "frames of a cycle": len(data_bytes),
         "bytes of a cycle over slcan": line,
         "frames (1/s)": len(data_bytes) * rate_hz,
         "bytes over slcan (1/s)": line * rate_hz,
-        "bus": {
-            f"{bitrate // 1000} kbit/s": {
-                "load": round(bits * rate_hz / bitrate, 3),
-                "most cycles (1/s)": bitrate // bits,
-            }
-            for bitrate in BITRATES_BIT_S
-        },
-        "adapter line": {
-            name: {
-                "load": round(line * rate_hz / bytes_s, 3),
-                "most cycles (1/s)": bytes_s // line,
-            }
-            for name, bytes_s in SERIAL_BYTES_S.items()
-        },
+        "bus": {f"{rate // 1000} kbit/s": limit(bits, rate) for rate in BITRATES_BIT_S},
+        "adapter line": {name: limit(line, rate) for name, rate in SERIAL_BYTES_S.items()},
     }
 
 
@@ -350,19 +344,18 @@ def memory(notes: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
 
     Runs of up to two minutes count from their first quarter.
     """
-    times = np.array([elapsed_s for elapsed_s, _ in notes])
-    settled_s = FIRST_MINUTE_S if times[-1] > 2 * FIRST_MINUTE_S else times[-1] / 4
-    later = times >= settled_s
-    at, grown = times[later], {}
-    for name in notes[0][1]:
-        rss = np.array([mb[name] for _, mb in notes])[later]
-        slope = np.polyfit(at, rss, 1)[0]
-        numbers = {
-            "MB when settled": rss[0],
-            "MB at the end": rss[-1],
-            "growth at most (MB)": rss.max() - rss[0],
-            "growth by the fitted line (MB)": slope * (at[-1] - at[0]),
-            "fitted line (kB a minute)": slope * 60e3,
-        }
-        grown[name] = {key: round(float(value), 2) for key, value in numbers.items()}
+    taken = pd.DataFrame([mb for _, mb in notes], index=[elapsed_s for elapsed_s, _ in notes])
+    end_s = taken.index[-1]
+    settled_s = FIRST_MINUTE_S if end_s > 2 * FIRST_MINUTE_S else end_s / 4
+    later = taken[taken.index >= settled_s]
+    first, last = later.iloc[0], later.iloc[-1]
+    slope = pd.Series(np.polyfit(later.index, later, 1)[0], taken.columns)
+    metrics = {
+        "MB when settled": first,
+        "MB at the end": last,
+        "growth at most (MB)": later.max() - first,
+        "growth by the fitted line (MB)": slope * (end_s - later.index[0]),
+        "fitted line (kB a minute)": slope * 60e3,
+    }
+    grown = pd.DataFrame(metrics).round(2).to_dict(orient="index")
     return {"settled after (s)": round(float(settled_s), 1), **grown}
