@@ -26,7 +26,7 @@ import harness
 import numpy as np
 import pandas as pd
 from geometry_msgs.msg import WrenchStamped
-from live_run import PATIENCE_S, LiveRun
+from live_run import PATIENCE_S, LiveRun, Log
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -71,26 +71,17 @@ class SinkNode(Node):
     def __init__(self, file: Path) -> None:
         super().__init__("sink")
         self._file = file
-        self._times: dict[str, list[tuple[int, int]]] = {path: [] for path in PATHS}
-        for path in PATHS:
+        self._logs = {path: Log(1) for path in PATHS}
+        for path, log in self._logs.items():
             kind = WrenchStamped if path == "estimator" else JointState
-            note, qos = self._note(path), qos_profile(SINK_QOS)
-            self.create_subscription(kind, f"{path}_out", note, qos, raw=True)
-
-    def _note(self, path: str) -> Callable[[bytes], None]:
-        append, unpack, now = self._times[path].append, _STAMP.unpack_from, time.time_ns
-
-        def note(raw: bytes) -> None:
-            arrived = now()
-            seconds, nanoseconds = unpack(raw, _STAMP_AT)
-            append((seconds * 1_000_000_000 + nanoseconds, arrived))
-
-        return note
+            qos = qos_profile(SINK_QOS)
+            self.create_subscription(kind, f"{path}_out", log.note, qos, raw=True)
 
     def destroy_node(self) -> None:
         """Write what was noted, then go."""
-        columns: dict[str, Any] = {path: np.array(pairs) for path, pairs in self._times.items()}
-        np.savez(self._file, **columns)
+        tables = {path: log.table() for path, log in self._logs.items()}
+        columns = {name: np.c_[one.stamps_ns, one.arrived_ns] for name, one in tables.items()}
+        np.savez(self._file, allow_pickle=False, **columns)
         super().destroy_node()
 
 

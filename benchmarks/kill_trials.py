@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from live_run import LiveRun, SpunNode
+from live_run import LiveRun, SpunNode, load_message
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 
@@ -188,12 +188,8 @@ class KillTrials(SpunNode):
     def _publish_load(self) -> None:
         segments = range(1, self._arm.segment_count + 1)
         for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
-            load = WrenchStamped()
-            load.header.frame_id = f"segment_{segment}"
-            if segment == self._segment:
-                force = load.wrench.force
-                force.x, force.y, force.z = self._force_n.tolist()
-            self._load_out.publish(load)
+            force_n = self._force_n if segment == self._segment else np.zeros(3)
+            self._load_out.publish(load_message(segment, force_n))
 
     def _publish_command(self) -> None:
         self._command.header.stamp = self.get_clock().now().to_msg()

@@ -1,4 +1,4 @@
-"""Processes of a live run as a user starts them, and a node of this process beside them."""
+"""Processes of a live run as a user starts them, a node of this process beside them, its log."""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, NamedTuple, Self
 
+import numpy as np
 import rclpy
+from geometry_msgs.msg import WrenchStamped
 from harness import CABLESENSE
+from numpy.typing import NDArray
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
+from cablesense_base.arrays import Array
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Process
+
+Integers = NDArray[np.int64]
 
 PATIENCE_S = 30.0
 END_WITHIN_S = 20.0
@@ -99,3 +105,54 @@ class SpunNode(Node):
         """End the callbacks, then the node."""
         self._executor.shutdown()
         super().destroy_node()
+
+
+def load_message(segment: int, force_n: Array) -> WrenchStamped:
+    """A force (3,), N, in base axes on a segment."""
+    message = WrenchStamped()
+    message.header.frame_id = f"segment_{segment}"
+    force = message.wrench.force
+    force.x, force.y, force.z = force_n.tolist()
+    return message
+
+
+class Log:
+    """Arrivals of one topic; `lost_at_sink` counts those that the middleware reports as lost."""
+
+    def __init__(self, numbers: int) -> None:
+        """A message ends with so many `numbers`."""
+        self.lost_at_sink = 0
+        self._kind = np.dtype(
+            [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]
+        )
+        self._arrived_ns: list[int] = []
+        self._kept: list[bytes] = []
+
+    def note(self, raw: bytes) -> None:
+        """Keep the stamp, the last letter of segment_N and the numbers at the end."""
+        self._arrived_ns.append(time.time_ns())
+        self._kept.append(raw[4:12] + raw[24:25] + raw[9 - self._kind.itemsize :])
+
+    def lost(self, event: Any) -> None:
+        """Count messages that did not reach this process."""
+        self.lost_at_sink += event.total_count_change
+
+    def table(self) -> Arrivals:
+        """All that came so far."""
+        rows = np.frombuffer(b"".join(self._kept), self._kind)
+        digits = rows["letter"].astype(np.int64) - ord("0")
+        return Arrivals(
+            np.array(self._arrived_ns, dtype=np.int64),
+            rows["s"].astype(np.int64) * 1_000_000_000 + rows["ns"],
+            rows["numbers"],
+            np.where((digits >= 0) & (digits <= 9), digits, 0),
+        )
+
+
+class Arrivals(NamedTuple):
+    """Messages in order: arrival and stamp (C,), ns, last numbers (C, n), segment (C,) or 0."""
+
+    arrived_ns: Integers
+    stamps_ns: Integers
+    numbers: Array
+    segments: Integers

@@ -24,7 +24,7 @@ from typing import Any
 import harness
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from live_run import LiveRun, SpunNode
+from live_run import LiveRun, SpunNode, load_message
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -91,19 +91,12 @@ class Operator(SpunNode):
 
     def _push(self) -> None:
         if self._loaded:
-            self._load(self._loaded, np.zeros(3))
+            self._loads.publish(load_message(self._loaded, np.zeros(3)))
         self._loaded = int(self._rng.integers(1, self._arm.segment_count + 1))
         side = self._rng.normal(size=3)
-        force = self._rng.uniform(5.0, LARGEST_FORCE_N) * side / np.linalg.norm(side)
-        self._load(self._loaded, force)
+        force_n = self._rng.uniform(5.0, LARGEST_FORCE_N) * side / np.linalg.norm(side)
+        self._loads.publish(load_message(self._loaded, force_n))
         self.done["loads"] += 1
-
-    def _load(self, segment: int, force_n: Any) -> None:
-        message = WrenchStamped()
-        message.header.frame_id = f"segment_{segment}"
-        force = message.wrench.force
-        force.x, force.y, force.z = map(float, force_n)
-        self._loads.publish(message)
 
     def _command(self) -> None:
         reach = LARGEST_ANGLE_RAD * self._rng.choice([0.05, 1.0])

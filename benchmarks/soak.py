@@ -30,10 +30,10 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from harness import cpu_s, rss_mb
-from live_run import PATIENCE_S, LiveRun, SpunNode
+from live_run import PATIENCE_S, LiveRun, Log, SpunNode
 from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
-from soak_sequence import Log, answers, delivery, line_limits, marked_sequence, memory, play
+from soak_sequence import answers, delivery, line_limits, marked_sequence, memory, play
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.qos import Qos

@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from cantools.database.can import Database
 from harness import percentiles
+from live_run import Arrivals, Integers
 from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
@@ -58,9 +59,6 @@ NEAR_CYCLES = 300
 
 JUDGED_AT_ONCE = 100_000
 FIRST_MINUTE_S = 60.0
-
-
-Integers = NDArray[np.int64]
 
 
 class MarkedSequence(NamedTuple):
@@ -197,48 +195,6 @@ def line_limits(data_bytes: Sequence[int], rate_hz: float) -> dict[str, Any]:
         "bus": {f"{rate // 1000} kbit/s": limit(bits, rate) for rate in BITRATES_BIT_S},
         "adapter line": {name: limit(line, rate) for name, rate in SERIAL_BYTES_S.items()},
     }
-
-
-class Log:
-    """Arrivals of one topic; `lost_at_sink` counts those that the middleware reports as lost."""
-
-    def __init__(self, numbers: int) -> None:
-        """A message ends with so many `numbers`."""
-        self.lost_at_sink = 0
-        self._kind = np.dtype(
-            [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]
-        )
-        self._arrived_ns: list[int] = []
-        self._kept: list[bytes] = []
-
-    def note(self, raw: bytes) -> None:
-        """Keep the stamp, the last letter of segment_N and the numbers at the end."""
-        self._arrived_ns.append(time.time_ns())
-        self._kept.append(raw[4:12] + raw[24:25] + raw[9 - self._kind.itemsize :])
-
-    def lost(self, event: Any) -> None:
-        """Count messages that did not reach this process."""
-        self.lost_at_sink += event.total_count_change
-
-    def table(self) -> Arrivals:
-        """All that came so far."""
-        rows = np.frombuffer(b"".join(self._kept), self._kind)
-        digits = rows["letter"].astype(np.int64) - ord("0")
-        return Arrivals(
-            np.array(self._arrived_ns, dtype=np.int64),
-            rows["s"].astype(np.int64) * 1_000_000_000 + rows["ns"],
-            rows["numbers"],
-            np.where((digits >= 0) & (digits <= 9), digits, 0),
-        )
-
-
-class Arrivals(NamedTuple):
-    """Messages in order: arrival and stamp (C,), ns, last numbers (C, n), segment (C,) or 0."""
-
-    arrived_ns: Integers
-    stamps_ns: Integers
-    numbers: Array
-    segments: Integers
 
 
 def delivery(
