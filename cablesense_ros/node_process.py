@@ -197,17 +197,15 @@ def _cannot_start(error: Exception) -> int:
 def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExecutor]]:
     """A node in a process that has work of its own, and the executor for the caller to spin."""
     prefer_quick_discovery()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = Node(name, namespace=namespace or None)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
+    with ExitStack() as stack:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        stack.callback(rclpy.utilities.try_shutdown)
+        node = Node(name, namespace=namespace or None)
+        stack.callback(node.destroy_node)
+        executor = EventsExecutor()
+        stack.callback(executor.shutdown)
+        executor.add_node(node)
         yield node, executor
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        with suppress(RuntimeError):
-            rclpy.utilities.try_shutdown()
 
 
 @contextmanager

@@ -21,7 +21,8 @@ from std_srvs.srv import Trigger
 
 from cablesense_ros.processes import Process, node_command
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
+"""For a machine that is busy with other work; what is waited for comes at once elsewhere."""
 
 
 class NodeProcess(Process):

@@ -26,7 +26,7 @@ def weights(name, rows, columns, kind=DOUBLE):
     return helper.make_tensor(name, kind, [rows, columns], numbers.tolist())
 
 
-def small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=None):
+def small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=None, arm=CDSM):
     """A tensions-only model of few operators; `nodes` replace those that write the same."""
     own = [
         helper.make_node("MatMul", ["tension_difference_n", "classes"], ["logits"]),
@@ -42,18 +42,18 @@ def small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=
     graph = helper.make_graph(
         [*(node for node in own if not replaced & set(node.output)), *nodes],
         "small",
-        inputs or [value("tension_difference_n", kind, ["batch", 12])],
+        inputs or [value("tension_difference_n", kind, ["batch", arm.cable_count])],
         [value(name, kind, ["batch", f"{name}s"][:rank]) for name, rank in RANKS.items()],
         initializer=[
-            weights("classes", 12, 5, kind),
-            weights("turn", 12, 2, kind),
+            weights("classes", arm.cable_count, arm.segment_count + 1, kind),
+            weights("turn", arm.cable_count, 2, kind),
             helper.make_tensor("last", TensorProto.INT64, [1], [-1]),
             *initializers,
         ],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
     if properties is None:
-        properties = metadata_for(CDSM, pose_aware=False, network="small").to_properties()
+        properties = metadata_for(arm, pose_aware=False, network="small").to_properties()
     helper.set_model_props(model, properties)
     return model
 

@@ -3,6 +3,8 @@
 import json
 
 import pytest
+from arm_variants import five_by_four, five_by_four_text
+from small_models import small_model, written
 
 from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
 
@@ -45,12 +47,28 @@ def test_a_push_is_estimated_through_can_frames(tmp_path, capfd):
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_the_controller_yields_to_a_wall_felt_through_can_frames(tmp_path, capfd):
+def test_the_controller_yields_to_a_wall_that_is_estimated_through_can_frames(tmp_path, capfd):
     pytest.importorskip("rclpy")
     options = DemoOptions(out=tmp_path, source=Source.CAN, controller=Controller.ADMITTANCE)
-    run_headless(options, duration_s=12.0, as_json=True)
+    run_headless(options, duration_s=9.0, as_json=True)
     found = json.loads(capfd.readouterr().out)
     assert found["steps"] > 0
     assert found["settled_n"] < 0.5 * found["without_controller_n"]
     assert "slcan" in (tmp_path / "logs" / "can_driver.log").read_text(encoding="utf-8")
     assert (tmp_path / "admittance.png").is_file()
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_an_arm_of_five_segments_with_four_cables_is_pushed(tmp_path, capfd):
+    pytest.importorskip("rclpy")
+    arm = tmp_path / "arm.yaml"
+    arm.write_text(five_by_four_text(), encoding="utf-8")
+    model = written(tmp_path, small_model(arm=five_by_four()))
+    options = DemoOptions(arm=str(arm), model=str(model), out=tmp_path)
+    run_headless(options, duration_s=4.0, as_json=True)
+    found = json.loads(capfd.readouterr().out)
+    assert found["arm"] == five_by_four().identity
+    assert found["summary"]["pushes"] == found["summary"]["estimated"] == 1
+    assert (tmp_path / "demo.png").is_file()

@@ -22,14 +22,14 @@ def test_loopback_is_no_exposure(host):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "robot", "", "127.0.0.1.x"])
-def test_anything_else_is_said_in_one_line(host):
+def test_any_other_host_is_one_line_of_warning(host):
     line = exposure_warning(host, 8080, controls=True)
     assert "everyone who reaches this machine can see and move the arm" in line
     assert len(line.splitlines()) == 1
     assert "move" not in exposure_warning(host, 8080, controls=False)
 
 
-def test_the_demo_keeps_dds_on_this_machine_unless_told_otherwise(monkeypatch):
+def test_the_demo_keeps_dds_on_this_machine_unless_set_otherwise(monkeypatch):
     nothing_set(monkeypatch)
     environment = own_graph()
     assert {Path(environment[name]).name for name in PROFILES} == {"loopback.xml"}

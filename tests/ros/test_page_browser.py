@@ -86,7 +86,7 @@ class Browser:
         self._count += 1
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self._socket.recv(timeout=30))
+            answer = json.loads(self._socket.recv(timeout=60))
             if answer.get("id") == self._count:
                 return answer["result"]
 
@@ -95,7 +95,7 @@ class Browser:
             "value"
         )
 
-    def wait_for(self, script, what, timeout_s=20.0):
+    def wait_for(self, script, what, timeout_s=40.0):
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
             value = self.evaluate(script)
@@ -168,7 +168,7 @@ def canvas_pixels(browser):
     return image[HEIGHT // 5 : -HEIGHT // 8, WIDTH // 3 : -WIDTH // 4].astype(int)
 
 
-def wait_for_cells(browser, row, accept, timeout_s=15.0):
+def wait_for_cells(browser, row, accept, timeout_s=40.0):
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         found = cells(browser, row)
@@ -189,8 +189,18 @@ def test_controls_are_there(browser):
     )
     for label in ("Push the arm", "segment", "angle, °", "force, N", "joint 4 yaw, °", "Tare"):
         assert label in text
+    font = browser.evaluate("getComputedStyle(document.querySelector('.cablesense')).fontSize")
+    assert font == "13px"
     for label in ("contact probability", "cable tension", "direction error", "time, s"):
         assert label in text or label == "time, s"
+
+
+def right(row):
+    """Whether the cells of a contact are those of the page's first push, within its accuracy."""
+    if row[:1] != ["4"]:
+        return False
+    angle_deg, force_n = float(row[1].rstrip("°")), float(row[2].removesuffix(" N"))
+    return abs(angle_deg - 215.0) < 2.0 and abs(force_n - 60.0) < 2.0
 
 
 def test_a_push_on_the_page_moves_arm_wrench_and_estimate(browser):
@@ -201,12 +211,8 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(browser):
     before = wait_for_drawing(browser)
     browser.click_button("Push")
     true = wait_for_cells(browser, "true", lambda row: row[-1:] == ["60.0 N"])
-    estimated = wait_for_cells(browser, "estimated", lambda row: row[:1] == true[:1])
-    time.sleep(1.0)
-    estimated = cells(browser, "estimated")
     assert true == ["4", "215.0°", "60.0 N"]
-    assert float(estimated[1].rstrip("°")) == pytest.approx(215.0, abs=2.0)
-    assert float(estimated[2].removesuffix(" N")) == pytest.approx(60.0, abs=2.0)
+    wait_for_cells(browser, "estimated", right)
     after = canvas_pixels(browser)
     orange = (after[..., 0] > 150) & (after[..., 2] < 60)
     blue = (after[..., 2] > 150) & (after[..., 0] < 90)
@@ -219,7 +225,7 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(browser):
     wait_for_cells(browser, "estimated", lambda row: row[:1] == ["none"])
 
 
-def wait_for_drawing(browser, timeout_s=20.0):
+def wait_for_drawing(browser, timeout_s=40.0):
     """The canvas once the arm is on it: many colours, not one ground."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:

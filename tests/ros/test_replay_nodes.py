@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import math
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from recorded_runs import SETTINGS, MadeRun
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import CONTRACT
 from cablesense_online.recorded_run import RecordedRun
+from cablesense_online.replay import replay_in_process
 from cablesense_online.state import EventKind
+from cablesense_ros.recorder import Recorder
+from cablesense_ros.replay_through_node import replay_through_node
 from cablesense_sim.arm import open_arm
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
@@ -30,45 +37,43 @@ pytestmark = [
 
 ARM = open_arm("cdsm")
 ROOT = Path(__file__).parents[2]
-CLI = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
+RECORD = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "record", "--out"]
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
 
 
-@pytest.fixture
-def graph():
-    talking = Graph()
-    yield talking
-    talking.close()
+@pytest.fixture(scope="module")
+def made():
+    return MadeRun()
 
 
-def record(path):
-    return subprocess.Popen(
-        [*CLI, "record", "--out", str(path)],
+class RecordingGraph(Graph):
+    """Records what comes from some time on; the file is then as a killed recorder leaves it."""
+
+    recorder = None
+
+    def record(self, path):
+        self.recorder = Recorder(self.node, path, CONTRACT, None, print)
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            super().spin(0.1)
+            if self.recorder:
+                self.recorder.flush()
+
+
+def recorded(folder):
+    """The files of a whole recording, and of one that joins late and is killed."""
+    whole, late, killed = (folder / f"{name}.mcap" for name in ("whole", "late", "killed"))
+    graph = RecordingGraph()
+    nodes = [NodeProcess(SIM, rate_hz=200.0)]
+    recording = subprocess.Popen(
+        [*RECORD, str(whole)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         cwd=ROOT,
     )
-
-
-def replay(path, *arguments):
-    done = subprocess.run(
-        [*CLI, "replay", str(path), "--json", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-        timeout=100,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
-    whole, late = tmp_path / "whole.mcap", tmp_path / "late.mcap"
-    nodes = [NodeProcess(SIM, rate_hz=200.0)]
-    recorder = record(whole)
-    recorders = [recorder]
     try:
         graph.until(
             lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow"
@@ -82,31 +87,39 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         graph.push(3, (0.0, 40.0, 0.0))
         graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.02] * 8))
         graph.spin(0.2)
-        second = record(late)  # joins in mid-move
-        recorders.append(second)
+        graph.record(late)  # joins in mid-move
         graph.until(lambda: graph.command.get_subscription_count() == 4, "the second recorder")
         graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.01] * 8))
-        graph.spin(2.5)
+        graph.spin(1.8)
         assert graph.call("/estimator/tare").success
-        graph.spin(0.3)
-        second.send_signal(signal.SIGKILL)
+        graph.spin(1.0)
+        shutil.copy(late, killed)
         graph.push(3, (0.0, 0.0, 0.0))
-        graph.spin(0.5)
+        graph.spin(0.3)
         assert graph.call("/estimator/tare_undo").success
-        graph.spin(0.5)
+        graph.spin(0.3)
     finally:
-        for process in recorders:
-            process.send_signal(signal.SIGINT)
-            said, _ = process.communicate(timeout=30)
+        if graph.recorder:
+            graph.recorder.close()
+        recording.send_signal(signal.SIGINT)
+        printed, _ = recording.communicate(timeout=30)
         codes = [process.stop() for process in reversed(nodes)]
+        graph.close()
     assert codes == [0, 0], estimator.log
-    assert recorder.returncode == 0, said
-    got = replay(whole)
-    assert got["cut"] == ""
-    assert 400 < got["compared"] == got["identical"]
-    assert got["contacts"] > 50
-    assert got["lone_contacts"] == 0
-    kinds = [event.kind for state in RecordedRun(whole).states for event in state.events]
+    assert recording.returncode == 0, printed
+    return whole, killed
+
+
+def test_recorded_whole_killed_late_and_through_a_node(tmp_path):
+    whole, killed = recorded(tmp_path)
+    fresh = NodeProcess(ESTIMATOR, tare_samples=20)  # starts while the replays below run
+    run = RecordedRun(whole)
+    assert run.cut == ""
+    got = replay_in_process(run)
+    assert 400 < got.compared == got.identical
+    assert got.contacts > 50
+    assert got.lone_contacts == 0
+    kinds = [event.kind for state in run.states for event in state.events]
     assert kinds == [
         EventKind.START,
         EventKind.AUTO_TARE,
@@ -115,9 +128,10 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         EventKind.TARE,
         EventKind.TARE_UNDO,
     ]
-    killed = replay(late)
-    assert "breaks off" in killed["cut"]
-    assert 100 < killed["compared"] == killed["identical"]
+    broken = RecordedRun(killed)
+    after_kill = replay_in_process(broken)
+    assert "breaks off" in broken.cut
+    assert 100 < after_kill.compared == after_kill.identical
     assert {message.topic for message in McapMessages(whole)} == {
         "/applied_wrench",
         "/cable_tensions",
@@ -132,20 +146,16 @@ def test_recorded_whole_killed_late_and_through_a_node(graph, tmp_path):
         "/joint_states",
         "/robot_description",
     }
-    fresh = NodeProcess(ESTIMATOR, tare_samples=20)
     try:
-        again = replay(whole, "--publish")
+        again = replay_through_node(run, 1.0, "", print)
     finally:
         assert fresh.stop() == 0, fresh.log
-    assert again["compared"] == again["identical"] == got["compared"]
+    assert again.compared == again.identical == got.compared
     assert "tare of" in fresh.log  # its undo
 
 
-@pytest.mark.parametrize("missed", [0, 6])
-def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(missed, tmp_path):
-    from recorded_runs import SETTINGS, MadeRun
-
-    made = MadeRun()
+def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(made, tmp_path):
+    missed = 6
     first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
     path = made.write(tmp_path / "made.mcap", [r for r in made.records if r not in first])
     fresh = NodeProcess(
@@ -155,26 +165,17 @@ def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(miss
         settle_s=SETTINGS.settle_s,
     )
     try:
-        got = replay(path, "--publish")
+        got = replay_through_node(RecordedRun(path), 1.0, "", print)
     finally:
         assert fresh.stop() == 0, fresh.log
-    assert got["unanswered"] == missed
-    assert got["identical"] == got["compared"] == 300 - missed
-    assert got["contacts"] > 100
+    assert got.unanswered == missed
+    assert got.identical == got.compared == 300 - missed
+    assert got.contacts > 100
 
 
-def test_without_an_estimator_publishing_says_so(tmp_path):
-    from recorded_runs import MadeRun
-
-    path = MadeRun().write(tmp_path / "made.mcap")
-    done = subprocess.run(
-        [*CLI, "replay", str(path), "--publish"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-        timeout=60,
-    )
-    assert done.returncode == 2
-    assert "no estimator takes /cable_tensions" in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_without_an_estimator_publishing_is_refused(made, tmp_path, monkeypatch):
+    monkeypatch.setattr("cablesense_ros.replay_through_node.PATIENCE_S", 0.3)
+    run = RecordedRun(made.write(tmp_path / "made.mcap"))
+    with pytest.raises(RecordingError, match="no estimator takes /cable_tensions") as refused:
+        replay_through_node(run, 1.0, "", print)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,71 @@
+"""A wrong parameter ends a node with one line; a wrong file leaves it unconfigured."""
+
+from importlib import import_module
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+import rclpy
+
+from cablesense_ros.can_driver_node import CanDriverNode
+from cablesense_ros.estimator_node import EstimatorNode
+from cablesense_ros.processes import node_command
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+
+@pytest.mark.parametrize(
+    ("node", "parameters", "reason"),
+    [
+        ("sim", {"joint_speed_deg_s": -5.0}, "parameter joint_speed_deg_s"),
+        ("sim", {"noise": False, "seed": 3}, "seed has no effect without noise"),
+        ("sim", {"arm": "none"}, "bundled arms are"),
+        ("estimator", {"joint_speed_deg_s": -5.0}, "0.1 to 360"),
+        ("can_driver", {"bitrate_bit_s": -5}, "0 to 1e+06"),
+        ("obstacle", {"segment": 9}, "this arm has 1 to 4"),
+        ("can_emulator", {"fault": "explosion"}, "unknown fault"),
+        ("can_emulator", {"recording": "none.csv"}, "no such file"),
+        ("can_emulator", {"channel": "/none/of/that"}, "no link to"),
+        ("can_emulator", {"loop": True}, "loop has no effect without recording"),
+        ("can_emulator", {"bitrate_bit_s": 500_000}, "bitrate_bit_s has no effect on slcan_port"),
+    ],
+)
+def test_a_wrong_parameter_ends_a_node_with_one_line(node, parameters, reason, tmp_path, capfd):
+    if node == "can_emulator":
+        parameters = {"channel": tmp_path / "adapter", **parameters}
+    main = import_module(f"cablesense_ros.{node}_node").main
+    assert main(node_command(node, parameters)[3:]) == 2
+    printed = capfd.readouterr().err
+    assert printed.startswith("cannot start: ")
+    assert printed.count("\n") == 1
+    assert reason in printed
+
+
+@pytest.mark.parametrize(
+    ("make", "parameters", "reason"),
+    [
+        (EstimatorNode, {"model": "none.onnx"}, "none.onnx"),
+        (CanDriverNode, {"map": "none"}, "bundled channel maps are"),
+        (CanDriverNode, {"calibration": "none.yaml"}, "none.yaml: cannot be read"),
+        (CanDriverNode, {"interface": "none"}, "unknown to python-can"),
+    ],
+)
+def test_a_wrong_file_leaves_a_lifecycle_node_unconfigured(make, parameters, reason, capfd):
+    rclpy.init(args=node_command("any", parameters)[3:])
+    node = make()
+    try:
+        node.autostart()
+        (status,) = node._statuses()
+        assert "not configured" in status.message
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    printed = capfd.readouterr().err
+    assert "cannot configure" in printed
+    assert reason in printed
+    assert "Traceback" not in printed
