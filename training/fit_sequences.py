@@ -36,6 +36,13 @@ from cablesense_training.losses import (
 )
 from cablesense_training.networks.temporal import CorrectedAnswer, TemporalNetwork, Ticks
 
+_JUDGED_EVERY = 5
+"""The loss takes one tick in so many, as neighbours are alike."""
+
+_RESET_SHARE = 0.05
+"""Of the parts that begin with an empty state, so that the network learns to answer without a
+past."""
+
 
 class SequenceSamples(NamedTuple):
     """S sequences of T ticks.
@@ -115,19 +122,12 @@ class SequenceFitSettings(LoopSettings):
 
     Attributes:
         part_ticks: ticks through which gradients flow; the state flows on through all.
-        judged_every: the loss takes one tick in so many, as neighbours are alike.
-        reset_share: of the parts that begin with an empty state, so that the network learns to
-            answer without a past.
-        force_scale_n: an error of the force that weighs as much as a nat of the contact.
     """
 
     epochs: int = 20
     batch_size: int = 32
     part_ticks: int = 60
-    judged_every: int = 5
-    reset_share: float = 0.05
     learning_rate: float = 3e-3
-    force_scale_n: float = 1.0
 
 
 def fit_sequences(
@@ -167,13 +167,13 @@ class _SequenceObjective(Objective[SequenceSamples]):
         )
 
     def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        settings, generator = self._settings, self.generator
+        generator = self.generator
         order = torch.randperm(len(self.training.torque_n_m), generator=generator)
-        for rows in order.split(settings.batch_size):
+        for rows in order.split(self._settings.batch_size):
             state = torch.zeros(len(rows), self.network.hidden)
             for part in self._parts(take(self.training, rows)):
-                lost = torch.rand(len(rows), 1, generator=generator) < settings.reset_share
-                phase = int(torch.randint(settings.judged_every, (1,), generator=generator))
+                lost = torch.rand(len(rows), 1, generator=generator) < _RESET_SHARE
+                phase = int(torch.randint(_JUDGED_EVERY, (1,), generator=generator))
                 terms, state = self._terms(part, state.detach().masked_fill(lost, 0.0), phase)
                 yield terms, 1
 
@@ -203,8 +203,9 @@ class _SequenceObjective(Objective[SequenceSamples]):
     def _terms(self, part: SequenceSamples, state: Tensor, phase: int) -> tuple[LossTerms, Tensor]:
         """The loss of the judged ticks, and the last state.
 
-        The force is judged on the segment that is truly touched: where another was chosen, its
-        force holds nothing about what to correct.
+        One newton of error weighs as much as a nat of the contact. The force is judged on the
+        segment that is truly touched: where another was chosen, its force holds nothing about what
+        to correct.
         """
         answer, judged, following = self._answers(part, state, phase)
         target = judged.target
@@ -216,7 +217,7 @@ class _SequenceObjective(Objective[SequenceSamples]):
         scale = self.network.error.std.double()
         error = self.network.in_joint_order(answer.torque_n_m) - judged.true_torque_n_m
         spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
-        total = contact + off_n / self._settings.force_scale_n
+        total = contact + off_n
         return LossTerms(total, contact, torch.zeros_like(total), off_n, spread), following
 
     def _answers(
@@ -228,7 +229,7 @@ class _SequenceObjective(Objective[SequenceSamples]):
         states, following = network.remember(encoded, state)
 
         def judged(values: Tensor) -> Tensor:
-            return values[:, phase :: self._settings.judged_every].flatten(0, 1)
+            return values[:, phase::_JUDGED_EVERY].flatten(0, 1)
 
         seen = each(part, judged)
         answer = network.answer(network.balance(seen.ticks), judged(encoded), judged(states))

@@ -1,4 +1,4 @@
-"""Training along sequences learns what friction leaves, and refuses what it cannot train on."""
+"""Training along sequences reduces the errors of friction; unfit data are refused."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SETTINGS = SequenceFitSettings(epochs=8, batch_size=8, part_ticks=50, threads=1)
 
 @pytest.fixture(scope="module")
 def sequences():
-    return draw_sequences(ARM, MotionProtocol(sequences=16, duration_s=4.0), seed=0)
+    return draw_sequences(ARM, MotionProtocol(sequences=12, duration_s=3.0), seed=0)
 
 
 def _network():
@@ -26,7 +26,7 @@ def _network():
     return TemporalNetwork.for_arm(ARM)
 
 
-def test_true_torques_are_those_of_statics_where_nothing_rubs(sequences):
+def test_true_torques_are_those_of_statics_where_nothing_touches(sequences):
     samples = SequenceSamples.of(_network(), sequences)
     free = samples.target.segment == 0
     assert (samples.true_torque_n_m[free] == 0.0).all()

@@ -5,7 +5,7 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import EstimateError, Estimator
-from cablesense_training.inference.metadata import ModelFileError
+from cablesense_training.inference.metadata import ModelFileError, find_model
 from cablesense_training.inference.temporal_estimator import (
     LONGEST_GAP_S,
     TemporalEstimator,
@@ -118,13 +118,13 @@ def test_a_wrong_shape_or_a_number_that_is_none_is_refused_and_remembered_by_no_
     assert _bytes(_through(estimator, course, 0.02 * np.arange(60))) == _bytes(first)
 
 
-def test_each_kind_of_model_is_opened_as_what_it_is(temporal_model_file, model_files):
+def test_each_kind_of_model_is_opened_as_what_it_is(temporal_model_file):
     assert isinstance(open_estimator(temporal_model_file, CDSM), TemporalEstimator)
-    assert isinstance(open_estimator(model_files(), CDSM), Estimator)
+    assert isinstance(open_estimator(find_model("cdsm"), CDSM), Estimator)
 
 
-def test_neither_kind_is_taken_for_the_other(temporal_model_file, model_files):
+def test_neither_kind_is_taken_for_the_other(temporal_model_file):
     with pytest.raises(ModelFileError, match="needed are"):
         Estimator.load(temporal_model_file)
     with pytest.raises(ModelFileError, match="needed are"):
-        TemporalEstimator.load(model_files())
+        TemporalEstimator.load(find_model("cdsm"))

@@ -1,4 +1,4 @@
-"""The network with memory: untrained it is statics, and its corrections are bounded."""
+"""The history-dependent network: statics until trained, bounded corrections, stop operators."""
 
 import math
 
@@ -10,9 +10,11 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.temporal import (
+    GIVES_M,
     LARGEST_CORRECTION,
     LARGEST_LOG_FACTOR,
     LARGEST_OFFSET,
+    DrawnCables,
     TemporalNetwork,
     Ticks,
 )
@@ -97,3 +99,53 @@ def test_the_memoryless_baseline_answers_the_same_in_any_state():
         here, _ = baseline(ticks, torch.zeros(20, baseline.memory).double())
         there, _ = baseline(ticks, torch.ones(20, baseline.memory).double())
     torch.testing.assert_close(here.magnitude_n, there.magnitude_n)
+
+
+CABLES, JOINTS, HIDDEN = 3, 2, 5
+
+
+@pytest.fixture
+def drawn():
+    return DrawnCables(CABLES, JOINTS, HIDDEN)
+
+
+def _shares(drawn, past):
+    return drawn.seen(past)[0, : CABLES * len(GIVES_M)].reshape(CABLES, len(GIVES_M))
+
+
+def _through(drawn, past, lengths_m):
+    for length in lengths_m:
+        row = torch.tensor([[0.0, length, 0.0]])
+        past = drawn.follow(past, row, torch.zeros(1, JOINTS))
+    return past
+
+
+def test_shares_follow_what_is_drawn_and_stop(drawn):
+    past = _through(drawn, torch.zeros(1, drawn.size), [0.5, 0.5 + 2e-5])
+    torch.testing.assert_close(
+        _shares(drawn, past)[1], torch.tensor([1.0, 0.1, 0.01]), atol=5e-3, rtol=0.0
+    )
+    assert (_shares(drawn, past)[[0, 2]] == 0.0).all()
+
+
+def test_the_first_length_draws_nothing(drawn):
+    past = _through(drawn, torch.zeros(1, drawn.size), [0.8])
+    assert (_shares(drawn, past) == 0.0).all()
+
+
+def test_the_way_there_and_back_is_a_loop(drawn):
+    way = np.concatenate([np.linspace(0.0, 1e-3, 50), np.linspace(1e-3, 5e-4, 50)])
+    there = _shares(drawn, _through(drawn, torch.zeros(1, drawn.size), way[:26]))[1]
+    back = _shares(drawn, _through(drawn, torch.zeros(1, drawn.size), way))[1]
+    assert there[0] == 1.0
+    assert back[0] == -1.0  # at the same length as on the way there
+
+
+def test_a_tare_is_remembered_beside_what_goes_on(drawn):
+    past = drawn.tared(_through(drawn, torch.zeros(1, drawn.size), [0.0, 1e-3]))
+    later = _through(drawn, past, [0.0])
+    seen = drawn.seen(later)[0]
+    count = CABLES * len(GIVES_M)
+    assert seen[:count][len(GIVES_M)] == -1.0
+    assert seen[count : 2 * count][len(GIVES_M)] == 1.0
+    assert len(seen) == drawn.seen_size

@@ -92,13 +92,13 @@ def test_the_figures_are_plain_json_values(single, tmp_path, stub_export):
     assert len(figures["single"]["bins"]) == 5
 
 
+@pytest.mark.slow  # the export of the graph
 def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path):
-    arm = open_arm("cdsm_lab")
-    sequences = draw_sequences(arm, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
+    sequences = draw_sequences(ARM, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
     settings = SequenceFitSettings(epochs=1, batch_size=4, threads=1)
     path = tmp_path / "model.onnx"
     report = train_model(path, "momentary", sequences, settings, command="made so", test_samples=1)
-    metadata = TemporalEstimator.load(path, arm).metadata
+    metadata = TemporalEstimator.load(path, ARM).metadata
     assert (metadata.network, metadata.command) == ("memoryless", "made so")
     assert (metadata.tick_s, metadata.joint_speed_deg_s) == (0.02, 20.0)
     assert metadata.memory > 0

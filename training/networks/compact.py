@@ -23,26 +23,6 @@ from cablesense_sim.mechanism import Mechanism
 
 Matrix = NDArray[np.float64]
 
-_PITCH = np.array(
-    [
-        [[0, 0, 0], [0, 1, 0], [0, 0, 0]],
-        [[1, 0, 0], [0, 0, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 0, 0], [-1, 0, 0]],
-    ],
-    dtype=float,
-)
-"""Rotation about y as coefficients of (1, cos, sin)."""
-
-_YAW = np.array(
-    [
-        [[0, 0, 0], [0, 0, 0], [0, 0, 1]],
-        [[1, 0, 0], [0, 1, 0], [0, 0, 0]],
-        [[0, -1, 0], [1, 0, 0], [0, 0, 0]],
-    ],
-    dtype=float,
-)
-"""Rotation about z as coefficients of (1, cos, sin)."""
-
 _DERIVATIVE = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)
 """d/dx (1, cos x, sin x) = (0, -sin x, cos x), as a matrix on coefficients."""
 
@@ -50,6 +30,12 @@ _LEVI_CIVITA = np.zeros((3, 3, 3))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _LEVI_CIVITA[_i, _j, _k] = 1.0
     _LEVI_CIVITA[_k, _j, _i] = -1.0
+
+
+def _about(axis: int) -> Matrix:
+    """Rotation about an axis as coefficients (3, 3, 3) of (1, cos, sin), by Rodrigues."""
+    along = np.diag(np.eye(3)[axis])
+    return np.stack([along, np.eye(3) - along, _LEVI_CIVITA[:, axis]], axis=-1)
 
 
 class Pose(NamedTuple):
@@ -87,7 +73,7 @@ class CompactKinematics(nn.Module):
         n = mechanism.segment_count
         self.segment_count = n
         self.cable_count = mechanism.cable_count
-        rotation = np.einsum("ikm,jml->ijkl", _PITCH, _YAW)
+        rotation = np.einsum("kmi,mlj->ijkl", _about(1), _about(2))
         first, second = np.divmod(np.arange(9), 3)
         joint = np.repeat(np.arange(n), 9)
         segment = np.arange(n)
