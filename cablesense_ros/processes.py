@@ -137,14 +137,16 @@ class Process:
         end = f" ({' | '.join(line.strip() for line in lines)})" if lines else ""
         raise ProcessError(f"{self.name} ended {how}{end}")
 
-    def wait(self, within_s: float = GRACE_S) -> int:
+    def wait(self, within_s: float | None = GRACE_S) -> int:
         """Its exit code, once it has ended by itself.
 
         Raises:
             subprocess.TimeoutExpired: it still runs.
         """
         code = self.child.wait(timeout=within_s)
-        self._close_pipe()
+        if self.child.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self.child.stdin.close()
         return code
 
     def signal(self, number: int) -> None:
@@ -156,8 +158,7 @@ class Process:
         """Kill it as nothing can refuse (SIGKILL); gives the monotonic time of that."""
         killed_s = time.monotonic()
         self.signal(signal.SIGKILL)
-        self.child.wait()
-        self._close_pipe()
+        self.wait(None)
         return killed_s
 
     def stop(self, grace_s: float = GRACE_S) -> int:
@@ -168,11 +169,6 @@ class Process:
             self.child.wait(grace_s)
         self.kill()
         return self.child.returncode
-
-    def _close_pipe(self) -> None:
-        if self.child.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self.child.stdin.close()
 
     def __enter__(self) -> Process:
         return self

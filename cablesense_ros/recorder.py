@@ -36,12 +36,7 @@ _HINTS = {
 }
 
 
-_STATUS_TOPICS = (
-    topics.CABLE_TENSIONS,
-    topics.JOINT_COMMANDS,
-    topics.APPLIED_WRENCH,
-    topics.WRENCH,
-)
+_COUNTED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS, topics.APPLIED_WRENCH, topics.WRENCH)
 
 
 class Recorder:
@@ -101,7 +96,7 @@ class Recorder:
         """One line: how long, and how much of what."""
         elapsed_s = time.monotonic() - self._started_s
         parts = [f"{elapsed_s:.0f} s"]
-        for topic in filter(self._wanted.__contains__, _STATUS_TOPICS):
+        for topic in filter(self._wanted.__contains__, _COUNTED):
             left_out = f" ({n} left out)" if (n := self._left_out[topic]) else ""
             parts.append(f"{topic} {self.counts[topic] or 'nothing yet'}{left_out}")
         return " · ".join(parts)

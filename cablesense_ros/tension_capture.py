@@ -81,22 +81,22 @@ class _Samples:
     def __init__(self, cable_names: Sequence[str]) -> None:
         self._order = NamedOrder(cable_names, "cables")
         self._reader = EffortReader()
+        self.error: Exception | None = None
+        self.forget()
+
+    def forget(self) -> None:
         self._start_s: float | None = None
-        self._backward = 0
-        self._broken = 0
+        self._backward = self._broken = 0
         self.times_s: list[float] = []
         self.tensions_n: list[tuple[float, ...]] = []
-        self.error: Exception | None = None
 
     @property
     def latest_s(self) -> float:
-        self._check_any()
+        if not self.times_s:
+            raise CommissioningError(
+                f"{topics.CABLE_TENSIONS} stopped; its driver's diagnostics give the reason"
+            )
         return self.times_s[-1]
-
-    def forget(self) -> None:
-        self._start_s, self._backward, self._broken = None, 0, 0
-        self.times_s.clear()
-        self.tensions_n.clear()
 
     def take(self, raw: bytes) -> None:
         """In the executor, which would drop an exception: it is kept for the caller."""
@@ -112,34 +112,27 @@ class _Samples:
         since_s = stamp_s - self._start_s
         if not np.isfinite(tensions_n).all():
             self._broken += 1
-        elif self.times_s and since_s <= self.times_s[-1]:
+        elif self.times_s and since_s <= self.latest_s:
             self._backward += 1
         else:
             self.times_s.append(since_s)
             self.tensions_n.append(tensions_n)
 
     def series(self) -> TensionSeries:
-        problems = []
-        if self._broken:
-            problems.append(f"{self._broken} samples were not finite; every reading must be")
-        if self._backward:
-            problems.append(
-                f"{self._backward} samples came with a stamp not after the last; each must be "
-                "later: is there a second publisher?"
-            )
-        self._check_any()
-        count = len(self.times_s)
+        problems = (
+            (self._broken, "were not finite; every reading must be"),
+            (
+                self._backward,
+                "came with a stamp not after the last; each must be later: is there a second "
+                "publisher?",
+            ),
+        )
+        times_s = np.array([*self.times_s[:-1], self.latest_s])
         return TensionSeries(
             self._order.names,
-            np.array(self.times_s),
-            np.zeros(count, dtype=np.int64),
-            np.ones(count, dtype=bool),
+            times_s,
+            np.zeros(len(times_s), dtype=np.int64),
+            np.ones(len(times_s), dtype=bool),
             np.array(self.tensions_n),
-            tuple(problems),
+            tuple(f"{count} samples {text}" for count, text in problems if count),
         )
-
-    def _check_any(self) -> None:
-        if not self.times_s:
-            raise CommissioningError(
-                f"{topics.CABLE_TENSIONS} stopped; its driver's diagnostics give the reason"
-            )

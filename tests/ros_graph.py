@@ -41,7 +41,7 @@ class NodeProcess(Process):
         os.close(handle)
         super().__init__(name, node_command(name, given, remaps, namespace), Path(path))
 
-    def wait(self, within_s: float = PATIENCE_S) -> int:
+    def wait(self, within_s: float | None = PATIENCE_S) -> int:
         """Its exit code, once it has ended by itself."""
         return super().wait(within_s)
 

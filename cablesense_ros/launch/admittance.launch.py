@@ -32,30 +32,28 @@ def generate_launch_description() -> LaunchDescription:
         }.items(),
     )
     arm = {"arm": ParameterValue(LaunchConfiguration("arm"), value_type=str)}
-    admittance = _node("admittance", [_settings(share, "admittance"), arm])
-    obstacle = _node("obstacle", [_settings(share, "obstacle"), arm], when="obstacle")
-    page = _node("page", [arm], when="page")
-    return LaunchDescription([*_arguments(), estimator, admittance, obstacle, page])
-
-
-def _node(name: str, parameters: list, when: str = "") -> Node:
-    condition = {"condition": IfCondition(LaunchConfiguration(when))} if when else {}
-    return Node(
-        package=PACKAGE,
-        executable=name,
-        name=name,
-        output="screen",
-        parameters=parameters,
-        **condition,
-    )
-
-
-def _settings(share: str, name: str) -> PathJoinSubstitution:
-    return PathJoinSubstitution([share, "config", "nodes", f"{name}.yaml"])
-
-
-def _arguments() -> list[DeclareLaunchArgument]:
-    return [
+    settings = PathJoinSubstitution([share, "config", "nodes"])
+    wanted = {
+        name: {"condition": IfCondition(LaunchConfiguration(name))}
+        for name in ("obstacle", "page")
+    }
+    nodes = [
+        Node(
+            package=PACKAGE,
+            executable=name,
+            name=name,
+            output="screen",
+            parameters=[*files, arm],
+            **condition,
+        )
+        for name, files, condition in (
+            ("admittance", [PathJoinSubstitution([settings, "admittance.yaml"])], {}),
+            ("obstacle", [PathJoinSubstitution([settings, "obstacle.yaml"])], wanted["obstacle"]),
+            ("page", [], wanted["page"]),
+        )
+    ]
+    arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, default, text in ARGUMENTS
     ]
+    return LaunchDescription([*arguments, estimator, *nodes])

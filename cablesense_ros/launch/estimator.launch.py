@@ -102,22 +102,19 @@ def generate_launch_description() -> LaunchDescription:
         )
     )
     configure = _change(estimator, Transition.TRANSITION_CONFIGURE)
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
+        for name, default, choices, text in ARGUMENTS
+    ]
     # the handler stands before the event that sets it off
     return LaunchDescription(
-        [*_arguments(), *sources, estimator, activate_when_configured, configure]
+        [*arguments, *sources, estimator, activate_when_configured, configure]
     )
 
 
 def _text(argument: str) -> ParameterValue:
     """As text, whatever it looks like: an empty argument is no null, an arm named 1 no number."""
     return ParameterValue(LaunchConfiguration(argument), value_type=str)
-
-
-def _arguments() -> list[DeclareLaunchArgument]:
-    return [
-        DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
-        for name, default, choices, text in ARGUMENTS
-    ]
 
 
 def _change(node: LifecycleNode, transition: int) -> EmitEvent:
