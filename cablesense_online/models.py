@@ -188,14 +188,10 @@ def decide(
     threshold: float,
     contact_m: Sequence[float],
 ) -> Contact:
-    """The likeliest segment, once a contact anywhere is likely enough; else `NO_CONTACT`.
+    """The likeliest segment, once a contact anywhere has the `threshold`; else `NO_CONTACT`.
 
-    Args:
-        probabilities: (N+1,) of no contact, segment 1, ….
-        angle_deg: contact angle.
-        magnitude_n: of the force; one that does not push is no contact.
-        threshold: probability of a contact anywhere from which on there is one.
-        contact_m: (N,) where on its axis each segment is touched, from its joint on.
+    `probabilities` (N+1,) are of no contact, segment 1, …; a force that does not push is no
+    contact; `contact_m` (N,) is where on its axis each segment is touched, from its joint on.
 
     Raises:
         SampleError: a number is not finite.

@@ -30,8 +30,7 @@ class MotionGate:
 
     def __init__(self, command_rad: Array, joint_speed_rad_s: float, settle_s: float) -> None:
         """At rest at `command_rad` (2N,); `settle_s` is waited after each arrival."""
-        self._speed_rad_s = joint_speed_rad_s
-        self._settle_s = settle_s
+        self._speed_rad_s, self._settle_s = joint_speed_rad_s, settle_s
         self.command_rad = self.lowest_rad = self.highest_rad = command_rad.copy()
         self.rest_from_ns = self._last_ns = _LONG_AGO_NS
         self._starting = self.stepped_back = False
@@ -81,13 +80,10 @@ class MotionGate:
     def status(
         self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
     ) -> Status:
-        """What is known of the arm's pose.
+        """What is known of the arm's pose, for a model that was trained within ± `pose_range_deg`.
 
-        Args:
-            pose_range_deg: the model was trained within ± this.
-            refused: commands that were refused since the last report.
-            received: whether any command has come.
-            in_motion: whether the model estimates while the arm moves.
+        `refused` commands since the last report; `received`: whether any has come; `in_motion`:
+        whether the model estimates while the arm moves.
         """
         command_deg = np.rad2deg(self.command_rad).tolist()
         values = {
@@ -100,10 +96,8 @@ class MotionGate:
         elif self.shut:
             message = "moving" if in_motion else "moving: no estimate until the arm rests"
         elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
-            level, message = (
-                Level.WARN,
-                f"beyond the poses that the model was trained on (±{pose_range_deg:g} degrees)",
-            )
+            level = Level.WARN
+            message = f"beyond the poses of the model's training (±{pose_range_deg:g} degrees)"
         elif not received:
-            level, message = Level.WARN, "none received: arm taken to be straight"
+            level, message = Level.WARN, "none received: arm assumed to be straight"
         return Status("joint_commands", level, message, values)

@@ -185,13 +185,10 @@ def replay_in_process(
     another machine or begun in mid-move gives the same ones, as far as the processor's arithmetic
     and the versions of the libraries are the same.
 
-    Args:
-        run: the recording.
-        arm: another than the recorded, or empty.
-        model: another than the recorded, or empty.
-        estimates: CSV file for the answers, numbers with all their digits. `segment` is 0 without
-            a contact; probabilities are empty where nothing was estimated: in a move, before the
-            first tare, and at a sample that was refused, whose `problem` is given.
+    `arm` and `model` are others than the recorded, or empty. `estimates` is a CSV file for the
+    answers, numbers with all their digits: `segment` is 0 without a contact; probabilities are
+    empty where nothing was estimated: in a move, before the first tare, and at a sample that was
+    refused, whose `problem` is given.
 
     Raises:
         RecordingError: the recording has not all that a replay needs, or `estimates` cannot be

@@ -207,10 +207,8 @@ class InputHealth:
     def status(self, now_s: float, lost: int, publisher_count: int) -> Status:
         """The report of the time since the last one.
 
-        Args:
-            now_s: monotonic time.
-            lost: samples that the middleware reported as lost since the last report.
-            publisher_count: publishers on the topic.
+        `lost` samples were reported by the middleware since then; `publisher_count` publishers are
+        on the topic.
         """
         missing = max(lost, self._clock.missing_since_last_report())
         self._total_missing += missing

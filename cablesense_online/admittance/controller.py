@@ -28,7 +28,7 @@ from cablesense_sim.mechanism import Mechanism
 OWN_COMMANDS_KEPT = 16
 REPEAT_S = 0.5
 """While estimates are awaited, the command in force is repeated this often."""
-_PROBABILITIES_FOR_FREE = 2
+_LEAST_PROBABILITIES = 2
 """One message of probabilities could still be of the time before the command."""
 
 
@@ -77,14 +77,10 @@ class AdmittanceController:
     def received_wrench(
         self, segment: int, force_n: Array, stamp_ns: int, clock_ns: int, now_s: float
     ) -> Array | None:
-        """An estimate came: segment 0 for a wrench in the base frame; gives the next command.
+        """An estimate came; gives the next command.
 
-        Args:
-            segment: touched, from 1.
-            force_n: (3,) in the segment's axes.
-            stamp_ns: of the sample.
-            clock_ns: present time of the clock that sets stamps.
-            now_s: monotonic.
+        `force_n` (3,) is in the axes of the touched segment, from 1, or 0 for a wrench in the base
+        frame; `stamp_ns` is the sample's, `clock_ns` the present time of the clock that sets it.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
         fresh = self.watch.received_wrench(bool(segment), age_s, now_s)
@@ -94,9 +90,7 @@ class AdmittanceController:
             return None
         if now_s - age_s < self._arrived_s:
             return None
-        if not segment and (
-            self.watch.probabilities_since(self._arrived_s) < _PROBABILITIES_FOR_FREE
-        ):
+        if not segment and self.watch.probabilities_since(self._arrived_s) < _LEAST_PROBABILITIES:
             return None
         self._average.add(stamp_ns, segment, force_n)
         return self._step(now_s) if self._average.complete else None
@@ -108,12 +102,10 @@ class AdmittanceController:
         While it publishes but is not trusted yet, the command in force is repeated; the arm has
         it already.
         """
-        if self.watch.update(now_s) is not ContactState.STOPPED or not self.watch.publishing(
-            now_s
-        ):
-            return None
+        stopped = self.watch.update(now_s) is ContactState.STOPPED
         due_s = max(self._yield_until_s, self._repeated_s + REPEAT_S)
-        if not self._in_force or now_s < due_s:
+        wanted = stopped and self.watch.publishing(now_s) and self._in_force
+        if not wanted or now_s < due_s:
             return None
         self._repeated_s = now_s
         return self.command_rad

@@ -129,13 +129,10 @@ class AdmittanceLaw:
     def step(
         self, command_rad: Array, home_rad: Array, contact: ContactForce | None, elapsed_s: float
     ) -> Array:
-        """The next command (2N,); the same command where no step is worth it.
+        """The next command (2N,), `elapsed_s` after the last; the same where no step is worth it.
 
-        Args:
-            command_rad: (2N,) the command in force.
-            home_rad: (2N,) where to be when nothing touches.
-            contact: the contact; None is a sure "nothing touches".
-            elapsed_s: since the last step.
+        `command_rad` (2N,) is in force, `home_rad` (2N,) is where to be when nothing touches, and
+        no contact is a sure "nothing touches".
         """
         period_s, given = min(elapsed_s, LONGEST_STEP_S), self.settings
         away = command_rad - home_rad

@@ -47,12 +47,9 @@ class WallPressing:
         self.force_n = 0.0
 
     def update(self, contact_point_m: Array, advance_m: float, elapsed_s: float) -> Array:
-        """The force (3,) in base axes from now on.
+        """The force (3,) in base axes from now on, `elapsed_s` after the last update.
 
-        Args:
-            contact_point_m: (3,) where the arm's contact point is.
-            advance_m: of the wall along its normal.
-            elapsed_s: since the last update.
+        `contact_point_m` (3,) is the arm's; `advance_m` the wall's, along its normal.
         """
         penetration = advance_m - float(self.wall.normal @ (contact_point_m - self.wall.point_m))
         depth = max(0.0, penetration)

@@ -151,12 +151,11 @@ class SampleAssembler:
 
     With a cycle counter, its frame opens a sample, and only frames until the next one belong to
     it. Without, the first frame after a sample opens the next, and a channel that comes a second
-    time, or later than the skew limit, ends an unfinished one and opens another; late and lost
-    cannot be told apart then, and a frame that is late by most of a cycle may end up beside the
-    next cycle's, still within the limit. After a lost frame every sample would be cut so, in the
-    midst of a cycle; where the widest pause lies within `CUT_SAMPLES` samples one after the other,
-    and not between them, samples begin anew at that pause. Either way a sample that is not whole
-    is dropped, and the channels that it lacks are named.
+    time, or later than the skew limit, ends an unfinished one and opens another: late and lost
+    cannot be distinguished then. After a lost frame every sample would be cut in mid-cycle; where
+    the widest pause lies within `CUT_SAMPLES` samples one after the other, and not between them,
+    samples begin anew at that pause. A sample that is not whole is dropped, and the channels that
+    it lacks are named.
 
     Attributes:
         dropped: samples dropped so far because they were late, not whole, or not valid.

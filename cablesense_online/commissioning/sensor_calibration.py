@@ -264,13 +264,10 @@ class LineFit:
 
 
 def fit_line(force_n: Array, raw: Array, force_u_n: Array, raw_u: Array) -> LineFit | None:
-    """Fit; none where the readings do not change with the force.
+    """Fit `raw` (n,) readings, in any unit, to known forces; none where they do not follow.
 
-    Args:
-        force_n: (n,) known forces, at least two of them different.
-        raw: (n,) readings, in any unit.
-        force_u_n: (n,) standard uncertainties of the forces, 0 where unknown.
-        raw_u: (n,) those of the readings; where both are all 0, every point counts the same.
+    `force_n` (n,), at least two of them different. `force_u_n` and `raw_u` (n,) are standard
+    uncertainties, 0 where unknown; where all are 0, every point counts the same.
     """
     given = bool((force_u_n > 0.0).any() or (raw_u > 0.0).any())
     weight = np.ones_like(force_n)

@@ -96,8 +96,20 @@ def read_known_loads(
     """
     loads: dict[str, list[KnownLoad]] = {}
     for row in _rows(path, ("cable",), _LOAD_COLUMNS):
-        load = _load(row, cable_names, gravity_m_s2)
-        loads.setdefault(load.cable, []).append(load)
+        by_mass = row.one_of("mass_kg", "force_n") == "mass_kg"
+        load, spread = ("mass_kg", "mass_u_kg") if by_mass else ("force_n", "force_u_n")
+        newtons = gravity_m_s2 if by_mass else 1.0
+        by_reading = row.one_of("raw", "start_s") == "raw"
+        known = KnownLoad(
+            where=row.where,
+            cable=row.cable(cable_names),
+            by_mass=by_mass,
+            force_n=newtons * row.number(load, 0.0, HEAVIEST_N / newtons),
+            force_u_n=newtons * row.number(spread, 0.0, LARGEST_RAW, missing=0.0),
+            reading=row.number("raw", -LARGEST_RAW, LARGEST_RAW) if by_reading else row.window(),
+            raw_u=row.number("raw_u", 0.0, LARGEST_RAW, missing=0.0),
+        )
+        loads.setdefault(known.cable, []).append(known)
     return loads
 
 
@@ -109,23 +121,6 @@ def read_pulls(path: str | Path, cable_names: Sequence[str]) -> list[Pull]:
     """
     rows = _rows(path, ("cable", *_WINDOW_COLUMNS), ())
     return [Pull(row.cable(cable_names), row.window()) for row in rows]
-
-
-def _load(row: _Row, cable_names: Sequence[str], gravity_m_s2: float) -> KnownLoad:
-    by_mass = row.one_of("mass_kg", "force_n") == "mass_kg"
-    value, spread, newtons = (
-        ("mass_kg", "mass_u_kg", gravity_m_s2) if by_mass else ("force_n", "force_u_n", 1.0)
-    )
-    by_reading = row.one_of("raw", "start_s") == "raw"
-    return KnownLoad(
-        where=row.where,
-        cable=row.cable(cable_names),
-        by_mass=by_mass,
-        force_n=newtons * row.number(value, 0.0, HEAVIEST_N / newtons),
-        force_u_n=newtons * row.number(spread, 0.0, LARGEST_RAW, missing=0.0),
-        reading=row.number("raw", -LARGEST_RAW, LARGEST_RAW) if by_reading else row.window(),
-        raw_u=row.number("raw_u", 0.0, LARGEST_RAW, missing=0.0),
-    )
 
 
 @dataclass(frozen=True)
@@ -194,13 +189,16 @@ def _rows(path: str | Path, required: Sequence[str], optional: Sequence[str]) ->
         if line.strip() and not line.lstrip().startswith("#")
     ]
     try:
-        rows = [(number, next(csv.reader([line]), [])) for number, line in lines]
+        rows = [
+            (number, [cell.strip() for cell in next(csv.reader([line]), [])])
+            for number, line in lines
+        ]
     except csv.Error as error:
         raise CommissioningError(f"{path}: cannot be read as CSV ({error})") from error
     known = [*required, *optional]
     if not rows:
         raise CommissioningError(f"{path}: is empty; its first line must be {','.join(known)}")
-    header = [name.strip() for name in rows[0][1]]
+    (_, header), *rows = rows
     missing = [name for name in required if name not in header]
     unknown = [name for name in header if name not in known]
     if missing or unknown or len(set(header)) < len(header):
@@ -210,14 +208,14 @@ def _rows(path: str | Path, required: Sequence[str], optional: Sequence[str]) ->
             f"{path}: the header {' and '.join(found) or 'has a column twice'}; it must have "
             f"{', '.join(required)}, and may have {', '.join(optional) or 'nothing else'}"
         )
-    made = []
-    for number, cells in rows[1:]:
+    if not rows:
+        raise CommissioningError(f"{path}: has a header and no rows")
+    for number, cells in rows:
         if len(cells) != len(header):
             raise CommissioningError(
                 f"{path}: line {number} has {len(cells)} cells, the header {len(header)}"
             )
-        stripped = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        made.append(_Row(f"{path}: line {number}", stripped))
-    if not made:
-        raise CommissioningError(f"{path}: has a header and no rows")
-    return made
+    return [
+        _Row(f"{path}: line {number}", dict(zip(header, cells, strict=True)))
+        for number, cells in rows
+    ]
