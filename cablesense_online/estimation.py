@@ -72,7 +72,7 @@ class Estimation:
         clock, check, health: of the input.
         gate: the command in force, and whether the arm moves.
         tares: the unloaded state.
-        command_received: whether any joint command has come; until then the arm is taken to be
+        command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
         reproducible: whether the answers after `restore` are those of the object that made the
             states; a history-dependent model's are, from a start on.

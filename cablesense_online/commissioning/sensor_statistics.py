@@ -25,7 +25,7 @@ WINDOW_S = 1.0
 WINDOW_SAMPLES = 10
 """A window has at least so many."""
 FEWEST_VALUES = 3
-"""Different values without which a step cannot be told from chance."""
+"""Different values without which a step cannot be distinguished from chance."""
 STEP_SCATTER = 0.1
 """Values further than this share of a step from whole steps are not on steps."""
 FEWEST_INTERVALS = 20
@@ -220,7 +220,7 @@ class PullVerdict(StrEnum):
 class PullResult:
     """A cable pulled by hand: which channels moved, and the verdict.
 
-    A pull on one cable bends the arm and so moves others as well, hence two are told apart only
+    A pull on one cable bends the arm and so moves others as well, hence two are distinguished only
     where one moves clearly more. Pulled sideways between its sensor and the arm, the pulled one
     does.
 

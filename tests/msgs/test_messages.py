@@ -129,7 +129,7 @@ def test_point_and_direction_are_in_the_segments_frame():
     assert direction.vector.y == pytest.approx(1.0)
 
 
-def test_probabilities_say_whose_they_are():
+def test_probabilities_are_labelled():
     dimension = SimpleNamespace()
     describe_probabilities(dimension, 2)
     assert dimension.label == "none,segment_1,segment_2"

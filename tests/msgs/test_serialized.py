@@ -106,7 +106,7 @@ def test_not_finite_values_are_read_as_they_are():
         (big_endian([], [], (1, 2_000_000_000)), "nanosec is 2000000000"),
     ],
 )
-def test_says_what_is_wrong(raw, complaint):
+def test_other_bytes_are_refused_with_the_reason(raw, complaint):
     with pytest.raises(ContractError, match=complaint):
         EffortReader().read(raw)
 

@@ -63,7 +63,7 @@ def test_estimates_must_come_for_a_while_before_they_are_trusted():
     assert states[-1] is ContactState.FREE
 
 
-def test_a_contact_is_seen_at_once(estimator):
+def test_a_contact_is_known_at_once(estimator):
     assert estimator.publishes(0.02, contact=True)[-1] is ContactState.CONTACT
     assert estimator.publishes(0.5)[-1] is ContactState.FREE
 

@@ -53,7 +53,7 @@ def test_the_contact_point_moves_with_the_force(command, segment, angle, magnitu
 
 
 @given(poses, poses, segments, angles, st.floats(0.0, 500.0), st.floats(0.05, 5.0))
-def test_limits_hold_whatever_is_felt(command, home, segment, angle, magnitude, elapsed):
+def test_limits_hold_whatever_the_contact(command, home, segment, angle, magnitude, elapsed):
     for contact in (None, contact_force(command, segment, angle, magnitude)):
         target = LAW.step(command, home, contact, elapsed)
         limit = min(DEFAULT.step_limit_rad, DEFAULT.speed_limit_rad_s * elapsed)

@@ -51,7 +51,7 @@ def test_compliance_is_how_far_a_small_push_moves_the_contact(arm, segment):
     )
 
 
-def test_a_wall_touches_at_advance_zero_and_pushes_as_the_contact_angle_says():
+def test_a_wall_touches_at_advance_zero_and_pushes_along_the_contact_angle():
     mechanism = mechanism_of(open_arm("cdsm"))
     wall = wall_beside(mechanism, np.zeros(8), 3, 90.0, 1e4, 0.0)
     point = contact_points_m(mechanism, np.zeros(8))[2]
@@ -83,7 +83,7 @@ def test_on_a_rigid_arm_force_is_stiffness_times_penetration(stiffness, advance,
 
 
 @given(st.lists(st.floats(-0.01, 0.01), min_size=1), st.floats(0.0, 1e4), st.floats(0.0, 1e-4))
-def test_it_never_pulls_and_is_not_felt_from_afar(advances, damping, compliance):
+def test_it_never_pulls_and_does_not_act_from_afar(advances, damping, compliance):
     pressing = WallPressing(wall(damping=damping), compliance)
     for advance in advances:
         before = pressing.force_n

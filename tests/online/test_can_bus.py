@@ -30,11 +30,11 @@ def test_a_virtual_interface_opens_and_passes_frames():
 
 
 @pytest.mark.parametrize(
-    ("interface", "channel", "said"),
+    ("interface", "channel", "refusal"),
     [("cannone", "can0", "one of socketcan, slcan"), ("socketcan", "", "needs a channel")],
 )
-def test_what_can_never_be_opened_is_refused_at_once(interface, channel, said):
-    with pytest.raises(CanInterfaceError, match=said):
+def test_what_can_never_be_opened_is_refused_at_once(interface, channel, refusal):
+    with pytest.raises(CanInterfaceError, match=refusal):
         CanInterface(interface, channel)
 
 
@@ -42,7 +42,7 @@ def test_what_can_never_be_opened_is_refused_at_once(interface, channel, said):
     ("interface", "channel"),
     [("slcan", "/dev/none_of_that_name"), ("socketcan", "none0"), ("pcan", "PCAN_USBBUS1")],
 )
-def test_an_interface_that_is_not_there_says_so(interface, channel):
+def test_an_interface_that_is_not_there_is_named(interface, channel):
     with pytest.raises(CanInterfaceError, match=f"{interface} {channel} cannot be opened"):
         CanInterface(interface, channel).open()
 

@@ -132,12 +132,12 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
         write_calibration(tmp_path / "none" / "c.yaml", calibration(TWO, OTHERS))
 
 
-def test_no_calibration_is_said_without_alarm():
+def test_no_calibration_is_reported_without_alarm():
     assert calibration_status(None).level is Level.OK
     assert "channel map" in calibration_status(None).message
 
 
-def test_a_whole_one_is_told_with_its_values():
+def test_a_whole_one_is_reported_with_its_values():
     status = calibration_status(calibration(WHOLE))
     assert status.level is Level.OK
     assert status.values["cable_3"] == "1.25 N per unit from zero -3"

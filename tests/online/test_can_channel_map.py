@@ -52,7 +52,7 @@ def test_value_and_tension_are_inverse(tension_n, scale, zero):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "refusal"),
     [
         ("dbc", "../secret.dbc", "beside the map"),
         ("dbc", "amplifier.txt", "beside the map"),
@@ -74,8 +74,8 @@ def test_value_and_tension_are_inverse(tension_n, scale, zero):
         ),
     ],
 )
-def test_what_cannot_be_is_refused(key, value, said):
-    with pytest.raises(ValidationError, match=said):
+def test_what_cannot_be_is_refused(key, value, refusal):
+    with pytest.raises(ValidationError, match=refusal):
         ChannelMap.model_validate({**GIVEN, key: value})
 
 
@@ -87,14 +87,14 @@ def test_channels_are_put_in_an_arms_order():
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "refusal"),
     [
         (("cable_1", "cable_2", "cable_3"), "lacks cable_3; the cables of this arm are"),
         (("cable_1",), "has cable_2, which the arm has not"),
     ],
 )
-def test_a_map_for_other_cables_is_refused(names, said):
-    with pytest.raises(ChannelMapError, match=said):
+def test_a_map_for_other_cables_is_refused(names, refusal):
+    with pytest.raises(ChannelMapError, match=refusal):
         ChannelMap.model_validate(GIVEN).arranged(names)
 
 
@@ -134,7 +134,7 @@ def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "refusal"),
     [
         ("- 1", "holds list, not a mapping"),
         ("name: [", "not plain YAML"),
@@ -146,8 +146,8 @@ def test_a_missing_file_a_folder_and_a_huge_one_are_refused(tmp_path):
         (BUNDLED.replace("signal: TENSION_3,", ""), "channels.cable_3.signal is missing"),
     ],
 )
-def test_a_broken_map_says_what_is_wrong_and_where(text, said):
-    with pytest.raises(ChannelMapError, match=said) as caught:
+def test_a_broken_map_is_refused_with_what_is_wrong_and_where(text, refusal):
+    with pytest.raises(ChannelMapError, match=refusal) as caught:
         read_plain(text, "mine.yaml", ChannelMap, ChannelMapError)
     assert str(caught.value).startswith("mine.yaml: ")
     assert "\n" not in str(caught.value)
@@ -164,13 +164,13 @@ def test_a_broken_map_says_what_is_wrong_and_where(text, said):
 @settings(max_examples=30, deadline=None)
 def test_any_value_under_any_key_is_taken_or_refused_in_one_line(value, key):
     content = {**yaml.safe_load(BUNDLED), key: value}
-    said = ""
+    refusal = ""
     try:
         text = yaml.safe_dump(content, allow_unicode=True)
         read_plain(text, "mine.yaml", ChannelMap, ChannelMapError)
     except ChannelMapError as error:
-        said = str(error)
-    assert "\n" not in said
+        refusal = str(error)
+    assert "\n" not in refusal
 
 
 HEAD = 'VERSION ""\n'
@@ -184,7 +184,7 @@ def test_what_a_bus_carries_is_let_through():
 
 
 @pytest.mark.parametrize(
-    ("was", "becomes", "says"),
+    ("was", "becomes", "refusal"),
     [
         ("A: 8", "A: 1786", "line 2: a message of bytes 1786; it must be at most 1785"),
         ("A: 8", "A //:\n : //x\n 1000000000 ", "line 4: a message of bytes"),
@@ -194,8 +194,8 @@ def test_what_a_bus_carries_is_let_through():
         ("0|8@", "0| // 8@\n1000000000 @", "a signal of bits"),
     ],
 )
-def test_one_line_cannot_ask_for_all_memory(was, becomes, says):
-    with pytest.raises(ChannelMapError, match=says) as caught:
+def test_one_line_cannot_ask_for_all_memory(was, becomes, refusal):
+    with pytest.raises(ChannelMapError, match=refusal) as caught:
         parse_database(HEAD + SIGNAL.replace(was, becomes), "f.dbc")
     assert len(str(caught.value)) < 200
 
@@ -210,7 +210,7 @@ TEXT = config_path("can/twelve_channel_amplifier.dbc").read_text(encoding="utf-8
 
 
 @pytest.mark.parametrize("channel_map", [PACKED, SINGLE], ids=lambda made: made.name)
-def test_a_bundled_dbc_says_that_no_hardware_has_seen_it(channel_map):
+def test_a_bundled_dbc_states_that_it_was_not_tried_on_hardware(channel_map):
     text = " ".join(config_path(f"can/{channel_map.dbc}").read_text(encoding="utf-8").split())
     assert "written from published manuals" in text.lower()
     assert "not been tried on hardware" in text
@@ -242,7 +242,7 @@ def test_the_amplifiers_have_the_documented_layout():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "refusal"),
     [
         ("", "no messages|not a DBC"),
         ("hello", "not a DBC"),
@@ -250,8 +250,8 @@ def test_the_amplifiers_have_the_documented_layout():
         (TEXT.replace("16|16@1-", "8|16@1-", 1), "over another"),
     ],
 )
-def test_a_broken_dbc_is_refused(text, said):
-    with pytest.raises(ChannelMapError, match=said) as caught:
+def test_a_broken_dbc_is_refused(text, refusal):
+    with pytest.raises(ChannelMapError, match=refusal) as caught:
         parse_database(text, source="mine.dbc")
     assert str(caught.value).startswith("mine.dbc: ")
 
@@ -262,24 +262,24 @@ def test_a_mutated_dbc_is_read_or_refused(data):
     at = data.draw(st.integers(0, len(TEXT) - 1))
     cut = data.draw(st.integers(0, 40))
     text = TEXT[:at] + data.draw(st.text(max_size=10)) + TEXT[at + cut :]
-    said = ""
+    refusal = ""
     try:
         check_fit(PACKED, parse_database(text))
     except ChannelMapError as error:
-        said = str(error)
-    assert "\n" not in said
+        refusal = str(error)
+    assert "\n" not in refusal
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "refusal"),
     [
         ("TENSIONS_5_TO_8:", "OTHERS:", "channel cable_5: no message TENSIONS_5_TO_8; there are"),
         (" TENSION_7 ", " OTHER ", "channel cable_7: no signal TENSION_7 in message"),
         ("CYCLE_COUNTER : 0|8@1+", "CYCLE_COUNTER : 0|8@1-", "counter: CYCLE_COUNTER must be"),
     ],
 )
-def test_a_dbc_that_does_not_fit_says_for_which_cable(old, new, said):
-    with pytest.raises(ChannelMapError, match=said):
+def test_a_dbc_that_does_not_fit_is_refused_for_its_cable(old, new, refusal):
+    with pytest.raises(ChannelMapError, match=refusal):
         check_fit(PACKED, parse_database(TEXT.replace(old, new)))
 
 

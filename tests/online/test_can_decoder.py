@@ -87,7 +87,7 @@ def test_a_reading_at_the_converters_end_makes_the_frame_invalid(packed, ledger,
         (0xF0, None),
     ],
 )
-def test_a_status_byte_is_believed(ledger, status, fault):
+def test_a_status_byte_makes_a_frame_invalid(ledger, status, fault):
     decoder = FrameDecoder(SINGLE, SINGLE_DATABASE, ledger)
     statuses = [0] * 12
     statuses[4] = status
@@ -108,7 +108,7 @@ def test_a_float_that_is_no_number_makes_the_frame_invalid(ledger, bad):
 
 
 @pytest.mark.parametrize("length", [0, 1, 7])
-def test_a_frame_of_the_wrong_length_tells_nothing(packed, ledger, length):
+def test_a_frame_of_the_wrong_length_has_no_readings(packed, ledger, length):
     message = packed_cycle(TENSIONS_N, 0)[2]
     short = can.Message(
         arbitration_id=message.arbitration_id, is_extended_id=False, data=message.data[:length]
@@ -318,7 +318,7 @@ def test_data_before_the_first_counter_is_no_fault(counted):
     assert counted.faults == {}
 
 
-def test_a_reading_not_to_be_believed_costs_its_sample_without_a_missing_channel(bench):
+def test_an_invalid_reading_costs_its_sample_without_a_missing_channel(bench):
     bench.cycle(0)
     if bench.counted:
         bench.take(opening(1), 1e-3)
@@ -355,9 +355,9 @@ def test_a_restart_takes_any_counter(counted):
     ),
 )
 @settings(max_examples=150, deadline=None)
-def test_any_course_of_frames_gives_only_whole_samples_within_the_limit(modulo, course):
+def test_any_sequence_of_frames_gives_only_whole_samples_within_the_limit(modulo, sequence):
     bench, time_s, marks, invalid_marks = Bench(modulo), 0.0, {}, set()
-    for mark, (kind, wait_s, valid, count) in enumerate(course, start=1):
+    for mark, (kind, wait_s, valid, count) in enumerate(sequence, start=1):
         time_s += wait_s
         marks[float(mark)] = time_s
         if kind == 3:

@@ -214,14 +214,14 @@ def test_a_flood_is_named_and_costs_no_sample(packed):
         ("missing_channel cable_6", FaultKind.MISSING_CHANNEL),
     ],
 )
-def test_faults_of_a_node_are_told_by_its_status(single, text, kind):
+def test_faults_of_a_node_are_found_by_its_status(single, text, kind):
     single.request(text)
     assert single.cycles(20) == []
     single.reader.silence(single.time_s + 1.0)
     assert set(single.ledger.report().places[kind]) == {"cable_6"}
 
 
-def test_nan_is_told_from_a_signal_that_can_carry_it(packed):
+def test_nan_is_found_in_a_signal_that_can_carry_it(packed):
     with pytest.raises(FaultRequestError, match="whole number"):
         packed.request("not_finite cable_3")
     text = config_path("can/cia404_amplifier.dbc").read_text(encoding="utf-8")
@@ -364,15 +364,15 @@ def buses():
 
 
 def test_frames_without_a_wait_go_together():
-    course = []
+    played = []
 
     class Sink:
         def send(self, frames):
-            course.append([frame.arbitration_id for frame in frames])
+            played.append([frame.arbitration_id for frame in frames])
 
     planned = [PlannedFrame(frame) for frame in FRAMES[:3]] + [PlannedFrame(FRAMES[3], 0.5)]
-    play(Sink(), planned, course.append)
-    assert course == [[1, 2, 3], 0.5, [4]]
+    play(Sink(), planned, played.append)
+    assert played == [[1, 2, 3], 0.5, [4]]
 
 
 def test_a_bus_takes_frames_and_gives_those_of_others(buses):
@@ -420,13 +420,13 @@ def test_rows_come_when_they_are_due_and_a_command_when_it_is_new():
     assert player.due(200.0) == []
 
 
-def test_an_unchanged_command_is_told_again_once_a_second():
+def test_an_unchanged_command_is_repeated_once_a_second():
     time_s = np.arange(31) * 0.1
     player = RecordingPlayer(time_s, np.zeros((31, 2)), np.zeros((31, 1)), loop=False)
     rows = [row for step in range(31) for row in player.due(50.0 + step * 0.1 + 1e-6)]
-    told = [number for number, (_, command) in enumerate(rows) if command is not None]
+    repeated = [number for number, (_, command) in enumerate(rows) if command is not None]
     assert len(rows) == 31
-    assert told == pytest.approx([0, 10, 20, 30], abs=2)
+    assert repeated == pytest.approx([0, 10, 20, 30], abs=2)
 
 
 def test_a_loop_begins_again_after_a_pause():

@@ -100,7 +100,7 @@ class Adapter:
 def adapter():
     adapter = Adapter()
     yield adapter
-    adapter.bus._is_shutdown = True  # it has no adapter to tell
+    adapter.bus._is_shutdown = True  # it has no adapter to close
     adapter.close()
 
 

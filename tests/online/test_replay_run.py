@@ -99,7 +99,7 @@ def test_a_changed_bit_is_found_and_the_command_fails(made, tmp_path):
     assert "299  bit-identical" in done.stdout
 
 
-def test_samples_without_answer_without_stamp_and_answers_without_sample_are_told(made, tmp_path):
+def test_samples_without_answer_or_stamp_and_answers_without_sample_are_counted(made, tmp_path):
     answers = [i for i, record in enumerate(made.records) if record[0] == topics.WRENCH]
     samples = [i for i, record in enumerate(made.records) if record[0] == topics.CABLE_TENSIONS]
     records = list(made.records)
@@ -120,12 +120,12 @@ def test_a_recording_that_breaks_off_is_compared_up_to_there(whole, tmp_path):
     path.write_bytes(whole.read_bytes()[: int(0.6 * whole.stat().st_size)])
     done = CliRunner().invoke(app, ["replay", str(path), "--json"])
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert "breaks off" in said["cut"]
-    assert 0 < said["compared"] == said["identical"] < 300
+    printed = json.loads(done.stdout)
+    assert "breaks off" in printed["cut"]
+    assert 0 < printed["compared"] == printed["identical"] < 300
 
 
-def test_estimates_are_written_and_another_model_says_something_else(whole, tmp_path):
+def test_estimates_are_written_and_another_model_gives_others(whole, tmp_path):
     table = tmp_path / "estimates.csv"
     done = CliRunner().invoke(app, ["replay", str(whole), "--estimates", str(table)])
     assert done.exit_code == 0, done.output

@@ -168,12 +168,12 @@ def test_an_exchange_is_found(recording):
     assert "tension_2_n reads cable_7" in finding.text
 
 
-def test_an_arm_that_was_left_alone_tells_nothing(recording):
+def test_an_arm_that_was_left_alone_shows_nothing(recording):
     still = recording.rows(slice(0, 20))
     assert exercised_channel_findings(still, LAB) == []
 
 
-def test_a_long_recording_is_thinned_out_and_says_so(recording, monkeypatch):
+def test_a_long_recording_is_thinned_out_and_the_finding_states_it(recording, monkeypatch):
     module = "cablesense_online.commissioning.sensor_check.MOST_ROWS"
     monkeypatch.setattr(module, len(recording) // 2)
     swapped_n = recording.tensions_n.copy()

@@ -30,7 +30,7 @@ def noise_n(deviation_n, seed=0):
     return np.random.default_rng(seed).normal(0.0, deviation_n, 2000)
 
 
-def test_noise_is_told_beside_drift():
+def test_noise_is_estimated_beside_drift():
     figures = channel_statistics("c", TIME_S, 50.0 + 0.1 * TIME_S + noise_n(0.2), REST)
     assert figures.noise_n == pytest.approx(0.2, rel=0.05)
     assert figures.drift_n == pytest.approx(2.0, rel=0.05)
@@ -45,7 +45,7 @@ def test_only_what_was_read_at_rest_counts_as_noise():
     assert figures.mean_n == pytest.approx(50.0, abs=0.05)
 
 
-def test_without_rest_noise_and_drift_are_not_told():
+def test_without_rest_noise_and_drift_are_unknown():
     figures = channel_statistics("c", TIME_S, 50.0 + noise_n(0.1), ~REST)
     assert (figures.noise_n, figures.drift_n) == (None, None)
 
@@ -101,7 +101,7 @@ def test_a_wanted_break_is_no_loss():
     assert timing_statistics(at(time_s)).lost == 450
 
 
-def test_a_handful_of_samples_tells_nothing():
+def test_a_handful_of_samples_is_refused():
     with pytest.raises(CommissioningError, match="only 10 samples; at least 21"):
         timing_statistics(at(np.arange(10.0)))
 
@@ -179,7 +179,7 @@ def test_pulls_are_read_from_a_table(tmp_path):
         read_pulls(path, ARM.cable_names)
 
 
-def test_a_swap_is_seen_from_both_ends():
+def test_a_swap_is_found_from_both_ends():
     tensions_n = good_tensions_n(20.0)
     for start_s, cable in ((4.5, 2), (12.5, 7)):
         rows = slice(int(start_s * RATE_HZ), int((start_s + 2.0) * RATE_HZ))

@@ -152,7 +152,7 @@ def put_through(arm) -> tuple[list[np.ndarray], ...]:
         moving, 1e-3, np.radians(20.0), 0.0, 0.0,
         sensings=sensings([entries_of(arm)]), longest_lag_s=1.0,
     )  # fmt: skip
-    course: tuple[list[np.ndarray], ...] = ([], [], [], [])
+    sequence: tuple[list[np.ndarray], ...] = ([], [], [], [])
     simulated.go_to(BENT)
     for row in range(26):
         if row == 15:
@@ -160,10 +160,10 @@ def put_through(arm) -> tuple[list[np.ndarray], ...]:
         simulated.advance_to(PERIOD_S * row)
         reading = simulated.reading_n(arm.sensors, None)
         for kept, value in zip(
-            course, (PERIOD_S * row, moving.command_rad, moving.forces_n, reading), strict=True
+            sequence, (PERIOD_S * row, moving.command_rad, moving.forces_n, reading), strict=True
         ):
             kept.append(np.array(value))
-    return course
+    return sequence
 
 
 @pytest.mark.parametrize("name", list(known_effects()))
