@@ -1,9 +1,7 @@
 """Metadata of model files, and the history-dependent model that tests share."""
 
-import pytest
-
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import ModelMetadata, find_model
+from cablesense_training.inference.metadata import ModelMetadata
 
 
 def metadata_for(arm: Arm, **changes) -> ModelMetadata:
@@ -24,9 +22,3 @@ def metadata_for(arm: Arm, **changes) -> ModelMetadata:
         "version": "0.1.0",
     }
     return ModelMetadata(**content | changes)
-
-
-@pytest.fixture(scope="session")
-def temporal_model_file():
-    """The bundled history-dependent model for `cdsm`."""
-    return find_model("cdsm_moving")

@@ -88,13 +88,13 @@ def _drawn(seed):
     return {CHANGING: rng.normal(size=(2, 3)), STEADY: rng.normal(size=(2, 3))}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(graphs(), st.integers(0, 2**32 - 1))
 def test_parts_agree_with_the_whole_for_any_graph(model, seed):
     assert _require_agreement(model, _drawn(seed)).held is None
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(graphs(), st.integers(0, 2**32 - 1))
 def test_parts_agree_with_the_whole_whatever_is_held(model, seed):
     inputs = _drawn(seed)

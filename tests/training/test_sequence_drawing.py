@@ -13,6 +13,8 @@ from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import draw_sequences
 from cablesense_training.evaluation.metrics import unsettled
 
+pytestmark = pytest.mark.slow
+
 CDSM, FRICTION = open_arm("cdsm"), open_arm("cdsm_friction")
 SHORT = MotionProtocol(sequences=2, duration_s=4.0, noise=False)
 
@@ -23,7 +25,7 @@ def in_time():
 
 
 @pytest.fixture(scope="module")
-def rubbing():
+def with_friction():
     return draw_sequences(FRICTION, replace(SHORT, duration_s=6.0), seed=1)
 
 
@@ -63,9 +65,9 @@ def test_motion_adds_inertia_that_statics_does_not_know(in_time):
     assert np.abs(in_time.tension_difference_n[free]).max() > 0.5
 
 
-def test_friction_leaves_a_difference_at_rest_that_depends_on_the_past(rubbing):
-    off = np.abs(rubbing.tension_difference_n - _statics_n(rubbing)).max(axis=-1)
-    later = ~unsettled(rubbing)
+def test_friction_leaves_a_difference_at_rest_that_depends_on_the_past(with_friction):
+    off = np.abs(with_friction.tension_difference_n - _statics_n(with_friction)).max(axis=-1)
+    later = ~unsettled(with_friction)
     later[:, :50] = False
     assert off[:, 0].max() < 1e-6  # the tare was just taken there
     assert later.any()
@@ -80,7 +82,7 @@ def test_workers_and_seed_change_nothing_and_everything():
     assert not np.array_equal(one.joint_command_rad, other.joint_command_rad)
 
 
-def test_whoever_waits_is_told_how_many_are_done():
+def test_progress_counts_what_is_done():
     done = []
     draw_sequences(FRICTION, replace(SHORT, sequences=33, duration_s=0.04), 0, on_done=done.append)
     assert done == [32, 1]
