@@ -36,7 +36,7 @@ from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
 from cablesense_online.recorded_run import RecordedRun
 from cablesense_ros.node_process import qos_profile
-from cablesense_ros.processes import Process, node_command
+from cablesense_ros.processes import node_command
 from cablesense_sim.arm import Arm, open_arm
 
 RATE_HZ = 1000.0
@@ -128,12 +128,12 @@ def measure(arm: str, seconds: float) -> dict[str, Any]:
         operator.spin_until(operator.connected, "sim, estimator and recorder")
         operator.spin(2.0)
         began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
-        late: Process | None = None
+        late_file, late = run.folder / "late.mcap", None
         while (share := (time.monotonic() - began_s) / seconds) < 1.0:
             operator.act()
             if late is None and share > LATE_JOINS_AT:
                 late = run.record("late")
-            elif late is not None and late.alive and share > LATE_DIES_AT:
+            elif late and late.alive and share > LATE_DIES_AT and late_file.exists():
                 late.kill()
         cores = (harness.cpu_s(recorder.pid) - began_cpu) / (time.monotonic() - began_s)
         recorder.stop()
@@ -148,7 +148,7 @@ def measure(arm: str, seconds: float) -> dict[str, Any]:
             "done to it": dict(operator.done),
             "recording": _recording(whole) | {"recorder, share of a core": round(cores, 3)},
             "in process": _replay(whole),
-            killed: _replay(run.folder / "late.mcap"),
+            killed: _replay(late_file),
         }
         fresh = run.start("fresh", estimator_command)
         result["through a live node"] = _replay(whole, "--publish")

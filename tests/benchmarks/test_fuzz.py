@@ -87,8 +87,9 @@ def test_some_items_of_every_target_find_nothing():
 
 @pytest.mark.slow
 def test_its_report_counts_inputs_by_unit(monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["fuzz.py", "--quick", "--only", "states", "--json"])
+    monkeypatch.setattr("sys.argv", ["fuzz.py", "--quick", "--only", "frames", "--json"])
     assert fuzz.main() == 0
     report = json.loads(capsys.readouterr().out)
-    assert report["in all"]["files"] == report["targets"]["states"]["inputs"] == 8
-    assert report["in all"]["crashes"] == report["in all"]["CAN frames"] == 0
+    assert report["targets"]["frames"]["items"] == 12
+    assert report["in all"]["CAN frames"] == report["targets"]["frames"]["inputs"] > 12
+    assert report["in all"]["crashes"] == report["in all"]["files"] == 0
