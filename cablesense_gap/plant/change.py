@@ -6,7 +6,7 @@ functions that draw changes are registered by their names, each with the bounds 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -48,29 +48,76 @@ class Change:
     most: float = 0.0
 
 
-Draw = Callable[[np.random.Generator, Nominal], Change]
-"""Draws the form and the place of a change; its size comes later."""
+@dataclass(frozen=True)
+class Draw:
+    """Random choices of what is wrong with an arm as drawn; its M cables count from 0."""
+
+    rng: np.random.Generator
+    nominal: Nominal
+
+    def uniform(self, low: float, high: float) -> float:
+        """A number between two, all alike."""
+        return float(self.rng.uniform(low, high))
+
+    def log_uniform(self, low: float, high: float) -> float:
+        """A number between two, alike in its logarithm."""
+        return float(np.exp(self.rng.uniform(*np.log([low, high]))))
+
+    def chance(self, share: float) -> bool:
+        """True in this share of draws."""
+        return bool(self.rng.random() < share)
+
+    def sign(self) -> float:
+        """1 or -1."""
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def one_of(self, texts: Iterable[str]) -> str:
+        """One of some texts."""
+        return str(self.rng.choice(list(texts)))
+
+    def segment(self) -> int:
+        """A segment or its joint, from 0."""
+        return int(self.rng.integers(self.nominal.segment_count))
+
+    def some(self, count: int, least: int, most: int) -> list[int]:
+        """Between `least` and `most` of the positions below `count`, ascending."""
+        number = int(self.rng.integers(least, min(most, count) + 1))
+        return sorted(int(i) for i in self.rng.choice(count, number, replace=False))
+
+    def cables(self, least: int, most: int) -> list[int]:
+        """Between `least` and `most` of the cables, ascending."""
+        return self.some(self.nominal.cable_count, least, most)
+
+    def weights(self, chosen: list[int], signed: bool = False) -> Array:
+        """(M,) of 0, and of numbers between 0.5 and 1 at the chosen; one is 1 or -1."""
+        weights = np.zeros(self.nominal.cable_count)
+        drawn = self.rng.uniform(0.5, 1.0, len(chosen))
+        drawn /= drawn.max()
+        weights[chosen] = drawn * self.rng.choice([-1.0, 1.0], len(drawn)) if signed else drawn
+        return weights
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws by name; the order is part of what a seed makes.
+    """Functions that draw changes, by name; the order is part of what a seed makes.
 
     Attributes:
-        effect: what verdicts call all of them; by default the name of each.
+        effect: what verdicts call all their changes; by default the name of each.
     """
 
     effect: str = ""
-    by_name: dict[str, Draw] = field(default_factory=dict)
+    by_name: dict[str, Callable[[np.random.Generator, Nominal], Change]] = field(
+        default_factory=dict
+    )
 
-    def of_size(self, unit: str, least: float = 0.0, most: float = 0.0) -> Callable[[Draw], Draw]:
+    def of_size(self, unit: str, least: float = 0.0, most: float = 0.0) -> Callable[..., Any]:
         """Register a function whose changes have sizes within bounds, if it gives no others."""
 
-        def register(draw: Draw) -> Draw:
-            name = draw.__name__
+        def register(draw_change: Callable[[Draw], Change]) -> Callable[[Draw], Change]:
+            name = draw_change.__name__
 
             def complete(rng: np.random.Generator, nominal: Nominal) -> Change:
-                drawn = draw(rng, nominal)
+                drawn = draw_change(Draw(rng, nominal))
                 return replace(
                     drawn,
                     form=drawn.form or name,
@@ -81,7 +128,7 @@ class Draws:
                 )
 
             self.by_name[name] = complete
-            return draw
+            return draw_change
 
         return register
 
@@ -124,30 +171,13 @@ def sized(old: Any, size: float, value: Any, name: str) -> Any:
     return (new,) if isinstance(old, tuple) else new
 
 
-def some(rng: np.random.Generator, count: int, least: int, most: int) -> list[int]:
-    """Between `least` and `most` of the positions below `count`, ascending."""
-    number = int(rng.integers(least, min(most, count) + 1))
-    return sorted(int(i) for i in rng.choice(count, number, replace=False))
-
-
-def places(kind: str, positions: Sequence[int], count: int) -> tuple[str, ...]:
-    """Names of positions counted from 0; none where they are all."""
-    return () if len(positions) == count else tuple(f"{kind}_{i + 1}" for i in positions)
-
-
-def weights(
-    rng: np.random.Generator, positions: list[int], count: int, signed: bool = False
-) -> Array:
-    """(count,) of 0, and of numbers between 0.5 and 1 at the positions; one is 1 or -1."""
-    result = np.zeros(count)
-    drawn = rng.uniform(0.5, 1.0, len(positions))
-    drawn /= drawn.max()
-    result[positions] = drawn * rng.choice([-1.0, 1.0], len(drawn)) if signed else drawn
-    return result
+def places(kind: str, marks: Array) -> tuple[str, ...]:
+    """Names of the places, counted from 0, where marks are not 0; none where they are all."""
+    return () if marks.all() else tuple(f"{kind}_{i + 1}" for i in np.flatnonzero(marks))
 
 
 def marked(positions: Any, count: int, value: float = 1.0) -> Array:
     """(count,) of 0, and of a value at the positions."""
-    result = np.zeros(count)
-    result[positions] = value
-    return result
+    marks = np.zeros(count)
+    marks[positions] = value
+    return marks

@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.arrays import Array
 from cablesense_gap.plant.arm import RealArm, turned
-from cablesense_gap.plant.body import Creep, Nominal
+from cablesense_gap.plant.body import Creep
 from cablesense_gap.plant.change import (
     Change,
+    Draw,
     Draws,
     added,
     grown,
@@ -23,12 +23,8 @@ from cablesense_gap.plant.change import (
     scaled,
     sets,
     sized,
-    some,
-    weights,
 )
 from cablesense_gap.plant.sensing import Drift, DriftShape, Filter
-
-Rng = np.random.Generator
 
 _CREEP_TIMES = {
     "one time": np.array([1.0]),
@@ -39,27 +35,24 @@ _DRAWS = Draws()
 
 
 @_DRAWS.of_size("m", 1e-6, 1e-3)
-def actuator_backlash(rng: Rng, nominal: Nominal) -> Change:
+def actuator_backlash(draw: Draw) -> Change:
     """Play in one to four actuators, equal or uneven; where in it each begins is unknown."""
-    count = nominal.cable_count
-    chosen = some(rng, count, 1, 4)
-    uneven = len(chosen) > 1 and rng.random() < 0.5
-    uneven_share = weights(rng, chosen, count)
-    share = uneven_share if uneven else marked(chosen, count)
-    return Change(
-        sets("actuation", play_m=(scaled, share), play_start=rng.uniform(-1.0, 1.0, count)),
-        "uneven play" if uneven else "equal play",
-        places("cable", chosen, count),
-    )
+    chosen = draw.cables(1, 4)
+    uneven = len(chosen) > 1 and draw.chance(0.5)
+    share = draw.weights(chosen)
+    share = share if uneven else np.sign(share)
+    start = draw.rng.uniform(-1.0, 1.0, len(share))
+    loose = sets("actuation", play_m=(scaled, share), play_start=start)
+    return Change(loose, "uneven play" if uneven else "equal play", places("cable", share))
 
 
 @_DRAWS.of_size("deg", 0.1, 30.0)
-def base_tilt(rng: Rng, nominal: Nominal) -> Change:
+def base_tilt(draw: Draw) -> Change:
     """A base that is not level: rolled, pitched or both; loads stay in base axes."""
-    form = str(rng.choice(["roll", "pitch", "roll and pitch"]))
-    angle = rng.uniform(0.0, 2.0 * np.pi)
+    form = draw.one_of(["roll", "pitch", "roll and pitch"])
+    angle = draw.uniform(0.0, 2.0 * np.pi)
     axis = {"roll": (1.0, 0.0), "pitch": (0.0, 1.0)}.get(form, (np.cos(angle), np.sin(angle)))
-    sign = float(rng.choice([-1.0, 1.0]))
+    sign = draw.sign()
     x, y = sign * float(axis[0]), sign * float(axis[1])
     tilted = sets("body", gravity_m_s2=(_tilted, (x, y, 0.0)))
     return Change(tilted, form, details={"about_x": x, "about_y": y})
@@ -73,12 +66,12 @@ def _tilted(gravity: Array, size: float, axis: tuple[float, float, float]) -> Ar
 
 
 @_DRAWS.of_size("of the elastic stretch", 0.01, 1.5)
-def cable_creep(rng: Rng, nominal: Nominal) -> Change:
+def cable_creep(draw: Draw) -> Change:
     """Kelvin-Voigt elements in series: one, three or many times, new cables or settled ones."""
-    form = str(rng.choice(list(_CREEP_TIMES)))
-    time_s = float(np.exp(rng.uniform(*np.log([8.0, 80.0]))))
-    settled = float(rng.choice([0.0, 1.0, rng.uniform()]))
-    cables, where = _all_or_segment(rng, nominal)
+    form = draw.one_of(_CREEP_TIMES)
+    time_s = draw.log_uniform(8.0, 80.0)
+    settled = float(draw.rng.choice([0.0, 1.0, draw.rng.uniform()]))
+    cables, where = _all_or_segment(draw)
     times = np.clip(time_s * _CREEP_TIMES[form], 1.0, 2000.0)
     return Change(
         partial(_creeping, cables=cables, time_s=times, settled=settled),
@@ -95,27 +88,26 @@ def _creeping(arm: RealArm, size: float, cables: Array, time_s: Array, settled: 
 
 
 @_DRAWS.of_size("of the nominal", 0.01, 1.5)
-def cable_stiffness(rng: Rng, nominal: Nominal) -> Change:
+def cable_stiffness(draw: Draw) -> Change:
     """Softer or harder cables, all or those that end on a segment."""
-    cables, where = _all_or_segment(rng, nominal)
-    if rng.random() < 0.5:
+    cables, where = _all_or_segment(draw)
+    if draw.chance(0.5):
         return Change(sets("body", stiffness_n_m=(grown, -cables)), "softer", where, most=0.5)
     return Change(sets("body", stiffness_n_m=(grown, cables)), "harder", where)
 
 
 @_DRAWS.of_size("1", 0.003, 0.4)
-def capstan_friction(rng: Rng, nominal: Nominal) -> Change:
+def capstan_friction(draw: Draw) -> Change:
     """T2 <= T1 exp(mu theta) at every guide: sharp or rounded, with or without a pulley."""
-    rounded = bool(rng.random() >= 0.5)
-    spread, pulley = bool(rng.random() < 0.5), bool(rng.random() < 0.4)
-    reach_m = float(np.exp(rng.uniform(*np.log([2e-5, 2e-4])))) if rounded else 5e-6
-    wrap = float(rng.uniform(0.3, 1.6)) if pulley else 0.0
+    onset = "sharp" if draw.chance(0.5) else "rounded"
+    spread, pulley = draw.chance(0.5), draw.chance(0.4)
+    reach_m = draw.log_uniform(2e-5, 2e-4) if onset == "rounded" else 5e-6
+    wrap = draw.uniform(0.3, 1.6) if pulley else 0.0
     stretch = "stretch all along" if spread else "stretch in the run"
-    onset = "rounded" if rounded else "sharp"
     return Change(
         sets(
-            "friction", coefficient=(scaled, np.ones(nominal.cable_count)),
-            pulley_rad=wrap, rounded=rounded, reach_m=reach_m, spread=spread,
+            "friction", coefficient=(scaled, np.ones(draw.nominal.cable_count)),
+            pulley_rad=wrap, rounded=onset == "rounded", reach_m=reach_m, spread=spread,
         ),
         f"{onset} onset, {stretch}, {'with' if pulley else 'no'} pulley",
         details={"reach_m": reach_m, "pulley_rad": wrap},
@@ -123,60 +115,54 @@ def capstan_friction(rng: Rng, nominal: Nominal) -> Change:
 
 
 @_DRAWS.of_size("m", 0.0005, 0.05)
-def contact_offset(rng: Rng, nominal: Nominal) -> Change:
+def contact_offset(draw: Draw) -> Change:
     """Loads that act nearer to the base or to the tip, on one segment or on all."""
-    count = nominal.segment_count
-    one = bool(rng.random() < 0.6)
-    segment = int(rng.integers(count))
-    shift = marked(segment if one else slice(None), count, rng.choice([-1.0, 1.0]))
+    one = draw.chance(0.6)
+    segment = draw.segment()
+    shift = marked(segment if one else slice(None), draw.nominal.segment_count, draw.sign())
     return Change(
         sets("body", contact_at_m=(added, np.outer(shift, [1.0, 0.0, 0.0]))),
         "one segment" if one else "all segments",
-        (f"segment_{segment + 1}",) if one else (),
+        places("segment", shift),
         {"toward_tip": float(shift[segment])},
     )
 
 
 @_DRAWS.of_size("N m/rad", 0.05, 80.0)
-def joint_elasticity(rng: Rng, nominal: Nominal) -> Change:
+def joint_elasticity(draw: Draw) -> Change:
     """Joints that spring back to straight, linearly or hardening a little."""
-    count = nominal.segment_count
-    one = rng.random() < 0.6
-    chosen = [int(rng.integers(count))] if one else list(range(count))
-    hardening = float(rng.choice([0.0, rng.uniform(3.0, 15.0)]))
-    share = _of_joints(chosen, count)
+    chosen: Any = draw.segment() if draw.chance(0.6) else slice(None)
+    hardening = float(draw.rng.choice([0.0, draw.rng.uniform(3.0, 15.0)]))
+    share = _both_axes(chosen, draw)
     return Change(
         sets("body", spring_nm_rad=(scaled, share), hardening_nm_rad3=(scaled, hardening * share)),
         "hardening" if hardening else "linear",
-        places("joint", chosen, count),
+        places("joint", share[:, 0]),
         {"hardening_rad2": hardening},
     )
 
 
 @_DRAWS.of_size("N m", 0.005, 2.0)
-def joint_friction(rng: Rng, nominal: Nominal) -> Change:
+def joint_friction(draw: Draw) -> Change:
     """Dry friction in both axes of one, two or all joints: sharp, rounded or Stribeck's."""
-    count = nominal.segment_count
-    chosen = list(range(count)) if rng.random() < 0.3 else some(rng, count, 1, 2)
-    form = str(rng.choice(["sharp", "rounded", "Stribeck"]))
+    count = draw.nominal.segment_count
+    share = _both_axes(slice(None) if draw.chance(0.3) else draw.some(count, 1, 2), draw)
+    form = draw.one_of(["sharp", "rounded", "Stribeck"])
     rounded = form == "rounded"
-    reach_rad = float(rng.uniform(5e-4, 3e-3)) if rounded else 1e-4
-    breakaway = float(rng.uniform(1.2, 1.8)) if form == "Stribeck" else 1.0
-    return Change(
-        sets(
-            "friction", joint_nm=(scaled, _of_joints(chosen, count)),
-            joint_rounded=rounded, joint_reach_rad=reach_rad, breakaway=breakaway,
-        ),
-        form,
-        places("joint", chosen, count),
+    reach_rad = draw.uniform(5e-4, 3e-3) if rounded else 1e-4
+    breakaway = draw.uniform(1.2, 1.8) if form == "Stribeck" else 1.0
+    rough = sets(
+        "friction", joint_nm=(scaled, share), joint_rounded=rounded, joint_reach_rad=reach_rad,
+        breakaway=breakaway,
     )  # fmt: skip
+    return Change(rough, form, places("joint", share[:, 0]))
 
 
 @_DRAWS.of_size("kg", 0.005, 4.0)
-def payload(rng: Rng, nominal: Nominal) -> Change:
+def payload(draw: Draw) -> Change:
     """A mass on a segment's axis, anywhere along it."""
-    segment = int(rng.integers(nominal.segment_count))
-    at_m = float(rng.uniform(0.0, nominal.length_m))
+    segment = draw.segment()
+    at_m = draw.uniform(0.0, draw.nominal.length_m)
     loaded = partial(_loaded, segment=segment, at_m=at_m)
     return Change(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
 
@@ -190,19 +176,17 @@ def _loaded(arm: RealArm, size: float, segment: int, at_m: float) -> RealArm:
 
 
 @_DRAWS.of_size("N", 0.3, 30.0)
-def pretension_error(rng: Rng, nominal: Nominal) -> Change:
+def pretension_error(draw: Draw) -> Change:
     """One to all cables tensioned to another value, all by the same or each by its own."""
-    count = nominal.cable_count
-    chosen = some(rng, count, 1, 4) if rng.random() < 0.7 else some(rng, count, 1, count)
-    alike = bool(rng.random() < 0.7)
-    own = weights(rng, chosen, count, signed=True)
-    share = np.where(own != 0.0, rng.choice([-1.0, 1.0]), 0.0) if alike else own
-    least = 0.1 * nominal.pretension_n
-    return Change(
-        sets("body", pretension_n=(_added_above, share, least)),
-        "all by the same" if alike else "each by its own",
-        places("cable", chosen, count),
-    )
+    chosen = draw.cables(1, 4 if draw.chance(0.7) else draw.nominal.cable_count)
+    alike = draw.chance(0.7)
+    share = draw.weights(chosen, signed=True)
+    if alike:
+        share = np.where(share != 0.0, draw.sign(), 0.0)
+    least = 0.1 * draw.nominal.pretension_n
+    tensioned = sets("body", pretension_n=(_added_above, share, least))
+    form = "all by the same" if alike else "each by its own"
+    return Change(tensioned, form, places("cable", share))
 
 
 def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
@@ -210,22 +194,21 @@ def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
 
 
 @_DRAWS.of_size("deg", 0.1, 15.0)
-def routing_geometry(rng: Rng, nominal: Nominal) -> Change:
+def routing_geometry(draw: Draw) -> Change:
     """A segment's holes on another radius or at another angle, by either reading of "a segment's".
 
     Those of the cables that end on it, in every plate they pass; or those of all cables in the
     two plates that the segment carries.
     """
-    segment = int(rng.integers(nominal.segment_count))
-    radius = bool(rng.random() < 0.5)
-    carried = bool(rng.random() < 0.4)
-    sign = float(rng.choice([-1.0, 1.0]))
-    before, after = np.zeros((2, nominal.segment_count, nominal.cable_count))
+    segment = draw.segment()
+    radius, carried = draw.chance(0.5), draw.chance(0.4)
+    sign = draw.sign()
+    before, after = np.zeros((2, draw.nominal.segment_count, draw.nominal.cable_count))
     if carried:
         after[segment] = sign
         before[segment + 1 : segment + 2] = sign
     else:
-        own = _ends_on(nominal, segment)
+        own = np.arange(draw.nominal.cable_count) // draw.nominal.per_segment == segment
         before[:, own] = after[:, own] = sign
     of = "plates of the segment" if carried else "cables that end on the segment"
     where = (f"segment_{segment + 1}",)
@@ -248,85 +231,72 @@ def _further_out(points_m: Array, size: float, share: Array) -> Array:
 
 
 @_DRAWS.of_size("1", 0.0005, 0.3)
-def sensor_crosstalk(rng: Rng, nominal: Nominal) -> Change:
+def sensor_crosstalk(draw: Draw) -> Change:
     """A share of one channel in its neighbours, or of every channel in its neighbours.
 
     The place is the channel whose signal leaks.
     """
-    count = nominal.cable_count
-    one = bool(rng.random() < 0.6)
-    source = int(rng.integers(count))
-    leak = np.eye(count, k=1) + np.eye(count, k=-1)
-    if one:
-        leak *= marked(source, count)
-    leak = leak * float(rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
-    return Change(
-        sets("sensing", leak=(scaled, leak)),
-        "one channel into its neighbours" if one else "all channels into their neighbours",
-        (f"cable_{source + 1}",) if one else (),
-    )
+    count = draw.nominal.cable_count
+    one = draw.chance(0.6)
+    chosen = int(draw.rng.integers(count))
+    source = marked(chosen if one else slice(None), count)
+    leak = (np.eye(count, k=1) + np.eye(count, k=-1)) * source
+    leak = leak * float(draw.rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
+    form = "one channel into its neighbours" if one else "all channels into their neighbours"
+    return Change(sets("sensing", leak=(scaled, leak)), form, places("cable", source))
 
 
 @_DRAWS.of_size("N", 0.1, 40.0)
-def sensor_drift(rng: Rng, nominal: Nominal) -> Change:
+def sensor_drift(draw: Draw) -> Change:
     """Zeros that drift: steadily, slowly to and fro, at random, or while warming up."""
-    count = nominal.cable_count
-    chosen = some(rng, count, 1, 4)
-    shape: Any = str(rng.choice(get_args(DriftShape)))
-    time_s = float(rng.uniform(*((60.0, 400.0) if shape == "slow sine" else (20.0, 90.0))))
-    share = weights(rng, chosen, count, signed=True)
-    phase_rad = float(rng.uniform(0.0, 2.0 * np.pi))
-    drift = Drift(share, shape, time_s, phase_rad, int(rng.integers(2**31)))
+    chosen = draw.cables(1, 4)
+    shape: Any = draw.one_of(get_args(DriftShape))
+    time_s = draw.uniform(60.0, 400.0) if shape == "slow sine" else draw.uniform(20.0, 90.0)
+    share = draw.weights(chosen, signed=True)
+    phase_rad = draw.uniform(0.0, 2.0 * np.pi)
+    drift = Drift(share, shape, time_s, phase_rad, int(draw.rng.integers(2**31)))
     drifting = sets("sensing", drift=(sized, drift, "size_n"))
-    return Change(drifting, shape, places("cable", chosen, count), {"time_s": time_s})
+    return Change(drifting, shape, places("cable", share), {"time_s": time_s})
 
 
 @_DRAWS.of_size("1", 0.001, 0.4)
-def sensor_gain(rng: Rng, nominal: Nominal) -> Change:
+def sensor_gain(draw: Draw) -> Change:
     """Wrong scale on one to four sensors."""
-    share, where = _some_sensors(rng, nominal)
-    return Change(sets("sensing", gain=(grown, share)), "each by its own", where)
+    share = draw.weights(draw.cables(1, 4), signed=True)
+    return Change(sets("sensing", gain=(grown, share)), "each by its own", places("cable", share))
 
 
 @_DRAWS.of_size("s", 0.01, 8.0)
-def sensor_lag(rng: Rng, nominal: Nominal) -> Change:
+def sensor_lag(draw: Draw) -> Change:
     """All or some sensors that follow late, through one of three filters."""
-    count = nominal.cable_count
-    chosen = list(range(count)) if rng.random() < 0.4 else some(rng, count, 1, 4)
-    kind = str(rng.choice(get_args(Filter)))
-    late = sets("sensing", lag_s=(scaled, marked(chosen, count)), lag_filter=kind)
-    return Change(late, kind, places("cable", chosen, count))
+    chosen: Any = slice(None) if draw.chance(0.4) else draw.cables(1, 4)
+    late = marked(chosen, draw.nominal.cable_count)
+    kind = draw.one_of(get_args(Filter))
+    lagging = sets("sensing", lag_s=(scaled, late), lag_filter=kind)
+    return Change(lagging, kind, places("cable", late))
 
 
 @_DRAWS.of_size("N", 0.1, 30.0)
-def sensor_offset(rng: Rng, nominal: Nominal) -> Change:
+def sensor_offset(draw: Draw) -> Change:
     """Zero errors on one to four sensors."""
-    share, where = _some_sensors(rng, nominal)
-    return Change(sets("sensing", offset_n=(added, share)), "each by its own", where)
+    share = draw.weights(draw.cables(1, 4), signed=True)
+    shifted = sets("sensing", offset_n=(added, share))
+    return Change(shifted, "each by its own", places("cable", share))
 
 
-def _some_sensors(rng: Rng, nominal: Nominal) -> tuple[Array, tuple[str, ...]]:
-    """(M,) signed weights of one to four sensors, and their places."""
-    chosen = some(rng, nominal.cable_count, 1, 4)
-    share = weights(rng, chosen, nominal.cable_count, signed=True)
-    return share, places("cable", chosen, nominal.cable_count)
+def _all_or_segment(draw: Draw) -> tuple[Array, tuple[str, ...]]:
+    """(M,) of 0 and 1 for all cables or those of a segment, and their place."""
+    count, per_segment = draw.nominal.cable_count, draw.nominal.per_segment
+    if draw.chance(0.5):
+        return np.ones(count), ()
+    segment = draw.segment()
+    own = np.arange(count) // per_segment == segment
+    return own.astype(float), (f"segment_{segment + 1}",)
 
 
-def _all_or_segment(rng: Rng, nominal: Nominal) -> tuple[Array, tuple[str, ...]]:
-    """(M,) of 0 and 1 for the cables, and their place."""
-    if rng.random() < 0.5:
-        return np.ones(nominal.cable_count), ()
-    segment = int(rng.integers(nominal.segment_count))
-    return _ends_on(nominal, segment).astype(float), (f"segment_{segment + 1}",)
-
-
-def _ends_on(nominal: Nominal, segment: int) -> NDArray[np.bool_]:
-    return np.arange(nominal.cable_count) // nominal.per_segment == segment
-
-
-def _of_joints(chosen: list[int], count: int) -> Array:
+def _both_axes(chosen: Any, draw: Draw) -> Array:
     """(N, 2) of 1 for both axes of the chosen joints."""
-    return np.repeat(marked(chosen, count)[:, None], 2, axis=1)
+    return np.repeat(marked(chosen, draw.nominal.segment_count)[:, None], 2, axis=1)
 
 
 LISTED = MappingProxyType(_DRAWS.by_name)

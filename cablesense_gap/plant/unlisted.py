@@ -10,75 +10,69 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_gap.plant.arm import RealArm
-from cablesense_gap.plant.body import Body, CableContact, Nominal, TipSpring
+from cablesense_gap.plant.body import Body, CableContact, TipSpring
 from cablesense_gap.plant.change import (
     UNKNOWN,
     Change,
+    Draw,
     Draws,
     added,
     marked,
     scaled,
     sets,
     sized,
-    some,
-    weights,
 )
 from cablesense_gap.plant.sensing import Dropouts
-
-Rng = np.random.Generator
 
 _DRAWS = Draws(UNKNOWN)
 
 
 @_DRAWS.of_size("1", 5e-4, 0.3)
-def actuator_ratio(rng: Rng, nominal: Nominal) -> Change:
+def actuator_ratio(draw: Draw) -> Change:
     """Actuators that pay out more or less than is commanded."""
-    count = nominal.cable_count
-    share = weights(rng, some(rng, count, 1, 3), count, signed=True)
+    share = draw.weights(draw.cables(1, 3), signed=True)
     return Change(sets("actuation", ratio=(added, share)))
 
 
 @_DRAWS.of_size("m", 5e-6, 2e-3)
-def clamp_slip(rng: Rng, nominal: Nominal) -> Change:
+def clamp_slip(draw: Draw) -> Change:
     """A clamp or two that let cable through at one moment of the recording."""
-    count = nominal.cable_count
-    share = weights(rng, some(rng, count, 1, 2), count)
-    time_s = float(rng.uniform(60.0, 220.0))
+    share = draw.weights(draw.cables(1, 2))
+    time_s = draw.uniform(60.0, 220.0)
     return Change(sets("actuation", slip_m=(scaled, share), slip_time_s=time_s))
 
 
 @_DRAWS.of_size("of the exponent", 0.01, 3.0)
-def hardening_cables(rng: Rng, nominal: Nominal) -> Change:
+def hardening_cables(draw: Draw) -> Change:
     """Cables stiffer the more they carry, as drawn at the pretension."""
     return Change(sets("body", exponent=(added, 1.0)))
 
 
 @_DRAWS.of_size("m", 2e-6, 1e-3)
-def screw_error(rng: Rng, nominal: Nominal) -> Change:
+def screw_error(draw: Draw) -> Change:
     """Screws with an error that repeats every turn."""
-    count = nominal.cable_count
-    share = weights(rng, some(rng, count, 2, 6), count)
-    pitch_m = float(rng.uniform(0.002, 0.006))
-    phase_rad = rng.uniform(0.0, 2.0 * np.pi, count)
-    screw = {"screw_pitch_m": pitch_m, "screw_phase_rad": phase_rad}
+    share = draw.weights(draw.cables(2, 6))
+    pitch_m = draw.uniform(0.002, 0.006)
+    phase = draw.rng.uniform(0.0, 2.0 * np.pi, len(share))
+    screw = {"screw_pitch_m": pitch_m, "screw_phase_rad": phase}
     return Change(sets("actuation", screw_m=(scaled, share), **screw))
 
 
 @_DRAWS.of_size("m/rad^2", 1e-3, 1.0)
-def snagging_cables(rng: Rng, nominal: Nominal) -> Change:
+def snagging_cables(draw: Draw) -> Change:
     """Cables that touch and push each other aside where a joint bends one way."""
-    joint = int(rng.integers(nominal.segment_count))
-    passing = np.arange(joint * nominal.per_segment, nominal.cable_count)
-    pair = tuple(int(c) for c in rng.choice(passing, 2, replace=False))
-    axis = int(rng.integers(2))
-    sign = float(rng.choice([-1.0, 1.0]))
-    toward = (sign, 0.0) if axis == 0 else (0.0, sign)
-    contact = CableContact(joint, toward, pair, 1.0, float(rng.uniform(0.0, 0.06)))
+    joint = draw.segment()
+    passing = np.arange(joint * draw.nominal.per_segment, draw.nominal.cable_count)
+    pair = tuple(int(c) for c in draw.rng.choice(passing, 2, replace=False))
+    pitch = draw.rng.integers(2) == 0
+    sign = draw.sign()
+    toward = (sign, 0.0) if pitch else (0.0, sign)
+    contact = CableContact(joint, toward, pair, 1.0, draw.uniform(0.0, 0.06))
     return Change(sets("body", cable_contacts=(sized, contact, "depth_m_rad2")))
 
 
 @_DRAWS.of_size("rad/(N m)", 1e-4, 0.05)
-def limber_segments(rng: Rng, nominal: Nominal) -> Change:
+def limber_segments(draw: Draw) -> Change:
     """Segments that bend in their middle under what they carry."""
     return Change(_limber)
 
@@ -121,21 +115,21 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
 
 
 @_DRAWS.of_size("m", 5e-4, 0.045)
-def link_length(rng: Rng, nominal: Nominal) -> Change:
+def link_length(draw: Draw) -> Change:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
-    joint = int(rng.integers(1, nominal.segment_count))
-    share = marked(joint, nominal.segment_count, rng.choice([-1.0, 1.0]))
+    count = draw.nominal.segment_count
+    share = marked(int(draw.rng.integers(1, count)), count, draw.sign())
     return Change(sets("body", spacing_m=(added, share)))
 
 
 @_DRAWS.of_size("deg", 1.0, 30.0)
-def skewed_axes(rng: Rng, nominal: Nominal) -> Change:
+def skewed_axes(draw: Draw) -> Change:
     """Joints whose axes are turned against the plates."""
-    vector = np.zeros((nominal.segment_count, 3))
-    chosen = some(rng, nominal.segment_count, 1, 2)
-    directions = rng.standard_normal((len(chosen), 3))
-    vector[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Change(sets("body", skew=(_rotations, vector)))
+    axes = np.zeros((draw.nominal.segment_count, 3))
+    chosen = draw.some(len(axes), 1, 2)
+    directions = draw.rng.standard_normal((len(chosen), 3))
+    axes[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return Change(sets("body", skew=(_rotations, axes)))
 
 
 def _rotations(_old: Array, size_deg: float, axis: Array) -> Array:
@@ -146,41 +140,40 @@ def _rotations(_old: Array, size_deg: float, axis: Array) -> Array:
 
 
 @_DRAWS.of_size("N m", 0.005, 3.0)
-def cogging(rng: Rng, nominal: Nominal) -> Change:
+def cogging(draw: Draw) -> Change:
     """Joints with notches: a torque periodic in their angle."""
-    share = np.zeros((nominal.segment_count, 2))
-    share[some(rng, nominal.segment_count, 1, 2)] = 1.0
-    per_turn = float(rng.uniform(40.0, 90.0))
+    share = np.zeros((draw.nominal.segment_count, 2))
+    share[draw.some(len(share), 1, 2)] = 1.0
+    per_turn = draw.uniform(40.0, 90.0)
     return Change(sets("body", cogging_nm=(scaled, share), cogging_per_turn=per_turn))
 
 
 @_DRAWS.of_size("N/m", 0.3, 300.0)
-def tether(rng: Rng, nominal: Nominal) -> Change:
+def tether(draw: Draw) -> Change:
     """A hose or a band from the arm's end to somewhere beside it."""
-    angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.4)
-    x = float(_reach_m(nominal) + rng.uniform(-0.2, 0.1))
-    anchor = (x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle)))
-    return Change(sets("body", tip_springs=(sized, TipSpring(anchor, 1.0), "stiffness_n_m")))
+    angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
+    x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
+    spring = TipSpring((x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle))), 1.0)
+    return Change(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
 
 
 @_DRAWS.of_size("N/m", 5.0, 2e4)
-def wall(rng: Rng, nominal: Nominal) -> Change:
+def wall(draw: Draw) -> Change:
     """An elastic wall that the arm's end touches on one side."""
-    angle, away_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.003, 0.03)
+    angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
-    anchor = (_reach_m(nominal), away_m * normal[1], away_m * normal[2])
-    spring = (sized, TipSpring(anchor, 1.0, normal), "stiffness_n_m")
-    return Change(sets("body", tip_springs=spring))
+    spring = TipSpring((_reach_m(draw), away_m * normal[1], away_m * normal[2]), 1.0, normal)
+    return Change(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
 
 
-def _reach_m(nominal: Nominal) -> float:
-    return nominal.plate_offset_m + nominal.segment_count * nominal.length_m
+def _reach_m(draw: Draw) -> float:
+    return draw.nominal.plate_offset_m + draw.nominal.segment_count * draw.nominal.length_m
 
 
 @_DRAWS.of_size("deg", 0.3, 40.0)
-def load_direction(rng: Rng, nominal: Nominal) -> Change:
+def load_direction(draw: Draw) -> Change:
     """A load frame that is turned against the base: loads do not point as they are labelled."""
-    vector = np.array([1.0, 0.0, 0.0]) * rng.choice([-1.0, 1.0]) + rng.uniform(-0.4, 0.4, 3)
+    vector = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
     return Change(partial(_load_turned, vector=vector))
 
 
@@ -190,9 +183,9 @@ def _load_turned(arm: RealArm, size: float, vector: Array) -> RealArm:
 
 
 @_DRAWS.of_size("1", 0.003, 0.5)
-def load_scale(rng: Rng, nominal: Nominal) -> Change:
+def load_scale(draw: Draw) -> Change:
     """A load cell of the wrong scale: loads are weaker or stronger than written down."""
-    return Change(partial(_load_scaled, sign=float(rng.choice([-1.0, 1.0]))))
+    return Change(partial(_load_scaled, sign=draw.sign()))
 
 
 def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
@@ -200,19 +193,17 @@ def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
 
 
 @_DRAWS.of_size("1/N", 2e-5, 0.01)
-def sensor_bow(rng: Rng, nominal: Nominal) -> Change:
+def sensor_bow(draw: Draw) -> Change:
     """Sensors whose scale changes with the tension."""
-    count = nominal.cable_count
-    bow = marked(_all_or_some(rng, count), count, rng.choice([-1.0, 1.0]))
+    bow = _all_or_some(draw) * draw.sign()
     return Change(sets("sensing", bow_per_n=(scaled, bow)))
 
 
 @_DRAWS.of_size("N")
-def sensor_ceiling(rng: Rng, nominal: Nominal) -> Change:
+def sensor_ceiling(draw: Draw) -> Change:
     """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
-    full_n = 5.0 * nominal.pretension_n
-    sensors = marked(_all_or_some(rng, nominal.cable_count), nominal.cable_count)
-    ceiling = sets("sensing", ceiling_n=(_ceiling, sensors, full_n))
+    full_n = 5.0 * draw.nominal.pretension_n
+    ceiling = sets("sensing", ceiling_n=(_ceiling, _all_or_some(draw), full_n))
     return Change(ceiling, least=0.12 * full_n, most=0.78 * full_n)
 
 
@@ -220,27 +211,27 @@ def _ceiling(old: Array, size: float, sensors: Array, full_n: float) -> Array:
     return np.where(sensors > 0.0, full_n - size, old)
 
 
+def _all_or_some(draw: Draw) -> Array:
+    """(M,) of 0 and 1 for all sensors or for two to six."""
+    chosen = slice(None) if draw.chance(0.5) else draw.cables(2, 6)
+    return marked(chosen, draw.nominal.cable_count)
+
+
 @_DRAWS.of_size("of the rows", 0.01, 0.6)
-def sensor_dropouts(rng: Rng, nominal: Nominal) -> Change:
+def sensor_dropouts(draw: Draw) -> Change:
     """Channels that now and then repeat their last value for a while."""
-    count = nominal.cable_count
-    share = weights(rng, some(rng, count, 1, 6), count)
-    dropouts = Dropouts(share, float(rng.uniform(8.0, 40.0)), int(rng.integers(2**31)))
+    share = draw.weights(draw.cables(1, 6))
+    dropouts = Dropouts(share, draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31)))
     return Change(sets("sensing", dropouts=(sized, dropouts, "share")))
 
 
 @_DRAWS.of_size("N", 0.1, 15.0)
-def sensor_hum(rng: Rng, nominal: Nominal) -> Change:
+def sensor_hum(draw: Draw) -> Change:
     """An interference of a few tenths of a hertz on several channels."""
-    count = nominal.cable_count
-    share = weights(rng, some(rng, count, 3, 8), count)
-    hz = float(rng.uniform(0.15, 0.9))
-    phase_rad = np.full(count, rng.uniform(0.0, 2.0 * np.pi))
+    share = draw.weights(draw.cables(3, 8))
+    hz = draw.uniform(0.15, 0.9)
+    phase_rad = np.full(len(share), draw.uniform(0.0, 2.0 * np.pi))
     return Change(sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad))
-
-
-def _all_or_some(rng: Rng, count: int) -> list[int]:
-    return list(range(count)) if rng.random() < 0.5 else some(rng, count, 2, 6)
 
 
 UNLISTED = MappingProxyType(_DRAWS.by_name)
