@@ -23,6 +23,7 @@ ACTUATOR_MASS_KG = 0.5
 
 _PLATE_HALF_THICKNESS_M = 0.0015
 _CABLE_WIDTH_M = 0.0008
+_Rgba = tuple[float, float, float, float]
 _SEGMENT_RGBA = (0.55, 0.58, 0.62, 1.0)
 _PLATE_RGBA = (0.30, 0.33, 0.38, 1.0)
 
@@ -62,28 +63,19 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
     for n in range(mechanism.segment_count):
         length, mass = mechanism.segment_length_m[n], mechanism.mass_kg[n]
         body = bodies[-1].add_body(name=f"segment_{n + 1}", pos=[position, 0.0, 0.0])
+        damping = [mechanism.joint_damping_n_m_s, 0.0, 0.0]
+        stiffness = [mechanism.joint_stiffness_n_m_rad[n], 0.0, 0.0]
         for axis, direction in (("pitch", [0, 1, 0]), ("yaw", [0, 0, 1])):
-            body.add_joint(
-                name=f"joint_{n + 1}_{axis}",
-                type=mujoco.mjtJoint.mjJNT_HINGE,
-                axis=direction,
-                damping=[mechanism.joint_damping_n_m_s, 0.0, 0.0],
-                stiffness=[mechanism.joint_stiffness_n_m_rad[n], 0.0, 0.0],
-            )
+            hinge = {"type": mujoco.mjtJoint.mjJNT_HINGE, "axis": direction}
+            name = f"joint_{n + 1}_{axis}"
+            body.add_joint(name=name, damping=damping, stiffness=stiffness, **hinge)
         body.explicitinertial = True
         body.mass = max(mass, 1e-6)
         body.ipos = [mechanism.centre_of_mass_m[n], 0.0, 0.0]
         across = (3.0 * radius**2 + length**2) / 12.0
         body.inertia = body.mass * np.array([0.5 * radius**2, across, across])
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
-            size=[0.12 * length, 0.0, 0.0],
-            rgba=_SEGMENT_RGBA,
-            contype=0,
-            conaffinity=0,
-            mass=0.0,
-        )
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        _add_shape(body, capsule, 0.0, length, 0.12 * length, _SEGMENT_RGBA)
         _add_plate(body, mechanism.plate_offset_m, radius)
         if n + 1 < mechanism.segment_count:
             _add_plate(body, length - mechanism.plate_offset_m, radius)
@@ -94,16 +86,17 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
 
 
 def _add_plate(body: mujoco.MjsBody, x_m: float, radius_m: float) -> None:
+    ends = x_m - _PLATE_HALF_THICKNESS_M, x_m + _PLATE_HALF_THICKNESS_M
+    _add_shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, *ends, 1.08 * radius_m, _PLATE_RGBA)
+
+
+def _add_shape(
+    body: mujoco.MjsBody, kind: int, from_m: float, to_m: float, radius_m: float, rgba: _Rgba
+) -> None:
+    """What is seen along the axis: without mass and without contacts."""
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        fromto=[
-            x_m - _PLATE_HALF_THICKNESS_M, 0.0, 0.0, x_m + _PLATE_HALF_THICKNESS_M, 0.0, 0.0,
-        ],
-        size=[1.08 * radius_m, 0.0, 0.0],
-        rgba=_PLATE_RGBA,
-        contype=0,
-        conaffinity=0,
-        mass=0.0,
+        type=kind, fromto=[from_m, 0.0, 0.0, to_m, 0.0, 0.0], size=[radius_m, 0.0, 0.0],
+        rgba=rgba, contype=0, conaffinity=0, mass=0.0,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import Kept, Rest
-from cablesense_sim.effects.registry import EffectEntry, transmissions
+from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest_search import descent_step, load_hessian
@@ -51,9 +51,7 @@ class _Pose(NamedTuple):
 class QuasiStaticArm:
     """P arms from rest to rest; holds their state."""
 
-    def __init__(
-        self, mechanisms: Sequence[Mechanism], variants: Sequence[Sequence[EffectEntry]]
-    ) -> None:
+    def __init__(self, mechanisms: Sequence[Mechanism], variants: Variants) -> None:
         """Arms of the amended `mechanisms`, with what of each variant depends on the past."""
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)

@@ -14,18 +14,15 @@ from numpy.typing import ArrayLike
 from cablesense_base.arrays import Array
 from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.effect import Actuation, Sensing
 from cablesense_sim.effects.registry import (
-    EffectEntry,
+    Variants,
     actuations,
     amended,
     sensings,
     transmissions,
 )
-from cablesense_sim.equilibrium import (
-    EquilibriumError,
-    held_lengths_m,
-    solve_equilibrium,
-)
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
 
@@ -50,9 +47,7 @@ class Replay:
         )
         self._start_rad: Array | None = None
 
-    def readings_n(
-        self, variants: Sequence[Sequence[EffectEntry]], unborne_n: Array | None = None
-    ) -> Array:
+    def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
 
         Where `unborne_n` (R, M) is given, it stands for the tensions of samples that a
@@ -62,7 +57,8 @@ class Replay:
             EquilibriumError: an arm finds no rest.
         """
         mechanisms = [amended(self._nominal, entries) for entries in variants]
-        held = self._actuated_m(variants)
+        held = np.repeat(self._held_m[None], len(variants), axis=0)
+        held = self._through(actuations(variants), held)
         if transmissions(variants):
             arm = QuasiStaticArm(mechanisms, variants)
             rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
@@ -71,17 +67,14 @@ class Replay:
             tensions = np.stack(
                 [self._at_rest_n(m, held[p], unborne_n) for p, m in enumerate(mechanisms)]
             )
-        for sensing in sensings(variants):
-            read = [sensing.step(time, tensions[:, row]) for row, time in enumerate(self.time_s)]
-            tensions = np.stack(read, axis=1)
-        return tensions
+        return self._through(sensings(variants), tensions)
 
-    def _actuated_m(self, variants: Sequence[Sequence[EffectEntry]]) -> Array:
-        held = np.repeat(self._held_m[None], len(variants), axis=0)
-        for actuation in actuations(variants):
-            for row, time in enumerate(self.time_s):
-                held[:, row] = actuation.step(time, held[:, row])
-        return held
+    def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
+        """What actuators or sensors, one after another, make of values (P, R, M)."""
+        for each in chain:
+            made = [each.step(time, values[:, row]) for row, time in enumerate(self.time_s)]
+            values = np.stack(made, axis=1)
+        return values
 
     def _at_rest_n(self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
