@@ -6,6 +6,7 @@ steps. `drawn_contacts` gives contacts that come and go: segment, direction and 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
@@ -94,13 +95,11 @@ def drawn_motion(
     reach = np.deg2rad(protocol.pose_range_deg)
     start = rng.uniform(-reach, reach, joint_count)
     motion = JointMotion(start, np.deg2rad(protocol.joint_speed_deg_s))
-    commander = _Commander(protocol, start, rng)
     inner = max(1, round(protocol.tick_s / STEP_S))
     shape = (protocol.ticks, joint_count)
     angle, speed, acceleration = np.empty(shape), np.empty(shape), np.empty(shape)
     fine = np.empty((protocol.ticks, inner, joint_count))
-    for tick in range(protocol.ticks):
-        command = commander.at(tick * protocol.tick_s)
+    for tick, command in enumerate(_commands(protocol, start, rng)):
         if command is not None:
             motion.go_to(command)
         for step in range(inner):
@@ -121,55 +120,49 @@ def drawn_before(start_rad: Array, reach_rad: float, rng: np.random.Generator) -
     return np.concatenate(way).swapaxes(0, 1)
 
 
-class _Commander:
-    """Gives the next command when its time has come."""
+def _commands(
+    protocol: MotionProtocol, command_rad: Array, rng: np.random.Generator
+) -> Iterator[Array | None]:
+    """The command (2N,) that is due at each tick, or None."""
+    reach, speed = np.deg2rad(protocol.pose_range_deg), np.deg2rad(protocol.joint_speed_deg_s)
 
-    def __init__(
-        self, protocol: MotionProtocol, start_rad: Array, rng: np.random.Generator
-    ) -> None:
-        self._rng, self._reach = rng, np.deg2rad(protocol.pose_range_deg)
-        self._speed = np.deg2rad(protocol.joint_speed_deg_s)
-        self._command = start_rad.copy()
-        self._next_s = rng.exponential(_MEAN_DWELL_S)
-        self._stream_until_s = -1.0
-        self._every_s = 0.0
-        self._velocity = np.zeros_like(start_rad)
+    def drawn_velocity() -> Array:
+        size = speed * rng.uniform(0.0, 0.5)
+        return rng.normal(0.0, 0.6, len(command_rad)) * size
 
-    def at(self, time_s: float) -> Array | None:
-        """The command (2N,) that is due, or None."""
-        if time_s < self._next_s:
-            return None
-        rng = self._rng
-        streams = time_s < self._stream_until_s
+    next_s, stream_until_s, every_s = rng.exponential(_MEAN_DWELL_S), -1.0, 0.0
+    velocity = np.zeros_like(command_rad)
+    for tick in range(protocol.ticks):
+        time_s = tick * protocol.tick_s
+        if time_s < next_s:
+            yield None
+            continue
+        streams = time_s < stream_until_s
         if not streams and rng.random() < _SHARE_OF_STREAMS:
             streams = True
-            self._every_s = rng.uniform(*_STREAM_EVERY_S)
-            self._stream_until_s = time_s + rng.uniform(*_STREAM_LASTS_S)
-            self._velocity = self._drawn_velocity()
+            every_s = rng.uniform(*_STREAM_EVERY_S)
+            stream_until_s = time_s + rng.uniform(*_STREAM_LASTS_S)
+            velocity = drawn_velocity()
         if streams:
-            turned = self._velocity + 0.3 * self._drawn_velocity()
-            ahead = self._command + turned * self._every_s
-            self._velocity = np.where(np.abs(ahead) > self._reach, -turned, turned)
-            self._command = np.clip(ahead, -self._reach, self._reach)
-            self._next_s = time_s + self._every_s
+            turned = velocity + 0.3 * drawn_velocity()
+            ahead = command_rad + turned * every_s
+            velocity = np.where(np.abs(ahead) > reach, -turned, turned)
+            command_rad = np.clip(ahead, -reach, reach)
+            next_s = time_s + every_s
         else:
-            moved = np.ones(len(self._command), dtype=bool)
+            moved = np.ones(len(command_rad), dtype=bool)
             if rng.random() < _SHARE_OF_SINGLE_JOINTS:
                 moved[:] = False
                 moved[rng.integers(len(moved))] = True
-            drawn = rng.uniform(-self._reach, self._reach, len(moved))
-            way = np.abs(np.where(moved, drawn - self._command, 0.0)).max()
-            self._command = np.where(moved, drawn, self._command)
+            drawn = rng.uniform(-reach, reach, len(moved))
+            way = np.abs(np.where(moved, drawn - command_rad, 0.0)).max()
+            command_rad = np.where(moved, drawn, command_rad)
             if rng.random() < _SHARE_OF_LONG_DWELLS:
-                dwell_s = float(rng.uniform(*_LONG_DWELL_S))
+                dwell_s = rng.uniform(*_LONG_DWELL_S)
             else:
-                dwell_s = float(rng.exponential(_MEAN_DWELL_S))
-            self._next_s = time_s + 1.9 * way / self._speed + dwell_s
-        return self._command.copy()
-
-    def _drawn_velocity(self) -> Array:
-        size = self._speed * self._rng.uniform(0.0, 0.5)
-        return self._rng.normal(0.0, 0.6, len(self._command)) * size
+                dwell_s = rng.exponential(_MEAN_DWELL_S)
+            next_s = time_s + 1.9 * way / speed + dwell_s
+        yield command_rad
 
 
 _MEAN_FREE_S = 2.0

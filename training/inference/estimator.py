@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
@@ -54,20 +53,14 @@ class Estimate(NamedTuple):
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
         """From a model's `OUTPUTS` for one sample; what is not finite stays so."""
-        probability, direction, magnitude, std, angle_std = outputs
+        probability, direction, *others = outputs
         probabilities = probability.tolist()
-        return cls(
-            probabilities=probability.copy(),
-            segment=probabilities.index(max(probabilities)),
-            angle_deg=math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0,
-            magnitude_n=magnitude.item(),
-            magnitude_std_n=std.item(),
-            angle_std_deg=angle_std.item(),
-        )
+        segment = probabilities.index(max(probabilities))
+        angle_deg = math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0
+        return cls(probability.copy(), segment, angle_deg, *(value.item() for value in others))
 
 
-@dataclass(frozen=True)
-class Estimates:
+class Estimates(NamedTuple):
     """B estimates: the fields of `Estimate`, with a leading axis."""
 
     probabilities: Array
@@ -80,15 +73,9 @@ class Estimates:
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
         """From a model's `OUTPUTS` with any leading axes."""
-        probability, direction, magnitude, std, angle_std = outputs
-        return cls(
-            probabilities=probability,
-            segment=probability.argmax(axis=-1),
-            angle_deg=np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0,
-            magnitude_n=magnitude,
-            magnitude_std_n=std,
-            angle_std_deg=angle_std,
-        )
+        probability, direction, *others = outputs
+        angle_deg = np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0
+        return cls(probability, probability.argmax(axis=-1), angle_deg, *others)
 
 
 class OpenedModel:
