@@ -16,7 +16,7 @@ PROFILES: Final = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_F
 """Where Fast DDS looks for profiles, by its older and its newer name."""
 
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
-"""Which transports Fast DDS brings along, where neither a profile nor ROS 2 says otherwise.
+"""Which transports Fast DDS brings along, where neither a profile nor ROS 2 sets others.
 
 Shared memory is left out: a process that is killed leaves its ports in it, and others that wrote
 to them need seconds before they reach who comes back. Over UDP they need none.

@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from cablesense_base.errors import CableSenseError
 
@@ -207,7 +207,7 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with _no_interrupts():
+        with end_signals(signal.SIG_IGN, signal.SIG_IGN):  # the end is carried through
             for child in reversed(self._children.values()):
                 child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
             deadline_s = time.monotonic() + self._grace_s
@@ -260,10 +260,10 @@ class Processes:
 
 
 @contextlib.contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Put off Ctrl-C and SIGTERM: the end, once begun, is carried through."""
-    ends = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in ends}
+def end_signals(interrupt: Any, terminate: Any) -> Iterator[None]:
+    """Handlers of SIGINT and SIGTERM inside the block."""
+    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:

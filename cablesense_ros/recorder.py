@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -22,6 +21,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
 from cablesense_ros.node_process import RefusalLog, message_class, overridable, spun_node
+from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
 
 SILENT_AFTER_S = 3.0
@@ -186,25 +186,21 @@ def record_topics(
     """
     say = partial(console.print, soft_wrap=True, markup=False, highlight=False)
     wanted_end = Future()
-    before = {
-        number: signal.signal(number, lambda *_: wanted_end.set_result(None))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        with spun_node("recorder", namespace) as (node, executor):
-            recorder = Recorder(node, path, wanted, arm, say)
-            end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
-            try:
-                with console.status("waiting for the arm") as line:
-                    while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
-                        wake_s = min(_WAKE_S, left_s)
-                        executor.spin_until_future_complete(wanted_end, timeout_sec=wake_s)
-                        recorder.flush()
-                        recorder.hint_at_silence()
-                        line.update(f"recording, Ctrl-C ends it: {recorder.status}")
-            finally:
-                recorder.close()
-            say(f"{path}: {recorder.status}")
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+
+    def end(*_: object) -> None:
+        wanted_end.set_result(None)
+
+    with end_signals(end, end), spun_node("recorder", namespace) as (node, executor):
+        recorder = Recorder(node, path, wanted, arm, say)
+        end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+        try:
+            with console.status("waiting for the arm") as line:
+                while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
+                    wake_s = min(_WAKE_S, left_s)
+                    executor.spin_until_future_complete(wanted_end, timeout_sec=wake_s)
+                    recorder.flush()
+                    recorder.hint_at_silence()
+                    line.update(f"recording, Ctrl-C ends it: {recorder.status}")
+        finally:
+            recorder.close()
+        say(f"{path}: {recorder.status}")

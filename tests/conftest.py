@@ -1,4 +1,4 @@
-"""No test draws on a screen, sends a ROS message off this machine or hears another test run.
+"""No test draws on a screen, sends a ROS message off this machine or takes one of another run.
 
 Nor does a test spread small matrices over threads, or fail because the machine is busy.
 """

@@ -6,8 +6,7 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -20,7 +19,7 @@ from rich.table import Table
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Processes, node_command
+from cablesense_ros.processes import Processes, end_signals, node_command
 from cablesense_sim.arm import Arm, open_arm
 
 _MAP = "twelve_channel_amplifier"
@@ -56,17 +55,7 @@ class DemoError(CableSenseError):
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """The command's options.
-
-    Attributes:
-        arm: name or path.
-        model: name or path; empty for the arm's own.
-        host, port: where the page is served.
-        out: folder of logs and picture.
-        seed: of pushes and noise.
-        source: of the tensions.
-        controller: of the joints.
-    """
+    """The command's options; `model` empty is the arm's own, `out` holds logs and picture."""
 
     arm: str = "cdsm"
     model: str = ""
@@ -85,7 +74,10 @@ def run_live(options: DemoOptions) -> None:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
     _check_files(options)
-    with _ended_by_signals(), _nodes(options, live=True) as processes:
+    with (
+        end_signals(signal.default_int_handler, _terminate),
+        _nodes(options, live=True) as processes,
+    ):
         *names, last = (process.name for process in processes)
         print(f"Starting {', '.join(names)} and {last} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
@@ -110,7 +102,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     pushed = options.controller is Controller.NONE
     picture = options.out / ("demo.png" if pushed else "admittance.png")
     console = Console(stderr=as_json)
-    with _ended_by_signals():
+    with end_signals(signal.default_int_handler, _terminate):
         play = _play_pushes if pushed else _play_wall
         metrics, shown, draw = play(arm, options, duration_s, console)
         with console.status("Drawing the picture …"):
@@ -259,19 +251,6 @@ def _nodes(options: DemoOptions, live: bool) -> Processes:
     return Processes(node_commands(options, live), options.out / "logs", own_graph())
 
 
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Ctrl-C and SIGTERM leave through the `with` statements, which end the children."""
-
-    def terminate(*_: object) -> None:
-        raise SystemExit(_EXIT_TERMINATED)
-
-    before = {
-        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
-        signal.SIGTERM: signal.signal(signal.SIGTERM, terminate),
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _terminate(*_: object) -> None:
+    """SIGTERM leaves through the `with` statements, which end the children, as Ctrl-C does."""
+    raise SystemExit(_EXIT_TERMINATED)

@@ -11,25 +11,25 @@ from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, own_graph, pre
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
-PEER = """
+TALKER = """
 import sys
 from cablesense_ros.discovery import prefer_quick_discovery
 if sys.argv[1] == "prefers":
     prefer_quick_discovery()
 import rclpy
 from std_msgs.msg import String
-says, hears = ("question", "reply") if sys.argv[2] == "asks" else ("reply", "question")
+sent, taken = ("question", "reply") if sys.argv[2] == "asks" else ("reply", "question")
 rclpy.init()
 node = rclpy.create_node(sys.argv[2])
-out = node.create_publisher(String, says, 10)
-heard = []
-node.create_subscription(String, hears, heard.append, 10)
-while says == "reply" or not heard:
-    if says == "question" or heard:
+out = node.create_publisher(String, sent, 10)
+received = []
+node.create_subscription(String, taken, received.append, 10)
+while sent == "reply" or not received:
+    if sent == "question" or received:
         out.publish(String())
     rclpy.spin_once(node, timeout_sec=0.1)
 """
-"""Asks until it hears a reply, or replies for ever once it was asked."""
+"""Asks until a reply comes, or replies for ever once it was asked."""
 
 
 def parsed(environment):
@@ -133,9 +133,9 @@ def test_who_prefers_it_and_who_does_not_hear_each_other(given, asker, replier):
     pytest.importorskip("rclpy")
     environment = {name: value for name, value in os.environ.items() if name != RANGE}
     environment |= given
-    peer = [sys.executable, "-c", PEER]
-    with subprocess.Popen([*peer, replier, "replies"], env=environment) as other:
+    talker = [sys.executable, "-c", TALKER]
+    with subprocess.Popen([*talker, replier, "replies"], env=environment) as other:
         try:
-            subprocess.run([*peer, asker, "asks"], env=environment, timeout=20.0, check=True)
+            subprocess.run([*talker, asker, "asks"], env=environment, timeout=20.0, check=True)
         finally:
             other.kill()

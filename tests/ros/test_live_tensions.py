@@ -32,7 +32,7 @@ HEARING = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     "from cablesense_cli.app import main; main()"
 )
-"""A shell starts what runs in its background deaf to Ctrl-C, and tests may run there."""
+"""A shell starts what runs in its background with Ctrl-C ignored, and tests may run there."""
 ROOT = Path(__file__).parents[2]
 
 
