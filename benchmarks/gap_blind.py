@@ -13,7 +13,9 @@ import json
 import os
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import harness
 from rich.progress import track
@@ -21,7 +23,7 @@ from rich.progress import track
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.pipeline import diagnose
 from cablesense_gap.plant.body import read_nominal
-from cablesense_gap.plant.withhold import withhold
+from cablesense_gap.plant.withhold import Answer, withhold
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import as_json, read_answers, score
 from cablesense_gap.verdict import Verdict, read_verdict, write_verdict
@@ -43,14 +45,11 @@ def main() -> None:
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_blind_"))
     answers = folder / "answers" / "answers.csv"
     if not answers.exists():
-        nominal = read_nominal(find_arm(ARM))
-        made = withhold(
-            folder, answers, nominal, options.count, options.seed, workers=options.workers
-        )
-        for _ in track(made, description="Recording", total=options.count):
-            pass
+        drawn(folder, options.count, options.seed, workers=options.workers)
     began = time.monotonic()
-    verdicts = _verdicts(folder, options.workers)
+    recordings = sorted(folder.glob("case_*.csv"))
+    found = in_pool(_verdict, recordings, options.workers)
+    verdicts = {path.stem: verdict for path, verdict in zip(recordings, found, strict=True)}
     result = {
         **harness.origin(),
         "arm": ARM,
@@ -66,12 +65,22 @@ def main() -> None:
         harness.write_result("../gap_blind/verdicts.jsonl", "\n".join(lines) + "\n")
 
 
-def _verdicts(folder: Path, workers: int) -> dict[str, Verdict]:
-    """Verdicts of all recordings of a folder; those that it has already are read."""
-    recordings = sorted(folder.glob("case_*.csv"))
+def drawn(
+    folder: Path, count: int, seed: int, only: Sequence[str] = (), workers: int = 1
+) -> dict[str, Answer]:
+    """Recordings `case_….csv` by the independent plant, and what is hidden in each by its name.
+
+    The answers stand in `answers/answers.csv` beside them.
+    """
+    nominal, answers = read_nominal(find_arm(ARM)), folder / "answers" / "answers.csv"
+    made = withhold(folder, answers, nominal, count, seed, tuple(only), workers)
+    return {each.recording: each for each in track(made, description="Recording", total=count)}
+
+
+def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) -> list[Any]:
+    """What `work` makes of each path, in as many processes as workers."""
     with WorkerPool(workers) as pool:
-        done = track(pool.map(_verdict, recordings), "Diagnosing", total=len(recordings))
-        return {path.stem: verdict for path, verdict in zip(recordings, done, strict=True)}
+        return list(track(pool.map(work, paths), "Working", total=len(paths)))
 
 
 def _verdict(path: Path) -> Verdict:

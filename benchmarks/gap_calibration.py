@@ -11,17 +11,15 @@ log probability. The bundled numbers come from 60 cases of seed 606 and the firs
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
-from rich.progress import track
+from gap_blind import ARM, in_pool
 from scipy.optimize import minimize
 
-from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
@@ -31,9 +29,6 @@ from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
 from cablesense_sim.arm import open_arm
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-ARM = "cdsm_lab"
 TARGET = Path(probability.__file__).with_name("calibration.json")
 START = ProbabilityCalibration(4.0, 6.0, 2.5, 5.0, 0.05, 1.4, 2.5, 0.6, 0.5, 0.2)
 WIDTHS = (2.0, 3.0, 1.5, 2.0, 0.05, 1.0, 1.5, 0.4, 0.5, 0.5)
@@ -50,13 +45,13 @@ def main() -> None:
     for folder in options.folders:
         truth = {a.recording: a.effects for a in read_answers(folder / "answers" / "answers.csv")}
         paths = sorted(folder.glob("case_???.csv"))
-        with WorkerPool(options.workers) as pool:
-            found = list(track(pool.map(_searched, paths), total=len(paths)))
+        found = in_pool(_searched, paths, options.workers)
         cases += [(case, tuple(truth[p.stem])) for case, p in zip(found, paths, strict=True)]
     best = minimize(_cost, np.zeros(len(WIDTHS)), args=(cases,), method="Nelder-Mead",
                     options={"maxiter": 4000, "xatol": 1e-3, "fatol": 1e-5})  # fmt: skip
     calibration = _calibration(best.x)
-    named = [_most_probable(case, calibration) for case, _ in cases]
+    stated = [_probabilities(case, calibration) for case, _ in cases]
+    named = [max(each.items(), key=lambda item: item[1]) for each in stated]
     right = np.mean([n[0] == truth for n, (_, truth) in zip(named, cases, strict=True)])
     print(f"{len(cases)} cases, {right:.0%} right, mean probability of what is named "
           f"{np.mean([p for _, p in named]):.2f}")  # fmt: skip
@@ -103,12 +98,6 @@ def _probabilities(
     )
     shares = np.exp(weights - weights.max())
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
-
-
-def _most_probable(
-    case: dict[str, Any], calibration: ProbabilityCalibration
-) -> tuple[tuple[str, ...], float]:
-    return max(_probabilities(case, calibration).items(), key=lambda item: item[1])
 
 
 def _cost(offsets: np.ndarray, cases: list[tuple[dict[str, Any], tuple[str, ...]]]) -> float:

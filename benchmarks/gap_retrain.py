@@ -14,31 +14,33 @@ was fitted to all trials.
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import harness
+from gap_blind import ARM, drawn
 from rich.console import Console
 
 from cablesense_base.installation import config_path
-from cablesense_gap import retraining
 from cablesense_gap.pipeline import diagnose
-from cablesense_gap.plant.body import read_nominal
-from cablesense_gap.plant.withhold import withhold
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.retraining import answered_n, arm_alone, force_errors, tared_loads
-from cablesense_sim.arm import Arm, find_arm, open_arm
+from cablesense_gap.retraining import (
+    answered_n,
+    arm_alone,
+    estimator_errors,
+    force_errors,
+    tared_loads,
+    trained_answering,
+)
+from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.inference.estimator import Estimator
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 RESULT = "gap_retrain.json"
-ARM = "cdsm_lab"
 HIDDEN = ("contact_offset", "joint_elasticity", "sensor_lag", "capstan_friction")
 """Effects that can hurt; what a tare takes away, or what acts before it, seldom does."""
 
@@ -58,16 +60,7 @@ def main() -> None:
     arm = open_arm(ARM)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        made = withhold(
-            folder,
-            folder / "answers" / "answers.csv",
-            read_nominal(find_arm(ARM)),
-            options.count,
-            options.seed,
-            tuple(options.only),
-            options.workers,
-        )
-        answers = {answer.recording: answer for answer in made}
+        answers = drawn(folder, options.count, options.seed, options.only, options.workers)
         hurt = {}
         for path in sorted(folder.glob("case_*.csv")):
             recording = read_recording(path, arm)
@@ -93,13 +86,13 @@ def main() -> None:
 
 def _worst_of_each_first(hurt: dict[str, tuple[str, float]]) -> list[str]:
     """Cases by effect and error: the worst of each effect, then the second of each, …."""
-    rank: dict[str, int] = {}
     by_error = sorted(hurt, key=lambda name: -hurt[name][1])
-    places = {}
+    seen: Counter[str] = Counter()
+    rank = {}
     for name in by_error:
-        effect = hurt[name][0]
-        places[name] = rank[effect] = rank.get(effect, -1) + 1
-    return sorted(by_error, key=lambda name: places[name])
+        rank[name] = seen[hurt[name][0]]
+        seen[hurt[name][0]] += 1
+    return sorted(by_error, key=lambda name: rank[name])
 
 
 def _case(recording: Recording, arm: Arm, answer: Any, workers: int) -> dict[str, Any]:
@@ -107,7 +100,7 @@ def _case(recording: Recording, arm: Arm, answer: Any, workers: int) -> dict[str
     found = diagnose(recording, arm, workers=workers)
     diagnosed = time.monotonic()
     LOG.print(f"{recording.name}: {found.verdict.effects}, {diagnosed - began:.0f} s")
-    errors = retraining.estimator_errors(recording, arm, found.amended, workers=workers)
+    errors = estimator_errors(recording, arm, found.amended, workers=workers)
     trained = time.monotonic()
     case: dict[str, Any] = {
         "hidden": answer.effects,
@@ -127,7 +120,7 @@ def _case(recording: Recording, arm: Arm, answer: Any, workers: int) -> dict[str
 def _without_past(recording: Recording, nominal: Arm, amended: Arm) -> dict[str, float]:
     """The network as `cablesense train --arm arm.yaml` makes it, sample by sample."""
     mechanism, loads = mechanism_of(nominal), tared_loads(recording)
-    answers = retraining.trained_answering(amended, mechanism, recording)(loads)
+    answers = trained_answering(amended, mechanism, recording)(loads)
     return force_errors(mechanism, loads, answers)
 
 

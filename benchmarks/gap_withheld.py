@@ -10,23 +10,18 @@ of them; their answers were not known when this was run.
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 import harness
-from rich.progress import track
+from gap_blind import ARM, in_pool
 
-from cablesense_base.workers import WorkerPool
 from cablesense_gap.pipeline import diagnose
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.report.page import write_diagnosis
 from cablesense_gap.verdict import Verdict, read_verdict
 from cablesense_sim.arm import open_arm
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 FOLDER = Path(__file__).parent / "withheld"
-ARM = "cdsm_lab"
 HEADING = """# Fourteen recordings whose effects are withheld
 
 Arms that are all `config/arms/cdsm_lab.yaml` except for what is hidden: nothing, one effect, two
@@ -52,9 +47,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     options = parser.parse_args()
     recordings = sorted((FOLDER / "recordings").glob("*.csv"))
-    with WorkerPool(options.workers) as pool:
-        done = track(pool.map(_verdict, recordings), "Diagnosing", total=len(recordings))
-        lines = [_line(path.stem, verdict) for path, verdict in zip(recordings, done, strict=True)]
+    done = in_pool(_verdict, recordings, options.workers)
+    lines = [_line(path.stem, verdict) for path, verdict in zip(recordings, done, strict=True)]
     harness.write_result("../withheld/README.md", HEADING + "\n".join(lines) + "\n")
 
 
@@ -62,8 +56,7 @@ def _verdict(path: Path) -> Verdict:
     folder = FOLDER / path.stem
     if not (folder / "verdict.json").exists():
         arm = open_arm(ARM)
-        recording = read_recording(path, arm)
-        write_diagnosis(folder, diagnose(recording, arm))
+        write_diagnosis(folder, diagnose(read_recording(path, arm), arm))
     return read_verdict(folder / "verdict.json")
 
 
