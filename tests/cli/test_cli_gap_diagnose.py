@@ -12,6 +12,7 @@ import yaml
 from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
 
+from cablesense_cli.app import main
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import read_answers
@@ -82,11 +83,18 @@ def broken(recording: Recording, what: str) -> Recording:
         ("one trial", "2 trials"),
     ],
 )
-def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(tmp_path, what, text):
+def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(
+    tmp_path, monkeypatch, capsys, what, text
+):
     write_csv(tmp_path / "new.csv", broken(recorded(LAB), what))
-    done = run("diagnose", "new.csv", "--out", "found", cwd=tmp_path)
-    assert done.returncode == 2
-    (line,) = done.stderr.strip().splitlines()
+    monkeypatch.setattr(
+        sys, "argv", ["cablesense", "gap", "diagnose", "new.csv", "--out", "found"]
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("cablesense: ")
     assert text in line
     assert not (tmp_path / "found").exists()
@@ -108,7 +116,17 @@ def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_pred
     seen = whole.trial % 3 == 0
     few = whole.rows(seen & (np.arange(len(whole)) % 4 == 0))  # rows cost most of the time
     write_csv(tmp_path / "few.csv", few)
-    done = run("diagnose", "few.csv", "--arm", "arm.yaml", "--out", "found", cwd=tmp_path)
+    done = run(
+        "diagnose",
+        "few.csv",
+        "--arm",
+        "arm.yaml",
+        "--out",
+        "found",
+        "--workers",
+        "1",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     verdict = read_verdict(tmp_path / "found" / "verdict.json")
     (answer,) = read_answers(tmp_path / "cases" / "answers" / "answers.csv")
