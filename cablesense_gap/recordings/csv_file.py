@@ -55,8 +55,7 @@ def all_columns(joint_count: int, cable_count: int) -> list[str]:
 def read_csv(path: str | Path, arm: Arm) -> Recording:
     """Read a recording of an arm; columns that the format does not know are left out.
 
-    Only the form is checked here, the content by `checks.check_recording`: an empty cell becomes
-    NaN.
+    Only the form is checked here, the content by `checks`: an empty cell becomes NaN.
 
     Raises:
         RecordingError: not a file, too large, not CSV, a column missing, twice or of another arm,
@@ -65,18 +64,26 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
     path = Path(path)
     wanted = all_columns(arm.joint_count, arm.cable_count)
     _check_header(path, wanted, arm)
-    table = _read_table(path, wanted)
-    values = {name: _numbers(path, table, name) for name in wanted}
+    table = _read_table(path)
+    values = {name: _numbers(path, table[name]) for name in wanted}
 
     def stacked(names: Sequence[str]) -> Array:
         return np.stack([values[name] for name in names], axis=1)
 
+    def whole(name: str) -> NDArray[np.int64]:
+        bad = np.flatnonzero(~(values[name] == np.round(values[name])))
+        bad = bad if bad.size else np.flatnonzero(np.abs(values[name]) > 1e9)
+        if bad.size:
+            row, cell = bad[0] + 1, values[name][bad[0]]
+            raise RecordingError(f"{path}: row {row}, column {name}: {cell:g} is no whole number")
+        return values[name].astype(np.int64)
+
     return Recording(
         name=path.stem,
         time_s=values[TIME],
-        trial=_whole(path, TRIAL, values[TRIAL]),
+        trial=whole(TRIAL),
         command_rad=stacked(command_columns(arm.joint_count)),
-        load_segment=_whole(path, LOAD_SEGMENT, values[LOAD_SEGMENT]),
+        load_segment=whole(LOAD_SEGMENT),
         load_n=stacked(LOAD),
         tensions_n=stacked(tension_columns(arm.cable_count)),
     )
@@ -105,47 +112,39 @@ def write_csv(path: str | Path, recording: Recording) -> None:
 
 
 def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
-    header = _header(path)
+    try:
+        if not path.is_file():
+            raise RecordingError(f"{path}: no such file")
+        size_mb, most_mb = path.stat().st_size / 1e6, MAX_FILE_BYTES / 1e6
+        if size_mb > most_mb:
+            raise RecordingError(
+                f"{path}: {size_mb:.0f} MB; a recording has at most {most_mb:.0f} MB: leave out "
+                "what no trial needs"
+            )
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            line = file.readline(_MAX_HEADER_CHARACTERS)
+        # a quote left open would go on to any number of columns
+        if len(line) == _MAX_HEADER_CHARACTERS or line.count('"') % 2:
+            raise RecordingError(f"{path}: its first line has no end; it must name the columns")
+        header = [name.strip() for name in next(csv.reader([line]), [])]
+    except (OSError, ValueError, csv.Error) as error:
+        raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
     twice = sorted({name for name in header if name in wanted and header.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: columns {some_of(twice)} stand twice; each must be once")
     beyond = [name for name in header if _PER_ARM.fullmatch(name) and name not in wanted]
     missing = [name for name in wanted if name not in header]
-    if not beyond and not missing:
-        return
     found = [f"misses {some_of(missing)}"] if missing else []
-    if beyond:
-        found.append(f"has {some_of(beyond)}, which that arm has not")
-    raise RecordingError(
-        f"{path}: {' and '.join(found)}; a recording of arm {arm.name} has time_s, trial, "
-        f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, load_z_n, "
-        f"tension_1_n … tension_{arm.cable_count}_n"
-    )
+    found += [f"has {some_of(beyond)}, which that arm has not"] if beyond else []
+    if found:
+        raise RecordingError(
+            f"{path}: {' and '.join(found)}; a recording of arm {arm.name} has time_s, trial, "
+            f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, "
+            f"load_z_n, tension_1_n … tension_{arm.cable_count}_n"
+        )
 
 
-def _header(path: Path) -> list[str]:
-    try:
-        if not path.is_file():
-            raise RecordingError(f"{path}: no such file")
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise RecordingError(
-                f"{path}: {path.stat().st_size / 1e6:.0f} MB; a recording has at most "
-                f"{MAX_FILE_BYTES / 1e6:.0f} MB: leave out what no trial needs"
-            )
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            line = file.readline(_MAX_HEADER_CHARACTERS)
-            # a quote left open would go on to any number of columns
-            if len(line) == _MAX_HEADER_CHARACTERS or line.count('"') % 2:
-                raise RecordingError(
-                    f"{path}: its first line has no end; it must name the columns"
-                )
-            header = next(csv.reader([line]), [])
-    except (OSError, ValueError, csv.Error) as error:
-        raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
-    return [name.strip() for name in header]
-
-
-def _read_table(path: Path, wanted: list[str]) -> pd.DataFrame:
+def _read_table(path: Path) -> pd.DataFrame:
     import pandas as pd
 
     try:
@@ -165,34 +164,22 @@ def _read_table(path: Path, wanted: list[str]) -> pd.DataFrame:
             "cells as the header"
         ) from error
     table.columns = table.columns.str.strip()
-    return table[wanted]
+    return table
 
 
-def _numbers(path: Path, table: pd.DataFrame, name: str) -> Array:
+def _numbers(path: Path, column: pd.Series) -> Array:
     import pandas as pd
 
-    column = table[name]
     try:
         numbers = pd.to_numeric(column, errors="coerce")
     except OverflowError as error:  # a whole number of hundreds of digits
-        raise RecordingError(f"{path}: column {name}: a number without measure") from error
+        raise RecordingError(f"{path}: column {column.name}: a number without measure") from error
     bad = np.flatnonzero(numbers.isna() & column.notna())
     if column.dtype == bool or bad.size:
         at = int(bad[0]) if bad.size else 0
-        raise RecordingError(
-            f"{path}: row {at + 1}, column {name}: {str(column.iloc[at])[:40]!r} is no number"
-        )
+        cell = str(column.iloc[at])[:40]
+        raise RecordingError(f"{path}: row {at + 1}, column {column.name}: {cell!r} is no number")
     return np.asarray(numbers, dtype=float)
-
-
-def _whole(path: Path, name: str, values: Array) -> NDArray[np.int64]:
-    bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values))))
-    bad = bad if bad.size else np.flatnonzero(np.abs(values) > 1e9)
-    if bad.size:
-        raise RecordingError(
-            f"{path}: row {bad[0] + 1}, column {name}: {values[bad[0]]:g} is no whole number"
-        )
-    return values.astype(np.int64)
 
 
 def _texts(names: Sequence[str], values: Array, decimals: int) -> dict[str, list[str]]:

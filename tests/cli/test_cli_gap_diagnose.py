@@ -11,8 +11,9 @@ import pytest
 import yaml
 from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
+from typer.testing import CliRunner
 
-from cablesense_cli.app import main
+from cablesense_cli.app import app, main
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import read_answers
@@ -29,6 +30,11 @@ def run(*arguments, cwd):
     return subprocess.run(
         [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
     )
+
+
+def invoke(*arguments):
+    done = CliRunner().invoke(app, ["gap", *arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
 
 
 def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
@@ -102,15 +108,17 @@ def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(
 
 @pytest.mark.slow  # the full library on twenty cables
 @pytest.mark.timeout(400)
-def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_predicted(tmp_path):
+def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_predicted(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
     description = yaml.safe_load(five_by_four_text())
     description["cables"]["stiffness_n_m"] = 1e5  # as the laboratory arm: tolerances hide less
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(description))
-    made = run(
-        "withhold", "--count", "1", "--seed", "7", "--only", "payload", "--arm", "arm.yaml",
-        "--out", "cases", cwd=tmp_path,
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
+    of_arm = ("--arm", "arm.yaml")
+    invoke(
+        "withhold", "--count", "1", "--seed", "7", "--only", "payload", *of_arm, "--out", "cases"
+    )
     arm = load_arm(tmp_path / "arm.yaml")
     whole = read_csv(tmp_path / "cases" / "case_001.csv", arm)
     seen = whole.trial % 3 == 0
@@ -133,10 +141,6 @@ def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_pred
     assert verdict.effects == answer.effects == ("payload",)
     assert set(verdict.where.places) == answer.places
     assert len(verdict.gap.by_cable_n) == 20
-    predicted = run(
-        "predict", "cases/case_001.csv", "--arm", "found/arm.yaml", "--out", "out.csv",
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert predicted.returncode == 0, predicted.stderr
+    invoke("predict", "cases/case_001.csv", "--arm", "found/arm.yaml", "--out", "out.csv")
     left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[~seen]
     assert np.sqrt((left_n**2).mean()) < 0.3 * verdict.gap.before_n
