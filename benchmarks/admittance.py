@@ -87,7 +87,7 @@ def _case(
 ) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(arm))
     home = np.zeros(mechanism.joint_count)
-    reach = Reach.of(mechanism, settings.joint_limit_rad)
+    reach = Reach(mechanism, settings.joint_limit_rad)
     law = AdmittanceLaw(mechanism, reach, settings)
     rest = solve_equilibrium(mechanism, home).joint_angles_rad
     wall = wall_beside(mechanism, rest, segment, angle_deg, stiffness_n_m, 0.0)

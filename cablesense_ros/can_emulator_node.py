@@ -105,7 +105,7 @@ class CanEmulatorNode(Node):
         try:
             for parameter in parameters:
                 if parameter.name == "fault":
-                    self._emulator.check(parameter.value)
+                    self._emulator.amplifier.requested(parameter.value)
         except CableSenseError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

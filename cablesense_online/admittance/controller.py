@@ -46,8 +46,7 @@ class AdmittanceController:
     def __init__(self, mechanism: Mechanism, settings: AdmittanceSettings, now_s: float) -> None:
         self._mechanism = mechanism
         self._settings = settings
-        reach = Reach.of(mechanism, settings.joint_limit_rad)
-        self.law = AdmittanceLaw(mechanism, reach, settings)
+        self.law = AdmittanceLaw(mechanism, Reach(mechanism, settings.joint_limit_rad), settings)
         self.command_rad = np.zeros(mechanism.joint_count)
         self.home_rad = self.command_rad.copy()
         self.watch = EstimateWatch(self.command_rad, settings, now_s)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -141,22 +141,10 @@ class EstimateWatch:
         return ""
 
 
-class ReceivedWrench(NamedTuple):
-    """An estimate: segment 0 and no force where nothing touches, or nothing is known.
+def read_wrench(message: Any, frames: Frames) -> tuple[int, Array, int]:
+    """Segment, force (3,) in its axes, N, and stamp, ns, of the estimate in a `WrenchStamped`.
 
-    Attributes:
-        segment: from 1.
-        force_n: (3,) in the segment's axes.
-        stamp_ns: of the sample.
-    """
-
-    segment: int
-    force_n: Array
-    stamp_ns: int
-
-
-def read_wrench(message: Any, frames: Frames) -> ReceivedWrench:
-    """The estimate in a `WrenchStamped`.
+    The segment is 0, and the force zero, where nothing touches, or nothing is known.
 
     Raises:
         ContractError: an unknown frame, a force that is not finite or too large, or a force in
@@ -175,7 +163,7 @@ def read_wrench(message: Any, frames: Frames) -> ReceivedWrench:
             f"wrench.force is {components} N in {frame}; a contact comes in its segment's frame"
         )
     stamp = message.header.stamp
-    return ReceivedWrench(segment, np.array(components), stamp.sec * 1_000_000_000 + stamp.nanosec)
+    return segment, np.array(components), stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 def check_probabilities(message: Any, segment_count: int) -> None:

@@ -30,7 +30,6 @@ PLATE_MARGIN_RAD = float(np.deg2rad(2.0))
 """How far the guide plates stay apart at least."""
 
 
-@dataclass(frozen=True)
 class Reach:
     """Discs √(pitch² + yaw²) ≤ radius, one a joint.
 
@@ -42,12 +41,9 @@ class Reach:
         radius_rad: (N,) of each joint's disc.
     """
 
-    radius_rad: Array
-
-    @classmethod
-    def of(cls, mechanism: Mechanism, limit_rad: float) -> Reach:
+    def __init__(self, mechanism: Mechanism, limit_rad: float) -> None:
         """As far as `limit_rad`, but never so far that guide plates come near each other."""
-        return cls(np.minimum(limit_rad, mechanism.bend_limit_rad - PLATE_MARGIN_RAD))
+        self.radius_rad = np.minimum(limit_rad, mechanism.bend_limit_rad - PLATE_MARGIN_RAD)
 
     def nearest(self, joint_angles_rad: Array) -> Array:
         """The nearest joint angles (2N,) within reach."""

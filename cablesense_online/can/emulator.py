@@ -79,6 +79,7 @@ class Emulator:
     """Plays tensions out as frames; shows a fault for as long as it is requested.
 
     Attributes:
+        amplifier: what is emulated.
         cycles: played so far.
         fault: the present one as it was requested; empty for none.
     """
@@ -92,7 +93,7 @@ class Emulator:
             CableSenseError: what `open_sink` raises.
         """
         self._open_sink = open_sink
-        self._amplifier = EmulatedAmplifier(channel_map, database)
+        self.amplifier = EmulatedAmplifier(channel_map, database)
         self._sink: FrameSink | None = None
         self.cycles = 0
         self.fault = ""
@@ -103,14 +104,6 @@ class Emulator:
         """Frames that the sink did not pass on since it was opened."""
         return self._sink.dropped if self._sink is not None else 0
 
-    def check(self, fault: str) -> None:
-        """Whether a fault can be requested; changes nothing.
-
-        Raises:
-            FaultRequestError: it cannot.
-        """
-        self._amplifier.requested(fault)
-
     def request(self, fault: str) -> None:
         """Show a fault (`missing_channel cable_5`) from now on; an empty text ends it.
 
@@ -118,9 +111,9 @@ class Emulator:
             FaultRequestError: there is no such fault.
             CableSenseError: the interface cannot be opened again.
         """
-        self._amplifier.request(fault)
+        self.amplifier.request(fault)
         self.fault = fault.strip()
-        present = self._amplifier.fault
+        present = self.amplifier.fault
         if present is not None and present.kind is FaultKind.INTERFACE_LOST:
             self.close()
         elif self._sink is None:
@@ -129,7 +122,7 @@ class Emulator:
     def cycle(self, tensions_n: Sequence[float]) -> None:
         """Play one cycle: (M,) tensions in the order of the map."""
         self.listen()
-        planned = self._amplifier.cycle(tensions_n)
+        planned = self.amplifier.cycle(tensions_n)
         if self._sink is not None:
             play(self._sink, planned)
         self.cycles += 1
@@ -138,7 +131,7 @@ class Emulator:
         """Take frames that others sent, such as an NMT start."""
         if self._sink is not None:
             for frame in self._sink.received():
-                self._amplifier.take(frame)
+                self.amplifier.take(frame)
 
     def close(self) -> None:
         """Pull the interface; safe to call twice."""
@@ -148,7 +141,7 @@ class Emulator:
 
     def _plug_in(self) -> None:
         self._sink = self._open_sink()
-        self._sink.send(self._amplifier.power_up())
+        self._sink.send(self.amplifier.power_up())
 
 
 class RecordingPlayer:

@@ -165,7 +165,7 @@ def _of_timing(timing: TimingStatistics, expected: SensorExpectation) -> _Findin
             "machine",
         ),
         (
-            timing.lost_share > LOST_SHARE,
+            timing.lost > LOST_SHARE * (timing.samples + timing.lost),
             "lost",
             f"{timing.lost} of {timing.samples + timing.lost} samples are missing; at most one "
             "in a thousand would be right: the driver's diagnostics give the cause",

@@ -177,11 +177,6 @@ class TimingStatistics:
     jitter_s: float
     lost: int
 
-    @property
-    def lost_share(self) -> float:
-        """Of all that there should be."""
-        return self.lost / (self.samples + self.lost)
-
 
 def timing_statistics(series: TensionSeries) -> TimingStatistics:
     """The timing of a series.

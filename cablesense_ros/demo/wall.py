@@ -152,10 +152,10 @@ class WallObserver:
             self._watch.commanded(self._command, time.monotonic())
 
     def _on_wrench(self, message: WrenchStamped) -> None:
-        wrench = read_wrench(message, self._frames)
+        segment, force_n, _ = read_wrench(message, self._frames)
         with self._lock:
-            self._estimated_n = float(np.linalg.norm(wrench.force_n))
-            self._watch.received_wrench(bool(wrench.segment), 0.0, time.monotonic())
+            self._estimated_n = float(np.linalg.norm(force_n))
+            self._watch.received_wrench(bool(segment), 0.0, time.monotonic())
 
     def _on_probabilities(self, _: Float64MultiArray) -> None:
         with self._lock:

@@ -23,7 +23,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 
 ARM = mechanism_of(open_arm("cdsm"))
-REACH = Reach.of(ARM, np.deg2rad(10.0))
+REACH = Reach(ARM, np.deg2rad(10.0))
 DEFAULT = AdmittanceSettings()
 LAW = AdmittanceLaw(ARM, REACH, DEFAULT)
 UNLIMITED = AdmittanceSettings(
@@ -147,7 +147,7 @@ angles_admittance_reach = st.lists(st.floats(-1.5, 1.5), min_size=8, max_size=8)
 
 @given(angles_admittance_reach)
 def test_no_joint_bends_farther_than_its_limit(command):
-    reach = Reach.of(ARM, np.deg2rad(90.0))
+    reach = Reach(ARM, np.deg2rad(90.0))
     nearest = reach.nearest(command)
     assert reach.holds(nearest)
     assert (kinematics.bend_rad(nearest) < ARM.bend_limit_rad).all()
@@ -156,14 +156,14 @@ def test_no_joint_bends_farther_than_its_limit(command):
 
 @given(angles_admittance_reach, angles_admittance_reach)
 def test_it_is_the_nearest_point(command, other):
-    reach = Reach.of(ARM, 0.2)
+    reach = Reach(ARM, 0.2)
     nearest, inside = reach.nearest(command), reach.nearest(other)
     assert (command - nearest) @ (inside - nearest) <= 1e-9
 
 
 @given(angles_admittance_reach)
 def test_what_is_within_reach_stays(command):
-    reach = Reach.of(ARM, 0.2)
+    reach = Reach(ARM, 0.2)
     inside = reach.nearest(command) * 0.99
     assert np.array_equal(reach.nearest(inside), inside)
 

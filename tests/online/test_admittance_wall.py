@@ -135,7 +135,7 @@ LIMIT_RAD = float(np.deg2rad(15.0))
 
 def run(mechanism, law_settings, home, segment, angle_deg, stiffness, force_n, steps, tilt_deg=0):
     """Press so that the wall would hold `force_n` against the arm without controller."""
-    law = AdmittanceLaw(mechanism, Reach.of(mechanism, LIMIT_RAD), law_settings)
+    law = AdmittanceLaw(mechanism, Reach(mechanism, LIMIT_RAD), law_settings)
     unloaded = solve_equilibrium(mechanism, home).joint_angles_rad
     wall = wall_beside(mechanism, unloaded, segment, angle_deg, stiffness, 0.0)
     if tilt_deg:
@@ -216,7 +216,7 @@ def test_the_measured_gain_is_the_one_the_law_states():
     law_settings = AdmittanceSettings(
         return_stiffness_n_m_rad=0.0, step_limit_rad=1.0, speed_limit_rad_s=10.0, deadband_n=0.5
     )
-    law = AdmittanceLaw(STIFF, Reach.of(STIFF, LIMIT_RAD), law_settings)
+    law = AdmittanceLaw(STIFF, Reach(STIFF, LIMIT_RAD), law_settings)
     for segment in (1, 2, 3, 4):
         forces, _ = run(STIFF, law_settings, np.zeros(8), segment, 90.0, 10_000.0, 10.0, 2)
         excess = forces - 0.5

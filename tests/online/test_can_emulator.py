@@ -97,10 +97,10 @@ def test_a_fault_that_cannot_be_is_refused_and_changes_nothing(bench):
     bench.emulator.request(" missing_channel  cable_1 ")
     for wrong in ("explosion", "not_finite cable_2"):
         with pytest.raises(FaultRequestError):
-            bench.emulator.check(wrong)
+            bench.emulator.amplifier.requested(wrong)
         with pytest.raises(FaultRequestError):
             bench.emulator.request(wrong)
-    bench.emulator.check("")
+    bench.emulator.amplifier.requested("")
     assert bench.emulator.fault == "missing_channel  cable_1"
     bench.emulator.cycle(TENSIONS_N)
     assert [f.arbitration_id for f in bench.sinks[0].sent] == [0x120, 0x122, 0x123]
