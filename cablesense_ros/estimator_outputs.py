@@ -22,7 +22,7 @@ from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer
-from cablesense_online.state import EstimatorState, put_state
+from cablesense_online.state import put_state
 from cablesense_ros.node_process import overridable
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
@@ -56,7 +56,10 @@ class EstimatorOutputs:
         writer = self._wrench_in[contact.segment]
         self._wrench_out.publish(writer.write(stamp_ns, contact.wrench))
         if answer.state is not None:
-            self._publish_state(answer.state)
+            message = DiagnosticArray()
+            message.header.frame_id = self._frames.base
+            put_state(message, answer.state, DiagnosticStatus, KeyValue)
+            self._journal_out.publish(message)
         if contact.segment:
             self._publish_contact(contact, stamp_ns)
         if now_s >= self._next_display_s:
@@ -73,21 +76,15 @@ class EstimatorOutputs:
         self._publishers.append(publisher)
         return publisher
 
-    def _publish_state(self, state: EstimatorState) -> None:
-        message = DiagnosticArray()
-        message.header.frame_id = self._frames.base
-        put_state(message, state, DiagnosticStatus, KeyValue)
-        self._journal_out.publish(message)
-
     def _publish_contact(self, contact: Contact, stamp_ns: int) -> None:
-        if self._point_out.get_subscription_count():
-            self._point.header.stamp = _time(stamp_ns)
-            put_contact_point(self._point, contact, self._frames)
-            self._point_out.publish(self._point)
-        if self._direction_out.get_subscription_count():
-            self._direction.header.stamp = _time(stamp_ns)
-            put_force_direction(self._direction, contact, self._frames)
-            self._direction_out.publish(self._direction)
+        for out, message, put in (
+            (self._point_out, self._point, put_contact_point),
+            (self._direction_out, self._direction, put_force_direction),
+        ):
+            if out.get_subscription_count():
+                message.header.stamp = _time(stamp_ns)
+                put(message, contact, self._frames)
+                out.publish(message)
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
         if answer.probabilities and self._probabilities_out.get_subscription_count():

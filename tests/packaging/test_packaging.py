@@ -96,6 +96,7 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
         assert f"cablesense_gap/{data}" in names
     assert "cablesense_paper/paper.html" in names
     assert "cablesense_paper/studies/friction.yaml" in names
+    assert {"cablesense_ros/parameters.yaml", "cablesense_online/page/panel.css"} <= set(names)
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
     assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
