@@ -128,9 +128,10 @@ def measure(arm: str, seconds: float) -> dict[str, Any]:
         operator.spin_until(operator.connected, "sim, estimator and recorder")
         operator.spin(2.0)
         began_s, began_cpu = time.monotonic(), harness.cpu_s(recorder.pid)
-        late_file, late = run.folder / "late.mcap", None
-        while (share := (time.monotonic() - began_s) / seconds) < 1.0:
+        late_file, late, share = run.folder / "late.mcap", None, 0.0
+        while late is None or late.alive or share < 1.0:
             operator.act()
+            share = (time.monotonic() - began_s) / seconds
             if late is None and share > LATE_JOINS_AT:
                 late = run.record("late")
             elif late and late.alive and share > LATE_DIES_AT and late_file.exists():
