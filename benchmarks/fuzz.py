@@ -66,10 +66,9 @@ def main() -> int:
     if options.write:
         harness.write_result(RESULT.name, report)
     print(json.dumps(report if options.json else report["in all"], indent=1))
-    for result in results.values():
-        for finding in result.findings:
-            print(finding, file=sys.stderr)
-    return 0 if all(result.clean for result in results.values()) else 1
+    findings = [finding for result in results.values() for finding in result.findings]
+    print(*findings, sep="\n", file=sys.stderr)
+    return 1 if findings else 0
 
 
 def _options(names: list[str]) -> argparse.Namespace:

@@ -169,10 +169,14 @@ def _stream(rng: random.Random, amplifier: _Amplifier) -> list[can.Message]:
     return [frame for cycle in cycles for frame in cycle]
 
 
-def _timed(frames: Sequence[can.Message], amplifier: _Amplifier) -> Iterator[Timed]:
-    """As they would arrive, a tenth of a millisecond after their stamps, never flooding."""
+def _timed(
+    rng: random.Random, frames: Sequence[can.Message], amplifier: _Amplifier
+) -> Iterator[Timed]:
+    """As they would arrive, a tenth of a millisecond after their stamps; some with odd gaps."""
     gap_s = amplifier.map.cycle_time_s / (4 if amplifier.packed else 12)
-    return ((frame, gap_s) for frame in frames)
+    odd = rng.choice((0.0, 0.0, 0.3))
+    for frame in frames:
+        yield frame, rng.choice((1e-6, 0.01)) if rng.random() < odd else gap_s
 
 
 def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
@@ -192,32 +196,35 @@ def _reordered(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
                 frames[at : at + len(block)] = rng.sample(block, len(block))
         if len(frames) < 20:
             break
-    return _timed(frames, amplifier)
+    return _timed(rng, frames, amplifier)
 
 
 def _changed(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
     """Bits, lengths, ids and kinds of frames turned."""
-    share = rng.choice((0.01, 0.1, 0.5))
+    share = rng.choice((0.01, 0.1, 0.5, 1.0))
     frames = (
         _changed_frame(rng, frame) if rng.random() < share else frame
         for frame in _stream(rng, amplifier)
     )
-    return _timed(list(frames), amplifier)
+    return _timed(rng, list(frames), amplifier)
 
 
 def _changed_frame(rng: random.Random, frame: can.Message) -> can.Message:
     data, number = bytes(frame.data), frame.arbitration_id
     changed: dict[str, Any] = {"is_extended_id": False, "timestamp": frame.timestamp}
-    match rng.randrange(7):
+    match rng.randrange(8):
         case 0 | 1:
             data = mutated_bytes(rng, data)[: rng.choice((8, 8, 64))]
         case 2:
             data = data[: rng.randrange(len(data))]
         case 3:
-            number = rng.choice((number ^ (1 << rng.randrange(11)), rng.randrange(2**11)))
+            data = rng.randbytes(rng.choice((0, 1, 2, 5, 5, 8, 8, 8)))
         case 4:
-            changed["is_extended_id"] = True
+            number = rng.choice((number ^ (1 << rng.randrange(11)), rng.randrange(2**11)))
         case 5:
+            changed["is_extended_id"] = True
+            number = rng.choice((number, rng.randrange(2**29)))
+        case 6:
             changed[rng.choice(("is_remote_frame", "is_error_frame", "is_fd"))] = True
         case _:
             stamps_s = (*_STAMPS, frame.timestamp + rng.uniform(-0.01, 0.01))
@@ -228,22 +235,6 @@ def _changed_frame(rng: random.Random, frame: can.Message) -> can.Message:
     if "is_remote_frame" in changed:
         data = b""
     return can.Message(arbitration_id=number, data=data, **changed)
-
-
-def _random(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
-    """Frames of random bytes, most of them with ids of the map."""
-    for number in range(400):
-        extended = rng.random() < 0.1
-        other = rng.randrange(2**29 if extended else 2**11)
-        near_s = START_S + number * 1e-4 + rng.uniform(-1e-3, 1e-3)
-        frame = can.Message(
-            arbitration_id=rng.choice(list(amplifier.ids)) if rng.random() < 0.8 else other,
-            is_extended_id=extended,
-            is_error_frame=rng.random() < 0.02,
-            data=rng.randbytes(rng.choice((0, 1, 2, 5, 5, 8, 8, 8))),
-            timestamp=rng.choice(_STAMPS) if rng.random() < 0.05 else near_s,
-        )
-        yield frame, rng.choice((1e-6, 2.5e-4, 2.5e-4, 0.01))
 
 
 def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
@@ -262,4 +253,4 @@ def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
         yield received, 2.5e-4
 
 
-_SEQUENCES = (_reordered, _reordered, _changed, _changed, _random, _lines)
+_SEQUENCES = (_reordered, _reordered, _changed, _changed, _changed, _lines)

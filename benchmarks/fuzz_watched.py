@@ -54,11 +54,9 @@ class Target:
     """One reader.
 
     Attributes:
-        name: of it.
-        unit: of its inputs.
+        name, unit: of it, and of its inputs.
         make: gives, for a seed, what takes item after item; called in the child process.
-        items: in a full run.
-        quick_items: in a quick run.
+        items, quick_items: in a full run, and in a quick one.
         limit_s: longest time for an item.
         growth_mb: most memory that a child may take beyond what it began with.
     """
@@ -88,11 +86,6 @@ class Result:
     escaped: int = 0
     false_answers: int = 0
     findings: list[str] = field(default_factory=list)
-
-    @property
-    def clean(self) -> bool:
-        """Nothing was found."""
-        return not any(getattr(self, kind) for kind in FINDING_KINDS)
 
     def add(self, other: Result) -> None:
         """Take another share of the same target's items in."""

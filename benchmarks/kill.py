@@ -50,10 +50,6 @@ RATE_HZ = 200.0
 WRITING_S = (0.0, 2.0)
 """A recorder is killed so long after the first tensions stand in its file."""
 DRIVER_AWAY_S = 0.1
-_SPREADS = (
-    "stale_s", "last_force_s", "zero_age_s", "set_up_s", "first_sample_s", "right_s",
-    "right_after_set_up_s",
-)  # fmt: skip
 
 
 def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
@@ -173,7 +169,7 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
         **{
             name: {"seen": int(kills[name].count())}
             | harness.percentiles(kills[name].dropna(), ("median", "95 %", "worst"), 4)
-            for name in _SPREADS
+            for name in kills.filter(regex="_s$")
         },
     }
 
