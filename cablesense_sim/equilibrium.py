@@ -31,7 +31,7 @@ On arms too large and stiff for double precision, what rounding leaves counts in
 """
 
 MAX_FORCE_N = 1e6
-"""Largest force component that is taken for one; what is larger has a wrong unit."""
+"""Largest force component that is accepted; a larger one has a wrong unit."""
 
 _CHUNK = 512
 """Cases that are searched together: enough for NumPy, and few enough for a processor's cache."""

@@ -32,7 +32,7 @@ class Parameter:
         unit: for people.
         low, high: the plausible range; an arm file outside it is refused.
         typical: what one expects to meet; for a tolerance, one standard deviation.
-        default: what holds where nothing is said.
+        default: its value where none is given.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
             determines how the effect behaves where it is present.
         starts: values of a shape to screen with.

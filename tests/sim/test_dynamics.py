@@ -192,7 +192,7 @@ def test_what_it_gives_is_not_its_own() -> None:
 
 
 def test_tensions_and_joint_angles_are_of_the_same_moment() -> None:
-    """In motion too, the stretch that a tension tells is that of the pose beside it."""
+    """In motion too, the stretch by a tension is that of the pose beside it."""
     dynamics = ArmDynamics(open_arm("cdsm_lab"))
     mechanism = dynamics.mechanism
     dynamics.load(4, [0.0, 30.0, 0.0])

@@ -246,7 +246,7 @@ def test_a_segments_tolerance_is_its_mass_and_contact_point() -> None:
 
 
 def test_the_actuators_hold_the_lengths_of_the_arm_as_it_was_drawn() -> None:
-    """A turned hole circle is felt at bent poses, where a controller that knew would not."""
+    """A turned hole circle shows at bent poses, where a controller that knew would not."""
     turned = entry("routing_geometry", "segment_3", cables_angle_rad=0.1)
     mechanism = amended(MECHANISM, [turned])
     told = solve_equilibrium(mechanism, POSES, PUSH).tensions_n

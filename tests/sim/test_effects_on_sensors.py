@@ -100,11 +100,11 @@ def test_a_lag_of_the_whole_arm_is_in_every_sensor() -> None:
 
 
 def test_of_a_lag_no_second_share_means_first_order() -> None:
-    late, said = (
+    late, explicit = (
         sensed([entry("sensor_lag", time_constant_s=0.5, **more)], STEP_N, SPAN_S)
         for more in ({}, {"second_share": 0.0})
     )
-    np.testing.assert_array_equal(late, said)
+    np.testing.assert_array_equal(late, explicit)
 
 
 @given(st.floats(0.05, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))

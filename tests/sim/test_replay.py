@@ -179,7 +179,7 @@ def test_a_tared_difference_has_the_variance_of_both() -> None:
     assert spread == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
 
 
-def test_a_perfect_sensor_tells_the_truth() -> None:
+def test_a_perfect_sensor_reads_the_tension() -> None:
     truth = np.random.default_rng(3).uniform(0, 200, (3, 4))
     perfect = with_(noise_std_n=0.0, step_n=0.0)
     np.testing.assert_array_equal(read_tensions_n(truth, perfect, np.random.default_rng(0)), truth)
