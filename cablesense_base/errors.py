@@ -1,19 +1,8 @@
 """The error family.
 
 Every error that CableSense raises on purpose derives from `CableSenseError`, so that a command can
-turn it into one line and a node into one log message::
-
-    CableSenseError
-    ├── ArmFileError, EffectError, EquilibriumError, LoadError           cablesense_sim
-    ├── ContractError                                                    cablesense_msgs_py
-    ├── DatasetError, TrainingError, ModelFileError, EstimateError       cablesense_training
-    ├── RecordingError, VerdictError, ScoreError, ReportError,
-    │   RetrainingError, PlantError                                      cablesense_gap
-    ├── PaperError                                                       cablesense_paper
-    ├── SampleError, StateFileError, TareError, CommissioningError, PageError,
-    │   ChannelMapError, CanInterfaceError, FaultRequestError, SlcanPortError    cablesense_online
-    ├── ParameterError, ProcessError, DemoError, ScriptError             cablesense_ros
-    └── OptionError                                                      cablesense_cli
+turn it into one line and a node into one log message. Each package adds its own beside what raises
+them: `ArmFileError`, `RecordingError` and so on.
 """
 
 from __future__ import annotations

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from cablesense_base.arrays import Array
-from cablesense_gap.plant.body import Body, Creep, Friction, Nominal, rigid_body
+from cablesense_gap.plant.body import NONE, Body, Creep, Friction, Nominal, rigid_body
 from cablesense_gap.plant.geometry import cable_lengths_m
 from cablesense_gap.plant.protocol import Schedule
 from cablesense_gap.plant.quasi_static import QuasiStaticPath
@@ -17,9 +16,6 @@ from cablesense_gap.plant.sensing import Sensing
 
 _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
 """Standard deviations of manufacturing."""
-
-_NONE: Any = np.float64(0.0)
-"""Of every actuator."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +32,12 @@ class Actuation:
         screw_pitch_m: period of the screws' error.
     """
 
-    play_m: Array = _NONE
-    play_start: Array = _NONE
-    ratio: Array = _NONE + 1.0
-    screw_m: Array = _NONE
-    screw_phase_rad: Array = _NONE
-    slip_m: Array = _NONE
+    play_m: Array = NONE
+    play_start: Array = NONE
+    ratio: Array = NONE + 1.0
+    screw_m: Array = NONE
+    screw_phase_rad: Array = NONE
+    slip_m: Array = NONE
     screw_pitch_m: float = 0.004
     slip_time_s: float = np.inf
 

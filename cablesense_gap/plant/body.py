@@ -21,8 +21,8 @@ Ints = NDArray[np.int64]
 
 _MAX_FILE_BYTES = 200_000
 
-_NONE: Any = np.float64(0.0)
-"""Of every cable or joint."""
+NONE: Any = np.float64(0.0)
+"""No fault of any cable, joint, actuator or sensor."""
 
 
 class PlantError(CableSenseError):
@@ -194,9 +194,9 @@ class Body:
     stiffness_n_m: Array
     pretension_n: Array
     driven: Ints
-    spring_nm_rad: Array = _NONE
-    hardening_nm_rad3: Array = _NONE
-    cogging_nm: Array = _NONE
+    spring_nm_rad: Array = NONE
+    hardening_nm_rad3: Array = NONE
+    cogging_nm: Array = NONE
     cogging_per_turn: float = 60.0
     exponent: float = 1.0
     cable_contacts: tuple[CableContact, ...] = ()
@@ -257,8 +257,8 @@ class Friction:
         speed_rad_s: over which that decays.
     """
 
-    coefficient: Array = _NONE
-    joint_nm: Array = _NONE
+    coefficient: Array = NONE
+    joint_nm: Array = NONE
     pulley_rad: float = 0.0
     rounded: bool = False
     reach_m: float = 5e-6

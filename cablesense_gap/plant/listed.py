@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any, get_args
 
 import numpy as np
@@ -299,5 +298,5 @@ def _both_axes(chosen: Any, draw: Draw) -> Array:
     return np.repeat(marked(chosen, draw.nominal.segment_count)[:, None], 2, axis=1)
 
 
-LISTED = MappingProxyType(_DRAWS.by_name)
+LISTED = _DRAWS.by_name
 """By the name of the effect."""

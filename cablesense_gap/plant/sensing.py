@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from cablesense_base.arrays import Array
+from cablesense_gap.plant.body import NONE
 
 DriftShape = Literal["linear", "slow sine", "random walk", "warm-up"]
 Filter = Literal["first order", "moving average", "second order, critically damped"]
 
 _FINE = 10
 """Samples of a filter between two readings."""
-
-_NONE: Any = np.float64(0.0)
-"""Of every channel."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class Dropouts:
         seed: of when they come.
     """
 
-    share: Array = _NONE
+    share: Array = NONE
     mean_rows: float = 20.0
     seed: int = 0
 
@@ -61,7 +59,7 @@ class Drift:
         seed: of the walk.
     """
 
-    size_n: Array = _NONE
+    size_n: Array = NONE
     shape: DriftShape = "linear"
     time_s: float = 100.0
     phase_rad: float = 0.0
@@ -102,17 +100,17 @@ class Sensing:
     """
 
     bow_from_n: float
-    gain: Array = _NONE + 1.0
-    bow_per_n: Array = _NONE
-    ceiling_n: Array = _NONE + np.inf
-    leak: Array = _NONE
-    lag_s: Array = _NONE
+    gain: Array = NONE + 1.0
+    bow_per_n: Array = NONE
+    ceiling_n: Array = NONE + np.inf
+    leak: Array = NONE
+    lag_s: Array = NONE
     lag_filter: Filter = "first order"
-    offset_n: Array = _NONE
+    offset_n: Array = NONE
     drift: Drift = Drift()
-    hum_n: Array = _NONE
+    hum_n: Array = NONE
     hum_hz: float = 0.3
-    hum_phase_rad: Array = _NONE
+    hum_phase_rad: Array = NONE
     dropouts: Dropouts = Dropouts()
 
     def signals_n(self, tension_n: Array, time_s: Array) -> Array:

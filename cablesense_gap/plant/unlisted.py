@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 
@@ -234,5 +233,5 @@ def sensor_hum(draw: Draw) -> Change:
     return Change(sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad))
 
 
-UNLISTED = MappingProxyType(_DRAWS.by_name)
+UNLISTED = _DRAWS.by_name
 """By the form of the change."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from scipy.spatial.transform import Rotation
 
-from cablesense_sim.effects.effect import Effect, Parameter
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -24,6 +23,6 @@ class BaseTilt(Effect):
         Parameter("pitch_rad", "rad", -0.6, 0.6, 0.05, "of the base about its y axis"),
     )
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         tilt = Rotation.from_euler("yx", [values["pitch_rad"], values["roll_rad"]])
         return replace(mechanism, gravity_m_s2=tilt.inv().apply(mechanism.gravity_m_s2))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Effect, Parameter, own_cables
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, own_cables
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -27,7 +26,7 @@ class CableStiffness(Effect):
         Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher"),
     )
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         scale = np.where(own_cables(place, mechanism), 1.0 + values["change"], 1.0)
         in_series = mechanism.stiffness_n_m * scale
         cable = 1.0 / (1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m)

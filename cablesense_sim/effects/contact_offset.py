@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -22,6 +21,6 @@ class ContactOffset(Effect):
         Parameter("offset_m", "m", -0.1, 0.1, 0.01, "of the contact point, away from the base"),
     )
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         moved = chosen(place, mechanism.segment_count) * values["offset_m"]
         return replace(mechanism, contact_m=mechanism.contact_m + moved)

@@ -16,8 +16,11 @@ from cablesense_base.arrays import Array
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
 
+OneArm = Mapping[str, float]
+"""Parameter values by name, of one arm."""
+
 Values = Mapping[str, Array]
-"""Parameter values by name, each (P,): one for every arm that is simulated side by side."""
+"""The same, each (P,): one for every arm that is simulated side by side."""
 
 WHOLE_ARM = "arm"
 """The place of an effect that is everywhere."""
@@ -98,7 +101,7 @@ class Effect:
         """Further shapes, zero if not given: what the past left in each cable or joint."""
         return ()
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         """The mechanism as the effect leaves it."""
         return mechanism
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -20,7 +19,7 @@ class JointElasticity(Effect):
     advice = "Look for a sheath, a hose or a bundle through the middle of the arm."
     parameters = (Parameter("stiffness_n_m_rad", "N·m/rad", -20.0, 200.0, 5.0, "of each axis"),)
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         spring = chosen(place, mechanism.segment_count) * values["stiffness_n_m_rad"]
         return replace(
             mechanism, joint_stiffness_n_m_rad=mechanism.joint_stiffness_n_m_rad + spring

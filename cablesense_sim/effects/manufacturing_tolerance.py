@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from cablesense_sim.effects.effect import Effect, Parameter, Sensing, Values, chosen
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, Sensing, Values, chosen
 from cablesense_sim.effects.sensor_offset import shifted
 from cablesense_sim.mechanism import Mechanism, with_cables_moved
 
@@ -26,7 +25,7 @@ class CableTolerance(Effect):
     )
     tolerance = True
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         here = chosen(place, mechanism.cable_count)
         tensioned = mechanism.pretension_n + here * values["pretension_n"]
         mechanism = replace(mechanism, pretension_n=tensioned)
@@ -53,7 +52,7 @@ class SegmentTolerance(Effect):
     )
     tolerance = True
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         here = chosen(place, mechanism.segment_count)
         return replace(
             mechanism,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen, shape
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen, shape
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -26,7 +25,7 @@ class Payload(Effect):
               "its distance beyond the segment's middle, as a share of the segment's length"),
     )  # fmt: skip
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         here = chosen(place, mechanism.segment_count)
         mass = mechanism.mass_kg + here * values["mass_kg"]
         moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * (

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from cablesense_sim.effects.effect import Effect, Parameter, chosen
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -27,7 +26,7 @@ class PretensionError(Effect):
         Parameter("error_n", "N", -45.0, 200.0, 5.0, "by which the pretension is higher"),
     )
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         error = chosen(place, mechanism.cable_count) * values["error_n"]
         pretension = np.maximum(mechanism.pretension_n + error, 0.1)
         return replace(mechanism, pretension_n=pretension)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from cablesense_sim.effects.effect import Effect, Parameter, chosen, own_cables
+from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen, own_cables
 from cablesense_sim.mechanism import Mechanism, with_cables_moved, with_plates_moved
 
 
@@ -27,7 +25,7 @@ class RoutingGeometry(Effect):
         Parameter("plates_angle_rad", "rad", -0.6, 0.6, 0.04, "turned, in its plates"),
     )
 
-    def amend(self, mechanism: Mechanism, place: str, values: Mapping[str, float]) -> Mechanism:
+    def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         own = own_cables(place, mechanism)
         carried = chosen(place, mechanism.segment_count)
         if values["cables_radius_m"] or values["cables_angle_rad"]:
