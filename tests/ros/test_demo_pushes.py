@@ -119,6 +119,7 @@ def test_json_has_what_the_table_has():
     assert figures["summary"]["segment_right"] == 0
 
 
+@pytest.mark.slow  # matplotlib
 def test_the_picture_is_whole_and_not_empty(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image

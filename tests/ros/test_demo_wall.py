@@ -30,6 +30,7 @@ def test_metrics_are_those_of_the_contact():
     assert found["left_from_home_deg"] == 0.0
 
 
+@pytest.mark.slow  # matplotlib
 def test_the_picture_is_written_whole(tmp_path):
     pytest.importorskip("matplotlib")
     from cablesense_ros.demo.pictures import draw_wall
@@ -40,7 +41,9 @@ def test_the_picture_is_written_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_wall_of_the_play_moves_as_the_obstacles():
+def test_the_wall_of_the_play_moves_as_the_obstacles(monkeypatch):
+    monkeypatch.setattr("cablesense_ros.demo.wall.PRESS_AT_S", 0.2)
+
     class Observer:
         asked = ()
 
@@ -51,8 +54,8 @@ def test_the_wall_of_the_play_moves_as_the_obstacles():
             return Moment(1.0, 0.5, np.zeros(8), ContactState.UNKNOWN)
 
     observer = Observer()
-    played = play_wall(observer, 1e4, 3.0, lambda: None)
+    played = play_wall(observer, 1e4, 1.4, lambda: None)
     assert observer.asked == (0.003, -0.005)
     assert played.unyielding_n.max() == pytest.approx(30.0)
     assert played.unyielding_n[0] == played.unyielding_n[-1] == 0.0
-    assert played.leaves_s == pytest.approx(1.5)
+    assert played.leaves_s == pytest.approx(0.7)
