@@ -43,13 +43,12 @@ def export_model(network: Network | TemporalNetwork, path: Path, metadata: Model
             cannot be written.
     """
     answers = _Answers(network).double().eval()
-    trial = _trial_inputs(metadata)
-    inputs = list(input_widths(metadata))
-    model = _to_onnx(answers, tuple(t[:3] for t in trial), inputs, list(answers.outputs))
+    inputs = dict(zip(input_widths(metadata), _trial_inputs(metadata), strict=True))
+    model = _to_onnx(answers, inputs)
     onnx.helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model, full_check=False)
     content = model.SerializeToString()
-    _require_agreement(answers, content, dict(zip(inputs, trial, strict=True)))
+    _require_agreement(answers, content, inputs)
     write_atomically(path, content, TrainingError)
 
 
@@ -87,12 +86,12 @@ class _Answers(nn.Module):
         return torch.softmax(output.contact_logits, dim=-1), *output[1:], *beside
 
 
-def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
+def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
     rng = np.random.default_rng(0)
     tension = torch.as_tensor(rng.normal(0.0, 20.0, (_TRIAL_ROWS, metadata.arm.cable_count)))
     tension[0] = 0.0  # where one zero may be divided by another
     if not metadata.pose_aware:
-        return (tension,)
+        return [tension]
     reach = np.deg2rad(metadata.pose_range_deg)
     command = rng.uniform(-reach, reach, (_TRIAL_ROWS, metadata.arm.joint_count))
     inputs = [tension, torch.as_tensor(command)]
@@ -100,12 +99,10 @@ def _trial_inputs(metadata: ModelMetadata) -> tuple[Tensor, ...]:
         speed = np.deg2rad(metadata.joint_speed_deg_s)
         inputs += [torch.as_tensor(rng.uniform(-v, v, command.shape)) for v in (speed, 5 * speed)]
         inputs.append(torch.as_tensor(rng.uniform(-1.0, 1.0, (_TRIAL_ROWS, metadata.memory))))
-    return tuple(inputs)
+    return inputs
 
 
-def _to_onnx(
-    answers: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]
-) -> onnx.ModelProto:
+def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
     """The graph; the exporter's reports and warnings about itself are left out."""
     batch = torch.export.Dim("batch", min=1)
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
@@ -113,12 +110,12 @@ def _to_onnx(
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         program = torch.onnx.export(
             answers,
-            example,
+            tuple(values[:3] for values in inputs.values()),
             dynamo=True,
             opset_version=OPSET,
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_shapes=(tuple({0: batch} for _ in example),),
+            input_names=list(inputs),
+            output_names=list(answers.outputs),
+            dynamic_shapes=(tuple({0: batch} for _ in inputs),),
             verbose=False,
         )
     assert program is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from pydantic_core import to_jsonable_python
 
 from cablesense_base.arrays import Array
 from cablesense_base.installation import package_version
@@ -97,16 +97,7 @@ class TrainingReport:
         if self.motion is not None:
             plain |= {"sequences": self.sequences, "test_sequences": self.test_sequences}
             plain |= asdict(self.motion)
-        return _without_nan(plain)
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON has no NaN."""
-    if isinstance(value, dict):
-        return {key: _without_nan(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+        return dict(to_jsonable_python(plain, inf_nan_mode="null"))
 
 
 def draw_training_data(
