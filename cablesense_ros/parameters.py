@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -21,6 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from cablesense_base.errors import CableSenseError
+from cablesense_base.plain_yaml import parse_plain_mapping
 
 
 class ParameterError(CableSenseError):
@@ -69,7 +69,7 @@ class NodeParameter:
 def parameter_table(node: str) -> list[NodeParameter]:
     """The parameters of a node such as `sim`."""
     text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
-    tables = yaml.safe_load(text)
+    tables = parse_plain_mapping(text, "parameters.yaml", "nodes", ParameterError)
     return [
         NodeParameter(name, **(tables["shared"][name] if entry == "shared" else entry))
         for name, entry in tables[node].items()

@@ -4,10 +4,9 @@ Nor does a test spread small matrices over threads, or fail because the machine 
 """
 
 import os
-from pathlib import Path
 
 import hypothesis
-import pytest
+from xdist.scheduler import LoadFileScheduling
 
 from cablesense_ros.discovery import free_domain
 
@@ -19,12 +18,13 @@ os.environ["ROS_DOMAIN_ID"] = str(free_domain())
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
-_REAL_TIME = Path(__file__).parent / "ros"
 
-
-@pytest.hookimpl(tryfirst=True)  # pytest-xdist reads the groups in the same hook
-def pytest_collection_modifyitems(items):
+class _RealTimeOnOneWorker(LoadFileScheduling):
     """Tests of real nodes follow one another; others stay with those of their file."""
-    for item in items:
-        real_time = item.path.is_relative_to(_REAL_TIME)
-        item.add_marker(pytest.mark.xdist_group("real time" if real_time else item.path.name))
+
+    def _split_scope(self, nodeid):
+        return "real time" if nodeid.startswith("tests/ros/") else super()._split_scope(nodeid)
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return _RealTimeOnOneWorker(config, log)

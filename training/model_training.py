@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from pydantic_core import to_jsonable_python
+from pydantic import TypeAdapter
 
 from cablesense_base.arrays import Array
 from cablesense_base.installation import package_version
@@ -97,7 +98,7 @@ class TrainingReport:
         if self.motion is not None:
             plain |= {"sequences": self.sequences, "test_sequences": self.test_sequences}
             plain |= asdict(self.motion)
-        return dict(to_jsonable_python(plain, inf_nan_mode="null"))
+        return dict(json.loads(TypeAdapter(dict[str, Any]).dump_json(plain)))  # NaN is null
 
 
 def draw_training_data(

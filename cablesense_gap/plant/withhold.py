@@ -5,15 +5,15 @@ A set of cases becomes files: recordings as CSV, what is hidden in them as a tab
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from math import ceil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from cablesense_base.arrays import Array
 from cablesense_base.files import written_whole
@@ -67,9 +67,12 @@ def withhold(
             _write_recording(folder / f"{recorded.answer.recording}.csv", recorded)
             answers.append(recorded.answer)
             yield recorded.answer
-    table = pd.DataFrame(answers, columns=[field.name for field in fields(Answer)])
-    with _written(answers_file) as beside:
-        table.to_csv(beside, index=False, float_format="%.4f", lineterminator="\n")
+    with _written(answers_file) as beside, beside.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(field.name for field in fields(Answer))
+        for answer in answers:
+            row = astuple(answer)
+            table.writerow(f"{x:.4f}" if isinstance(x, float) else x for x in row)
 
 
 def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:

@@ -107,6 +107,7 @@ def test_a_load_that_is_none_is_refused_and_the_sim_goes_on(tared, sim):
     tared.until(lambda: "segment_1 … segment_4" in sim.log, "the refusal in the log")
     count = len(tared.tensions)
     tared.until(lambda: len(tared.tensions) > count + 20, "tensions to go on")
+    tared.until(lambda: tared.wrenches, "wrenches to go on")
     assert force(tared.wrenches[-1]) == (0.0, 0.0, 0.0)
 
 
