@@ -43,10 +43,12 @@ setup: $(VENV)/.all  ## everything that developing needs, in .venv
 models: setup  ## trains every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
 
-lock: setup  ## writes the versions of .venv to constraints.txt
+lock: setup  ## writes the versions of .venv to constraints.txt, and their licences that ask for care to NOTICE
 	@mkdir -p build
 	@$(BIN)/python .ci/lock > build/constraints.txt
 	@mv build/constraints.txt constraints.txt
+	@$(BIN)/python .ci/notice > build/NOTICE
+	@mv build/NOTICE NOTICE
 
 clean:  ## takes away .venv and what was built
 	@rm -rf $(VENV) build install log *.egg-info

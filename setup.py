@@ -102,6 +102,7 @@ setup(
     version="0.1.0",
     description="From cable tensions: where a cable-driven arm is touched, and how hard",
     license="Apache-2.0",
+    license_files=["LICENSE", "NOTICE"],
     author="CableSense developers",
     maintainer="CableSense developers",
     maintainer_email="cablesense@example.org",

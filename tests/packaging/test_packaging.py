@@ -49,6 +49,17 @@ def test_the_training_library_is_exact(direct: list[Requirement]) -> None:
     assert str(torch.specifier) == "==2.13.0"
 
 
+def test_the_notice_names_every_copyleft_or_unstated_licence_of_what_is_installed() -> None:
+    done = subprocess.run(
+        [sys.executable, CHECKOUT / ".ci/notice"], check=True, capture_output=True, text=True
+    )
+    committed = (CHECKOUT / "NOTICE").read_text(encoding="utf-8")
+    entry = re.compile(r"^- \S+ \S+:", re.MULTILINE)
+    assert set(entry.findall(done.stdout)) <= set(entry.findall(committed)), "run `make lock`"
+    for known in (r"python-can \S+: LGPL-3", r"certifi \S+: Mozilla", r"scipy \S+: GPL-3"):
+        assert re.search(rf"^- {known}", committed, re.MULTILINE), known
+
+
 def test_no_ros_package_is_asked_of_the_package_index_by_its_bare_name(
     direct: list[Requirement],
 ) -> None:
@@ -76,7 +87,8 @@ def test_every_program_exists() -> None:
 def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "resource", "config"):
+    files = ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "NOTICE")
+    for name in (*files, "resource", "config"):
         (source / name).symlink_to(CHECKOUT / name)
     for package in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
         if (package / "__init__.py").is_file():
@@ -100,6 +112,7 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
     assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
+    assert {Path(n).name for n in names if ".dist-info/" in n} >= {"LICENSE", "NOTICE"}
     assert not any(n.startswith("tests/") for n in names)
 
 
