@@ -6,12 +6,16 @@ message; 130 Ctrl-C.
 
 from __future__ import annotations
 
+import os
 import sys
-from typing import Annotated
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
 from cablesense_base.errors import CableSenseError
+from cablesense_base.files import OutputError
 from cablesense_cli.dataset import dataset
 from cablesense_cli.evaluate import evaluate
 from cablesense_cli.gap import gap
@@ -58,17 +62,66 @@ def options(
 def main() -> None:
     """Runs the command and ends the process with its exit code."""
     try:
-        app()
+        if sys.stdout is None or sys.stderr is None:
+            raise OutputError("standard output or error is closed; send both to a file")
+        out = _CheckedStream(sys.stdout, "standard output")
+        err = _CheckedStream(sys.stderr, "standard error")
+        with redirect_stdout(out), redirect_stderr(err):
+            try:
+                app()
+            finally:
+                out.flush()
     except CableSenseError as error:
-        print(f"cablesense: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(getattr(error, "exit_code", 2))
+        _end(" ".join(str(error).split()), getattr(error, "exit_code", 2))
     except ModuleNotFoundError as error:
-        print(
-            f"cablesense: this needs the Python package {error.name}, which is not installed; in "
+        _end(
+            f"this needs the Python package {error.name}, which is not installed; in "
             "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train,gap]'",
-            file=sys.stderr,
+            2,
         )
-        sys.exit(2)
     except KeyboardInterrupt:
-        print("cablesense: interrupted", file=sys.stderr)
-        sys.exit(130)
+        _end("interrupted", 130)
+
+
+class _CheckedStream:
+    """A standard stream whose failure is an error of the family.
+
+    Left to themselves, rich and typer end the process at a closed pipe without a word.
+    """
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self._stream, self._name = stream, name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with self._refusing():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with self._refusing():
+            self._stream.flush()
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, UnicodeEncodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise OutputError(
+                f"{self._name} cannot be written ({why}); send it where there is space, or to a "
+                "program that reads all of it"
+            ) from error
+
+
+def _end(line: str, code: int) -> NoReturn:
+    """Ends the process with one line of error; what cannot be written is not tried again."""
+    with suppress(OSError):
+        print(f"cablesense: {line}", file=sys.stderr)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(code)

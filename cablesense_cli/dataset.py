@@ -12,8 +12,10 @@ import typer
 from rich.console import Console
 
 from cablesense_base.errors import CableSenseError
+from cablesense_base.files import output_file
 from cablesense_cli.options import (
     ArmOption,
+    ForceOption,
     JsonOption,
     PoseOption,
     PoseRangeOption,
@@ -67,6 +69,7 @@ def dataset(
         str | None,
         typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead."),
     ] = None,
+    force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Generate training data: cable tensions of the simulated arm, with the contacts behind them.
@@ -76,7 +79,7 @@ def dataset(
 
     Example: cablesense dataset --pose random --samples 20000 --workers 2 --out data.parquet
     """
-    from cablesense_sim.arm import open_arm
+    from cablesense_sim.arm import find_arm, load_arm
 
     try:
         from cablesense_training.data.parquet import produce_dataset
@@ -104,7 +107,9 @@ def dataset(
         "randomise": randomise,
     }
     drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None})
-    description = open_arm(arm)
+    arm_file = find_arm(arm)
+    output_file(out, force=force, inputs=(arm_file,))
+    description = load_arm(arm_file)
     # what cannot change a byte of the file is left out of its command
     options = drawn.options()
     command = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
+from cablesense_base.files import output_file, output_folder
 from cablesense_cli.options import (
     ArmOption,
     DurationOption,
+    ForceOption,
     JsonOption,
     RecordingFile,
     print_json,
+    refuse_given,
     task_bars,
     titled_table,
 )
@@ -31,7 +35,9 @@ _NominalArm = Annotated[
 
 def diagnose(
     recording: _Recording,
-    out: Annotated[Path, typer.Option(help="Folder for verdict.json, report.html and arm.yaml.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder for verdict.json, report.html and amended_arm.yaml.")
+    ],
     arm: _NominalArm = "cdsm_lab",
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
     retrain: Annotated[
@@ -42,6 +48,7 @@ def diagnose(
             "takes minutes.",
         ),
     ] = False,
+    force: ForceOption = False,
 ) -> None:
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
@@ -52,14 +59,16 @@ def diagnose(
     """
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_gap.report.page import write_diagnosis
+    from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import headline
-    from cablesense_sim.arm import open_arm
+    from cablesense_sim.arm import find_arm, load_arm
 
     if retrain:  # what it needs is missed now rather than after the diagnosis
         from cablesense_gap.retraining import estimator_errors
 
-    nominal = open_arm(arm)
+    arm_file = find_arm(arm)
+    output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
+    nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
     console = Console()
     with task_bars(console) as progress:
@@ -82,20 +91,27 @@ def predict(
     recording: _Recording,
     out: Annotated[Path, typer.Option(help="CSV file for the recording's rows as predicted.")],
     arm: Annotated[
-        str, typer.Option(help="Arm: a path, or the name of a bundled one; amended or nominal.")
+        str,
+        typer.Option(
+            help="Arm, amended or nominal: a path, the folder of a diagnosis, or the name of a "
+            "bundled one."
+        ),
     ] = "cdsm_lab",
+    force: ForceOption = False,
 ) -> None:
     """Predict the tensions of a recording, without noise, from its commands and loads alone.
 
-    Example: [bold]cablesense gap predict new.csv --arm diagnosis/arm.yaml --out new_predicted.csv\
-[/bold]
+    Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """
+    from cablesense_gap.arm_simulator import find_amended
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.csv_file import write_csv
-    from cablesense_sim.arm import open_arm
+    from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 
-    described = open_arm(arm)
+    arm_file = find_amended(arm)
+    output_file(out, force=force, inputs=(recording, arm_file))
+    described = load_arm(arm_file)
     recorded = read_recording(recording, described)
     console = Console()
     with console.status("predicting"):
@@ -109,11 +125,13 @@ def predict(
 
 
 def protocol(
+    context: typer.Context,
     arm: ArmOption = "cdsm",
     out: Annotated[
         Path | None,
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Print which poses, loads and holds to record, so that effects can be distinguished.
 
@@ -123,9 +141,14 @@ def protocol(
     Example: cablesense gap protocol --arm my_arm.yaml --out protocol.csv
     """
     from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-    from cablesense_sim.arm import open_arm
+    from cablesense_sim.arm import find_arm, load_arm
 
-    description = open_arm(arm)
+    arm_file = find_arm(arm)
+    if out is None:
+        refuse_given(context, ["force"], "without --out")
+    else:
+        output_file(out, force=force, inputs=(arm_file,))
+    description = load_arm(arm_file)
     blocks = standard_protocol(description)
     headings = ("trial", "at, s", "takes, s", "what", "what to do")
     table = titled_table(f"Protocol for arm {description.name}", *headings, right=headings[:3])
@@ -160,6 +183,7 @@ def record(
             "recording is checked at the end."
         ),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Record tensions, commands and known loads from running nodes, as rosbag2 MCAP.
 
@@ -173,7 +197,7 @@ def record(
 
     description = None if arm is None else open_arm(arm)
     console = Console()
-    record_topics(out, INPUTS, duration, description, console)
+    record_topics(out, INPUTS, duration, description, console, force=force)
     if description is None:
         return
     from cablesense_gap.recordings.checks import check_recording, read_recording
@@ -273,6 +297,7 @@ def withhold(
         ),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
+    force: ForceOption = False,
 ) -> None:
     """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
 
@@ -290,10 +315,13 @@ def withhold(
     from cablesense_sim.arm import find_arm
 
     answers_file = answers or out / "answers" / "answers.csv"
-    console = Console()
-    made = make(
-        out, answers_file, read_nominal(find_arm(arm)), count, seed, tuple(only or ()), workers
+    arm_file = find_arm(arm)
+    output_folder(out, ("case_*.csv",), force=force, inputs=(arm_file,))
+    output_folder(
+        answers_file.parent, (escape(answers_file.name),), force=force, inputs=(arm_file,)
     )
+    console = Console()
+    made = make(out, answers_file, read_nominal(arm_file), count, seed, tuple(only or ()), workers)
     for _ in track(made, description="Recording", total=count, console=console):
         pass
     console.print(f"{count} recordings in {out}, what is hidden in {answers_file}", soft_wrap=True)

@@ -21,8 +21,9 @@ DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
 ]
 RecordingFile = Annotated[Path, typer.Option(help="The .mcap file to write.")]
-
-
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace files of the same names that exist already.")
+]
 PoseOption = Annotated[
     str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
 ]

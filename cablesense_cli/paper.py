@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.progress import TaskID
 
-from cablesense_cli.options import task_bars
+from cablesense_cli.options import ForceOption, task_bars
 from cablesense_paper.study import study_names
 
 
@@ -18,7 +18,9 @@ def paper(
     out: Annotated[
         Path,
         typer.Option(
-            metavar="DIR", help="New or empty folder for report.html, results.json and pictures."
+            metavar="DIR",
+            help="Folder for report.html, results.json and pictures; without --force a new or "
+            "empty one.",
         ),
     ],
     quick: Annotated[
@@ -33,6 +35,7 @@ def paper(
             metavar="NAME", help=f"Only this study; repeatable. Names: {', '.join(study_names())}."
         ),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Repeat the paper's experiments here, and show each result beside the paper's.
 
@@ -53,7 +56,7 @@ def paper(
         import_module(package)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
     studies = chosen_studies(only or ())
-    claim_folder(out)
+    claim_folder(out, force)
     console = Console()
     outcomes = []
     with task_bars(console) as progress:

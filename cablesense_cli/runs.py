@@ -7,14 +7,24 @@ from typing import Annotated
 
 import typer
 
+from cablesense_base.files import output_file, output_folder
 from cablesense_cli.options import (
     ArmOption,
     DurationOption,
+    ForceOption,
     JsonOption,
     RecordingFile,
     refuse_given,
 )
-from cablesense_ros.demo.run import Controller, DemoOptions, Source, run_headless, run_live
+from cablesense_ros.demo.run import (
+    DEMO_FILES,
+    DEMO_FOLDER,
+    Controller,
+    DemoOptions,
+    Source,
+    run_headless,
+    run_live,
+)
 
 
 def demo(
@@ -40,8 +50,13 @@ def demo(
         typer.Option(min=4.0, max=3600.0, help="With --headless: length of the script, seconds."),
     ] = 60.0,
     out: Annotated[
-        Path, typer.Option(help="Folder for the headless picture and for the nodes' logs.")
-    ] = Path("out/demo"),
+        Path,
+        typer.Option(
+            help="Folder for the headless picture and for the nodes' logs; those of the last demo "
+            "in the default folder are replaced."
+        ),
+    ] = DEMO_FOLDER,
+    force: ForceOption = False,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the pushes and of the sensor noise.")
     ] = 0,
@@ -69,6 +84,7 @@ def demo(
     and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
     pushes, or of the wall, runs for a minute.
     """
+    output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     options = DemoOptions(arm, model, host, port, out, seed, source, controller)
     if headless:
         refuse_given(context, ("host", "port"), "with --headless, which serves no page")
@@ -82,6 +98,7 @@ def record(
     out: RecordingFile,
     duration: DurationOption = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the nodes.")] = "",
+    force: ForceOption = False,
 ) -> None:
     """Record all topics of the contract from running nodes, as rosbag2 MCAP.
 
@@ -97,7 +114,7 @@ def record(
     from cablesense_msgs_py.qos import CONTRACT
     from cablesense_ros.recorder import record_topics
 
-    record_topics(out, CONTRACT, duration, None, Console(), namespace)
+    record_topics(out, CONTRACT, duration, None, Console(), namespace, force)
 
 
 def replay(
@@ -112,6 +129,7 @@ def replay(
     estimates: Annotated[
         Path | None, typer.Option(help="Write the estimates to this .csv file.")
     ] = None,
+    force: ForceOption = False,
     publish: Annotated[
         bool,
         typer.Option("--publish", help="Publish the inputs over ROS, for an estimator that runs."),
@@ -144,6 +162,10 @@ def replay(
         )
     if not publish:
         refuse_given(context, ("rate", "namespace"), "without --publish")
+    if estimates is None:
+        refuse_given(context, ["force"], "without --estimates")
+    else:
+        output_file(estimates, force=force, inputs=(recording, arm, model))
     run = RecordedRun(recording)
     if publish:
         from cablesense_ros.replay_through_node import replay_through_node

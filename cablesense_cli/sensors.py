@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
+from cablesense_base.files import output_file
+from cablesense_cli.options import (
+    ForceOption,
+    JsonOption,
+    print_json,
+    refuse_given,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from cablesense_online.commissioning.sensor_calibration import SensorCalibration
@@ -60,6 +67,7 @@ def calibrate(
             help="Standard uncertainty that all loads share (gauge, set of weights), percent.",
         ),
     ] = 0.0,
+    force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Find scale and zero of tension sensors from known loads, with uncertainty.
@@ -84,13 +92,11 @@ def calibrate(
     from cablesense_online.commissioning.tables import (
         GRAVITY_RELATIVE_U,
         STANDARD_GRAVITY_M_S2,
-        CommissioningError,
         read_known_loads,
     )
     from cablesense_sim.arm import open_arm
 
-    if out.exists():
-        raise CommissioningError(f"{out}: exists already; give another --out, or move it away")
+    output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
     described, database = open_channel_map(channel_map)
     as_recorded, recorded = described, None
     if recorded_with is not None:

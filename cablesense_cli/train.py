@@ -11,9 +11,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from cablesense_base.files import output_file
 from cablesense_base.progress import progress_bar
 from cablesense_cli.options import (
     ArmOption,
+    ForceOption,
     JsonOption,
     PoseOption,
     PoseRangeOption,
@@ -78,6 +80,7 @@ def train(
         int, typer.Option(help="Processor threads; another number changes the last digits.")
     ] = 2,
     out: Annotated[Path, typer.Option(help="The model file to write.")] = Path("model.onnx"),
+    force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Train a network for an arm and write it as one ONNX file.
@@ -89,7 +92,7 @@ def train(
     """
     import os
 
-    from cablesense_sim.arm import open_arm
+    from cablesense_sim.arm import find_arm, load_arm
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
     from cablesense_training.model_training import draw_training_data, train_model
@@ -118,7 +121,9 @@ def train(
     command = {"arm": arm, "network": network, **(drawn if data is None else {"data": data})}
     command |= {name: getattr(settings, name) for name in chosen}
     command |= {"seed": seed, "threads": threads, "out": out}
-    description = open_arm(arm)
+    arm_file = find_arm(arm)
+    output_file(out, force=force, inputs=(arm_file, data))
+    description = load_arm(arm_file)
     if data is None:
         workers = (os.cpu_count() or 1) if in_motion else 1
         training = draw_training_data(

@@ -14,12 +14,15 @@ from cablesense_base.arrays import Array
 from cablesense_base.files import write_atomically
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, parse_arm
+from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Transmission
 from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay, reading_variance_n2
+
+AMENDED_ARM = "amended_arm.yaml"
+"""In the folder of a diagnosis."""
 
 SLACK_SHARE = 0.05
 """Of the pretension: a cable with less tension is slack or about to be."""
@@ -118,6 +121,31 @@ def _listed(
         }
         found.append(ListedEffect(effect=name, at=place, parameters=numbers))
     return found
+
+
+def find_amended(arm: str) -> Path:
+    """The arm file that a name, a path or the folder of a diagnosis stands for.
+
+    Raises:
+        ArmFileError: as `find_arm`, or a folder without an amended arm.
+    """
+    try:
+        return find_arm(arm)
+    except ArmFileError:
+        folder = Path(arm)
+        if not folder.is_dir():
+            raise
+    amended, former = folder / AMENDED_ARM, folder / "arm.yaml"
+    if amended.is_file():
+        return amended
+    if former.is_file():
+        raise ArmFileError(
+            f"{folder}: has no {AMENDED_ARM}; where {former} is the amended arm of a diagnosis by "
+            f"an earlier version, rename it to {AMENDED_ARM}"
+        )
+    raise ArmFileError(
+        f"{folder}: has no {AMENDED_ARM}; give the folder of `cablesense gap diagnose`"
+    )
 
 
 def write_arm(path: Path, arm: Arm, heading: str) -> None:

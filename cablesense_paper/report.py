@@ -9,21 +9,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cablesense_base.files import write_atomically
+from cablesense_base.files import output_folder, write_atomically
 from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
 from cablesense_paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
 
 
-def claim_folder(folder: Path) -> None:
+def claim_folder(folder: Path, force: bool = False) -> None:
     """Make the folder before anything runs, so that a wrong place costs no time.
 
     Raises:
-        PaperError: it holds something, or cannot be made or written to.
+        PaperError: it holds something and not `force`, or cannot be made or written to.
     """
+    output_folder(folder, ("report.html", "results.json", "*.png"), PaperError, force=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise PaperError(f"{folder}: is not empty; give a new --out, or empty it")
+        if not force and any(folder.iterdir()):
+            raise PaperError(
+                f"{folder}: is not empty; give a new --out, or replace its files with --force"
+            )
         trial = folder / ".writable"
         trial.touch()
         trial.unlink()

@@ -53,6 +53,7 @@ class Recorder:
         wanted: Mapping[str, TopicType],
         arm: Arm | None,
         say: Callable[[str], object],
+        force: bool = False,
     ) -> None:
         """Listen.
 
@@ -62,14 +63,12 @@ class Recorder:
             wanted: what to record; topics whose message type is not installed are left out.
             arm: whose contract is checked, if any.
             say: takes a line for people.
+            force: whether to replace a file that is there already, at once.
 
         Raises:
             RecordingError: the file exists already, or cannot be written.
         """
-        self._path = Path(path)
-        if self._path.exists():
-            raise RecordingError(f"{path}: exists already; give another name, or move it away")
-        self._file = TopicFile(path, growing=True)
+        self._file = TopicFile(path, growing=True, force=force)
         self._node = node
         self._wanted = wanted
         self._say = say
@@ -170,6 +169,7 @@ def record_topics(
     arm: Arm | None,
     console: Console,
     namespace: str = "",
+    force: bool = False,
 ) -> None:
     """Record until `duration_s` have passed, SIGINT or SIGTERM; the file is whole then.
 
@@ -180,6 +180,7 @@ def record_topics(
         arm: whose contract is checked, if any.
         console: for people.
         namespace: of the recorded nodes.
+        force: whether to replace a file that is there already.
 
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
@@ -191,7 +192,7 @@ def record_topics(
         wanted_end.set_result(None)
 
     with end_signals(end, end), spun_node("recorder", namespace) as (node, executor):
-        recorder = Recorder(node, path, wanted, arm, say)
+        recorder = Recorder(node, path, wanted, arm, say, force)
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
             with console.status("waiting for the arm") as line:

@@ -13,6 +13,7 @@ import torch
 from pydantic import TypeAdapter
 
 from cablesense_base.arrays import Array
+from cablesense_base.files import output_file
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
@@ -163,8 +164,8 @@ def train_model(
         on_epoch: called after every epoch.
 
     Raises:
-        TrainingError: unknown network, data or settings that do not fit it, no such folder, or a
-            loss that is not finite.
+        TrainingError: unknown network, data or settings that do not fit it, a place that cannot
+            be written to, or a loss that is not finite.
     """
     path, name = Path(path), network_name(network)
     recipe = recipe_for(name)
@@ -178,10 +179,7 @@ def train_model(
     if not isinstance(settings, type(recipe.settings)):
         wanted, given = type(recipe.settings).__name__, type(settings).__name__
         raise TrainingError(f"network {name} is trained with {wanted}, not {given}")
-    if not path.parent.is_dir():
-        raise TrainingError(f"{path}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise TrainingError(f"{path} is a folder; give the name of the file to write")
+    output_file(path, TrainingError, force=True)
     built = build_network(name, data.arm, settings.seed, data.protocol.tare_samples)
     metadata = _metadata(name, built, data, settings.seed, command)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)

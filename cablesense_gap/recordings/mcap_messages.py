@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self, cast
 
 import numpy as np
 
+from cablesense_base.files import output_file
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import Qos
 
@@ -210,28 +211,25 @@ class BagTypes:
 class TopicFile:
     """One rosbag2 .mcap file being written; as a context, closed, or discarded after an error."""
 
-    def __init__(self, path: str | Path, growing: bool) -> None:
+    def __init__(self, path: str | Path, growing: bool, force: bool = True) -> None:
         """Open the file.
 
         Args:
             path: of the file; one that is there already is replaced when this one is whole, or at
                 once if it grows.
             growing: whether it has its name from the start, or only when it is whole.
+            force: whether to replace one that is there already.
 
         Raises:
-            RecordingError: the name does not end in .mcap, or the place cannot be written to.
+            RecordingError: the name does not end in .mcap, or the file must not be written.
         """
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
 
-        self._path = Path(path)
-        if self._path.suffix != ".mcap":
-            raise RecordingError(f"{self._path}: a recording of topics must be named ….mcap")
-        if self._path.is_dir():
-            raise RecordingError(f"{self._path}: is a folder; give the name of a file")
-        if not self._path.parent.is_dir():
-            raise RecordingError(f"{self._path}: there is no folder {self._path.parent}")
-        self._growing = growing
+        if Path(path).suffix != ".mcap":
+            raise RecordingError(f"{path}: a recording of topics must be named ….mcap")
+        self._path = output_file(path, RecordingError, force=force)
+        self._in_place = False
         self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
         self._folder = self._beside / self._path.stem  # rosbags names the file for its folder
         self.store = get_typestore(Stores.ROS2_JAZZY)
@@ -246,6 +244,7 @@ class TopicFile:
                 self._storage.bio.flush()
                 if growing:
                     self._written.replace(self._path)
+                    self._in_place = True
                     shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
         except RecordingError:
             self.discard()
@@ -292,17 +291,17 @@ class TopicFile:
             with self._refusing():
                 self._folder.mkdir(parents=True, exist_ok=True)  # for rosbags' metadata
                 self._writer.close()
-                if not self._growing:
+                if not self._in_place:
                     self._written.replace(self._path)
         finally:
             shutil.rmtree(self._beside, ignore_errors=True)
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Leave nothing of it behind."""
         with suppress(Exception):
             self._writer.abort()
         shutil.rmtree(self._beside, ignore_errors=True)
-        if self._growing:
+        if self._in_place:
             self._path.unlink(missing_ok=True)
 
     @property

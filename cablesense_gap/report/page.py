@@ -1,4 +1,4 @@
-"""The folder that a diagnosis leaves: `verdict.json`, `arm.yaml` and `report.html`."""
+"""The folder that a diagnosis leaves: verdict, amended arm and report."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.arm_simulator import write_arm
+from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.pictures import (
     MOST,
@@ -36,6 +36,8 @@ from cablesense_gap.report.text import (
 from cablesense_gap.residuals import ALL, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
 from cablesense_gap.verdict import NONE, UNKNOWN, VerdictError, joined, listed, write_verdict
 
+DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
+
 _WORST = 8
 """Parts of what remains that are shown before one asks for all."""
 
@@ -52,9 +54,10 @@ def write_diagnosis(folder: Path, found: Diagnosis) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
-    write_verdict(folder / "verdict.json", found.verdict)
-    write_arm(folder / "arm.yaml", found.amended, headline(found.verdict))
-    write_atomically(folder / "report.html", report_page(found), ReportError)
+    verdict, arm, report = (folder / name for name in DIAGNOSIS_FILES)
+    write_verdict(verdict, found.verdict)
+    write_arm(arm, found.amended, headline(found.verdict))
+    write_atomically(report, report_page(found), ReportError)
 
 
 def report_page(found: Diagnosis) -> str:

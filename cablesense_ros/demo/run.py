@@ -53,6 +53,11 @@ class DemoError(CableSenseError):
     exit_code = 1
 
 
+DEMO_FOLDER = Path("out/demo")
+DEMO_FILES = ("demo.png", "admittance.png", "logs/*.log")
+"""Of a demo, in its folder."""
+
+
 @dataclass(frozen=True)
 class DemoOptions:
     """The command's options; `model` empty is the arm's own, `out` holds logs and picture."""
@@ -61,7 +66,7 @@ class DemoOptions:
     model: str = ""
     host: str = "127.0.0.1"
     port: int = 8080
-    out: Path = Path("out/demo")
+    out: Path = DEMO_FOLDER
     seed: int = 0
     source: Source = Source.SIM
     controller: Controller = Controller.NONE

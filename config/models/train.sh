@@ -3,7 +3,7 @@
 # The same commands, seed 0, stand in the files themselves: cablesense info config/models/cdsm.onnx
 set -eu
 cd "$(dirname "$0")/../.."
-train() { ${CABLESENSE:-cablesense} train --threads 1 "$@"; }
+train() { ${CABLESENSE:-cablesense} train --force --threads 1 "$@"; }
 here=config/models
 mkdir -p $here/peers
 

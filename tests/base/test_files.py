@@ -6,6 +6,9 @@ import pytest
 
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import (
+    OutputError,
+    output_file,
+    output_folder,
     read_bounded_bytes,
     read_bounded_text,
     write_atomically,
@@ -73,3 +76,50 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
     ):
         with pytest.raises(RefusedError, match=reason):
             write_atomically(tmp_path / name, "", RefusedError)
+
+
+def test_only_a_regular_file_that_may_be_written_is_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link_to_pipe").symlink_to("pipe")
+    (tmp_path / "null").symlink_to("/dev/null")
+    (tmp_path / "fixed").touch(0o444)
+    before = sorted(tmp_path.iterdir())
+    for name in ("pipe", "link_to_pipe", "null", "fixed"):
+        with pytest.raises(RefusedError, match=rf"{name}: cannot be written \(is (a|read)"):
+            write_atomically(tmp_path / name, "mine", RefusedError)
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_link_to_a_file_stays_one(tmp_path):
+    link, file = tmp_path / "link", tmp_path / "file"
+    link.symlink_to(file)
+    for content in ("new", "replaced"):
+        write_atomically(link, content, RefusedError)
+        assert link.is_symlink()
+        assert file.read_text() == content
+
+
+def test_an_existing_file_is_refused_without_force_and_an_input_always(tmp_path):
+    path = tmp_path / "a"
+    assert output_file(path, inputs=(path, None, "", "none")) == path
+    path.touch()
+    with pytest.raises(OutputError, match="a: exists already; give another name"):
+        output_file(path)
+    assert output_file(path, force=True) == path
+    with pytest.raises(OutputError, match="a: is an input of this command"):
+        output_file(path, force=True, inputs=(path,))
+
+
+def test_in_a_folder_only_files_of_the_own_names_matter(tmp_path):
+    (tmp_path / "mine.txt").touch()
+    output_folder(tmp_path, ("report.html", "case_*.csv"))
+    output_folder(tmp_path / "new" / "deeper", ("report.html",))
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    (tmp_path / "case_002.csv").touch()
+    with pytest.raises(OutputError, match=r"case_002\.csv: exists already"):
+        output_folder(tmp_path, ("report.html", "case_*.csv"))
+    output_folder(tmp_path, ("report.html", "case_*.csv"), force=True)
+    for place in (tmp_path / "mine.txt", tmp_path / "mine.txt" / "below"):
+        with pytest.raises(RefusedError, match=r"cannot be written to \(Not a directory\)"):
+            output_folder(place, ("report.html",), RefusedError)

@@ -108,6 +108,31 @@ def test_a_file_that_is_no_model_is_refused(tmp_path):
     assert "not a valid ONNX file" in result.stderr
 
 
+def assert_one_line_on_output(returncode, stderr, why):
+    assert returncode == 2
+    (line,) = stderr.strip().splitlines()
+    assert line.startswith(f"cablesense: standard output cannot be written ({why}); send it")
+
+
+@pytest.mark.parametrize("arguments", ["info", "info --json", "--help", "--version"])
+def test_output_that_cannot_be_written_is_one_line(arguments):
+    command, errors = [*COMMAND, *arguments.split()], {"stderr": subprocess.PIPE, "text": True}
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = subprocess.run(command, stdout=full, **errors)
+    assert_one_line_on_output(done.returncode, done.stderr, "No space left on device")
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, **errors)
+    os.close(writer)
+    assert_one_line_on_output(done.returncode, done.stderr, "Broken pipe")
+
+
+@pytest.mark.parametrize("where", [">&-", "2>&-", "2>/dev/full", ">/dev/full 2>&1"])
+def test_errors_that_nobody_can_read_end_with_2_too(where):
+    command = f"{sys.executable} -c '{COMMAND[-1]}' info nonsense {where}"
+    assert subprocess.run(command, shell=True, capture_output=True).returncode == 2
+
+
 def test_info_of_an_arm_as_json():
     result = run("info", "cdsm", "--json")
     description = json.loads(result.stdout)

@@ -52,7 +52,8 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "found/report.html" in done.stdout
     folder = tmp_path / "found"
-    assert {path.name for path in folder.iterdir()} == {"verdict.json", "arm.yaml", "report.html"}
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"verdict.json", "amended_arm.yaml", "report.html"}
     verdict = read_verdict(folder / "verdict.json")
     assert (verdict.recording, verdict.arm) == ("new", "cdsm_lab")
     assert verdict.effects == ("payload",)
@@ -64,7 +65,7 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     )
     real, after, before = (
         replay_arm(arm, unseen.time_s, unseen.command_rad, unseen.forces_n)
-        for arm in (heavy, load_arm(folder / "arm.yaml"), LAB)
+        for arm in (heavy, load_arm(folder / "amended_arm.yaml"), LAB)
     )
     assert ((after - real) ** 2).mean() < 0.05 * ((before - real) ** 2).mean()
 
@@ -129,6 +130,6 @@ def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_pred
     assert verdict.effects == answer.effects == ("payload",)
     assert set(verdict.where.places) == answer.places
     assert len(verdict.gap.by_cable_n) == 20
-    invoke("predict", "cases/case_001.csv", "--arm", "found/arm.yaml", "--out", "out.csv")
+    invoke("predict", "cases/case_001.csv", "--arm", "found", "--out", "out.csv")
     left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[~seen]
     assert np.sqrt((left_n**2).mean()) < 0.3 * verdict.gap.before_n

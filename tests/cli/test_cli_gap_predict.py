@@ -57,6 +57,29 @@ def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
     assert_allclose(read_csv(out, LAB).tensions_n, wanted, atol=1e-3)
 
 
+def test_the_folder_of_a_diagnosis_stands_for_its_amended_arm(recording, tmp_path):
+    folder, named, out = tmp_path / "found", tmp_path / "named.csv", tmp_path / "predicted.csv"
+    folder.mkdir()
+    strange = run(recording, "--arm", folder, "--out", out).exception
+    assert "found: has no amended_arm.yaml; give the folder" in str(strange)
+    write_arm(folder / "arm.yaml", amended_arm(LAB, FOUND, {}), "by an earlier version")
+    former = run(recording, "--arm", folder, "--out", out).exception
+    assert isinstance(former, CableSenseError)
+    assert "found/arm.yaml is the amended arm" in str(former)
+    assert "rename it to amended_arm.yaml" in str(former)
+    (folder / "arm.yaml").rename(folder / "amended_arm.yaml")
+    for arm, path in ((folder, out), (folder / "amended_arm.yaml", named)):
+        result = run(recording, "--arm", arm, "--out", path)
+        assert result.exit_code == 0, result.output
+    assert out.read_text() == named.read_text()
+
+
+def test_a_bundled_name_is_no_folder(recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cdsm_lab").mkdir()
+    assert run(recording, "--arm", "cdsm_lab", "--out", "predicted.csv").exit_code == 0
+
+
 def test_the_rows_are_those_of_the_recording(recording, tmp_path):
     out = tmp_path / "predicted.csv"
     run(recording, "--out", out)

@@ -18,6 +18,8 @@ from cablesense_cli.options import OptionError, refuse_given
         ("info cdsm_lab --effects", "FILE"),
         ("replay run.mcap --rate 2", "--rate"),
         ("replay run.mcap --namespace left", "--namespace"),
+        ("replay run.mcap --force", "--force"),
+        ("gap protocol --force", "--force"),
         ("evaluate --table2 --samples 900", "--samples"),
         ("evaluate --table2 --seed 1 --workers 2", "--seed, --workers"),
         ("train --data d.parquet --samples 10", "--samples"),

@@ -184,7 +184,7 @@ def test_other_formats_and_places_are_refused(tmp_path, monkeypatch):
             read_recording(path, LAB)
     with pytest.raises(RecordingError, match=r"must be named ….mcap"):
         BagWriter(tmp_path / "a.db3")
-    with pytest.raises(RecordingError, match="there is no folder"):
+    with pytest.raises(RecordingError, match="No such file or directory"):
         BagWriter(tmp_path / "none" / "a.mcap")
     path = bag(tmp_path / "a.mcap", COMMAND, TENSIONS)
     monkeypatch.setattr(mcap_file, "MAX_FILE_BYTES", 10)

@@ -203,6 +203,20 @@ def test_a_length_beyond_the_file_is_a_cut_and_other_places_are_refused(tmp_path
         list(McapMessages(tmp_path / "pipe.mcap"))
 
 
+def test_a_file_that_cannot_be_begun_leaves_the_former_one(tmp_path, monkeypatch):
+    def full(self, target):
+        raise OSError(28, "No space left on device")
+
+    path = tmp_path / "a.mcap"
+    path.write_text("former")
+    with pytest.raises(RecordingError, match="exists already"):
+        TopicFile(path, growing=True, force=False)
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(RecordingError, match="No space left"):
+        TopicFile(path, growing=True)
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("a.mcap", "former")]
+
+
 ENDLESS = """
 import sys, time
 from cablesense_gap.recordings.mcap_messages import TopicFile

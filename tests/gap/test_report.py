@@ -94,8 +94,8 @@ def test_the_first_line_is_the_verdict(page):
 
 def test_it_says_what_to_do_and_shows_figures(page):
     for words in (
-        "Use the amended arm file arm.yaml",
-        "cablesense train --arm arm.yaml",
+        "Use the amended arm file amended_arm.yaml",
+        "cablesense train --arm amended_arm.yaml",
         "Load segment 2 downwards.",
         "0.400",
         "0.380 to 0.420",
@@ -148,10 +148,16 @@ def test_it_is_written_whole_small_and_the_same_each_time(tmp_path, html):
     assert {file.name for file in tmp_path.iterdir()} == {
         "report.html",
         "verdict.json",
-        "arm.yaml",
+        "amended_arm.yaml",
     }
     assert path.stat().st_size < 3_000_000
     assert path.read_text(encoding="utf-8") == html
+
+
+def test_an_arm_file_of_the_user_stays(tmp_path):
+    (tmp_path / "arm.yaml").write_text("mine")
+    write_diagnosis(tmp_path, found(PAYLOAD))
+    assert (tmp_path / "arm.yaml").read_text() == "mine"
 
 
 def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
@@ -322,8 +328,9 @@ def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
     diagnosis = replace(found(PAYLOAD, findings=("cable_3 stands still",)), amended=heavier)
     write_diagnosis(folder, diagnosis)
     assert read_verdict(folder / "verdict.json") == PAYLOAD
-    assert load_arm(folder / "arm.yaml") == heavier
-    headline = (folder / "arm.yaml").read_text(encoding="utf-8").splitlines()[0]
+    amended = folder / "amended_arm.yaml"
+    assert load_arm(amended) == heavier
+    headline = amended.read_text(encoding="utf-8").splitlines()[0]
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert headline.removeprefix("# ") in page
     assert "cable_3 stands still" in page

@@ -1,6 +1,7 @@
 """The report: a page that stands alone, and a folder claimed first and written whole."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -91,6 +92,10 @@ def test_a_folder_that_holds_something_is_refused(tmp_path):
     (tmp_path / "mine.txt").touch()
     with pytest.raises(PaperError, match="is not empty"):
         claim_folder(tmp_path)
+    claim_folder(tmp_path, force=True)
+    os.mkfifo(tmp_path / "report.html")
+    with pytest.raises(PaperError, match="is a device or a pipe"):
+        claim_folder(tmp_path, force=True)
 
 
 def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path):

@@ -104,7 +104,7 @@ def test_silence_is_reported_and_leaves_no_file(tmp_path, monkeypatch, capfd):
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("a.csv", "must be named"), ("there.mcap", "exists already"), ("no/a.mcap", "no folder")],
+    [("a.csv", "must be named"), ("there.mcap", "exists already"), ("no/a.mcap", "No such file")],
 )
 def test_a_name_that_cannot_be_is_one_line(name, remedy, tmp_path):
     (tmp_path / "there.mcap").write_text("kept", encoding="utf-8")
