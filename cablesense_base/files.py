@@ -99,7 +99,7 @@ def output_file(
             raise OSError(errno.EACCES, "is read-only")
         if not os.access(place.parent, os.W_OK | os.X_OK):
             raise OSError(errno.EACCES, os.strerror(errno.EACCES))
-        read = [one.stat() for one in map(Path, filter(None, inputs)) if one.exists()]
+        read = [Path(name).stat() for name in inputs if name and Path(name).exists()]
     except (OSError, ValueError) as error:
         raise _not_written(path, error, refusal) from error
     if there is not None:
