@@ -37,8 +37,10 @@ EXTRAS = {
     ],
     "page": [
         "matplotlib",  # the picture of a headless demo, pictures of an evaluation
+        "msgspec",  # reads what a browser sends, before viser does
         "trimesh",  # the meshes of the arm on the page
         "viser",  # the 3D page in the browser
+        "websockets",  # viser's server, whose requests are checked
     ],
     "gap": [
         "jinja2",  # the report's page
@@ -72,7 +74,6 @@ EXTRAS = {
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml
         "types-protobuf",  # types of google.protobuf, which those of onnx build on
-        "websockets",  # drives a real Chromium in the page's test
     ],
 }
 

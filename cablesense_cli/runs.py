@@ -39,6 +39,9 @@ def demo(
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port of the page; when busy, the next free one.")
     ] = 8080,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Do not open the page in your browser.")
+    ] = False,
     headless: Annotated[
         bool,
         typer.Option(
@@ -85,9 +88,10 @@ def demo(
     pushes, or of the wall, runs for a minute.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
-    options = DemoOptions(arm, model, host, port, out, seed, source, controller)
+    options = DemoOptions(arm, model, host, port, out, seed, source, controller, not no_open)
     if headless:
-        refuse_given(context, ("host", "port"), "with --headless, which serves no page")
+        given = ("host", "port", "no_open")
+        refuse_given(context, given, "with --headless, which serves no page")
         run_headless(options, duration_s=duration, as_json=json_output)
     else:
         refuse_given(context, ("duration", "json_output"), "without --headless")

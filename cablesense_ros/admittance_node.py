@@ -44,7 +44,7 @@ from cablesense_ros.node_process import (
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.dynamics import checked_command
+from cablesense_sim.equilibrium import checked_command
 
 SILENCE_CHECK_S = 0.02
 """How often silence of the estimator is checked for."""

@@ -19,6 +19,7 @@ from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_ros.node_process import RefusalLog, of_node, overridable
 from cablesense_sim.arm import Arm
+from cablesense_sim.equilibrium import checked_command
 
 Moment = TypeVar("Moment")
 
@@ -61,10 +62,15 @@ class ArmClient:
         return self._commands.get_subscription_count() >= LISTENERS
 
     def command(self, joint_angles_rad: Array) -> None:
-        """Send joint angles (2N,)."""
+        """Send joint angles (2N,).
+
+        Raises:
+            EquilibriumError: not finite, or a bend at which guide plates would touch.
+        """
+        command = checked_command(self._live.mechanism, joint_angles_rad)
         message = JointState(name=self._joint_names)
         message.header.stamp = self._node.get_clock().now().to_msg()
-        put_joint_angles(message, joint_angles_rad)
+        put_joint_angles(message, command)
         self._commands.publish(message)
 
     def push(self, segment: int, angle_deg: float, magnitude_n: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -43,8 +44,10 @@ class PageNode(Node):
         )
         self._client = ArmClient(self, arm, self._live, estimator)
         self._tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
-        actions = Actions(self._push, self._client.command, self._ask_for_tare)
-        self._page = Page(arm, actions if given["controls"] else None, host=host, port=port)
+        push = self._noting("Not pushed", self._client.push)
+        command = self._noting("Not moved", self._client.command)
+        self._actions = Actions(push, command, self._ask_for_tare)
+        self._page = Page(arm, self._actions if given["controls"] else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
         if warning := exposure_warning(host, self._page.port, given["controls"]):
@@ -64,11 +67,16 @@ class PageNode(Node):
             self._client.command(self._home_rad)
         self._page.show(self._live.snapshot(time.monotonic()))
 
-    def _push(self, segment: int, angle_deg: float, magnitude_n: float) -> None:
-        try:
-            self._client.push(segment, angle_deg, magnitude_n)
-        except CableSenseError as error:
-            self._page.notify("Not pushed", str(error))
+    def _noting(self, title: str, act: Callable[..., None]) -> Callable[..., None]:
+        """The action, whose refusal is shown on the page."""
+
+        def try_to_act(*values: Any) -> None:
+            try:
+                act(*values)
+            except CableSenseError as error:
+                self._page.notify(title, str(error))
+
+        return try_to_act
 
     def _ask_for_tare(self) -> None:
         if not self._tare.service_is_ready():

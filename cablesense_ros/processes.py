@@ -100,6 +100,7 @@ class Process:
 
     def start(self) -> None:
         """Start it, or start it again after its end."""
+        self._log.touch(mode=0o600)  # the page's token is in its log
         with self._log.open("ab") as sink:
             self.started_s = time.monotonic()
             self.child = subprocess.Popen(

@@ -17,14 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablesense_base.arrays import Array
-from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Actuation
 from cablesense_sim.effects.registry import actuations, amended, transmissions
-from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.equilibrium import (
+    EquilibriumError,
+    checked_command,
+    held_lengths_m,
+    solve_equilibrium,
+)
 from cablesense_sim.loads import LoadError
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 from cablesense_sim.quasi_static import QuasiStaticArm
 
@@ -284,24 +287,3 @@ class RestToRestArm(_CommandedArm):
             self._tensions_n = tensions[0]
         except EquilibriumError:
             self._tensions_n = np.full(self.arm.cable_count, np.nan)
-
-
-def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
-    """Joint angles (2N,) as an array.
-
-    Raises:
-        EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
-    """
-    command = np.asarray(joint_angles_rad, dtype=float)
-    if command.shape != (mechanism.joint_count,) or not np.isfinite(command).all():
-        raise EquilibriumError(
-            f"a command is {mechanism.joint_count} finite joint angles in rad, not {command!r}"
-        )
-    bend, limit = kinematics.bend_rad(command), mechanism.bend_limit_rad
-    if (bend >= limit).any():
-        joint = int(np.argmax(bend - limit))
-        raise EquilibriumError(
-            f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
-            f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
-        )
-    return command.copy()

@@ -121,6 +121,28 @@ def held_lengths_m(mechanism: Mechanism, command_rad: ArrayLike) -> Array:
     return np.asarray(kinematics.spans(mechanism, command).length_m.sum(-1) - straight)
 
 
+def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
+    """Joint angles (2N,) that the arm can be commanded to.
+
+    Raises:
+        EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
+    """
+    command = np.asarray(joint_angles_rad, dtype=float)
+    if command.shape != (mechanism.joint_count,) or not np.isfinite(command).all():
+        raise EquilibriumError(
+            f"a command is {mechanism.joint_count} finite joint angles in rad, not {command!r}"
+        )
+    turns = np.abs(command).reshape(-1, 2).max(axis=1)  # no axis goes round to where it was
+    bend, limit = np.maximum(kinematics.bend_rad(command), turns), mechanism.bend_limit_rad
+    if (bend >= limit).any():
+        joint = int(np.argmax(bend - limit))
+        raise EquilibriumError(
+            f"commanded bend of joint {joint + 1} is {np.rad2deg(bend[joint]):.1f} degrees; "
+            f"its guide plates touch at {np.rad2deg(limit[joint]):.1f}"
+        )
+    return command.copy()
+
+
 def stiffness_matrix_n_m(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
 ) -> Array:

@@ -17,6 +17,7 @@ from cablesense_msgs_py.messages import Level, Load, NamedOrder, joint_command_r
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import contact_angle_deg, normal_force_n
@@ -162,8 +163,8 @@ DIAGNOSTICS_STALE_S = 4.0
 class LiveArm:
     """Collects messages and gives a Snapshot of the present; safe to call from several threads.
 
-    Methods named `on_…` take a message and raise ContractError when it breaks the contract. Times
-    are of one monotonic clock, s.
+    Methods named `on_…` take a message and raise CableSenseError when it breaks the contract, or
+    commands what the arm cannot do. Times are of one monotonic clock, s.
     """
 
     def __init__(
@@ -202,7 +203,7 @@ class LiveArm:
 
     def on_joint_commands(self, message: Any) -> None:
         """Takes a `joint_commands` message: contact angles are counted at the commanded pose."""
-        command = joint_command_rad(message, self._joints)
+        command = checked_command(self.mechanism, joint_command_rad(message, self._joints))
         with self._lock:
             self._motion.go_to(command)
 

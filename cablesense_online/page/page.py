@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import secrets
 import socket
 import threading
 import time
@@ -19,9 +20,9 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
 from cablesense_online.page import drawing, panel
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
+from cablesense_online.page.guard import PageError, guarded_server
 from cablesense_online.page.live_arm import Contact, Score, Snapshot
 from cablesense_online.page.panel import Actions, Controls, TracePlot
 from cablesense_sim.arm import Arm
@@ -33,12 +34,15 @@ _NUMBERS_EVERY_S = 0.15
 _PORT_TRIES = 20
 
 
-class PageError(CableSenseError):
-    """The page cannot be served."""
-
-
 class Page:
-    """A live view of an arm, served on `port` until `close`."""
+    """A live view of an arm, served until `close` to those who have its `url`.
+
+    The visitor who has been there longest commands, the others watch.
+
+    Attributes:
+        port: that is served on.
+        url: where a browser finds the page; with the token, without which it is refused.
+    """
 
     def __init__(
         self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
@@ -46,13 +50,14 @@ class Page:
         """Starts serving; without `actions` the page only shows.
 
         Raises:
-            PageError: no port from `port` on can be bound on `host`.
+            PageError: no port from `port` on can be bound on `host`, or viser cannot be guarded.
         """
         mechanism = mechanism_of(arm)
-        self.port = free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(host=host, port=self.port, verbose=False)
-        self._host = host
+        token = secrets.token_urlsafe(16)
+        self._server = guarded_server(host, free_port(host, port), token)
+        self.port = self._server.get_port()
+        shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+        self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/{token}/"
         self._score = Score()
         self._lock = threading.Lock()
         self._numbers_due_s = 0.0
@@ -68,8 +73,6 @@ class Page:
         server.initial_camera.fov = 0.75
         server.initial_camera.near = 0.01
         self._scene = _ArmScene(server.scene, mechanism)
-        if actions is not None:
-            self._controls = Controls(server.gui, arm.segment_count, actions)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(320)
         dock = server.gui.add_panel()
@@ -85,12 +88,13 @@ class Page:
             server.gui.add_html(panel.style_html() + legend)
         dock.dock_left()
         dock.set_width(400)
-
-    @property
-    def url(self) -> str:
-        """Where a browser finds the page."""
-        host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self.port}"
+        self._controls: Controls | None = None
+        self._joints_deg = [0.0] * mechanism.joint_count
+        self._commander = -1
+        self._visitors: dict[int, viser.GuiHtmlHandle] = {}
+        if actions is not None:
+            for on_change in (server.on_client_connect, server.on_client_disconnect):
+                on_change(lambda _: self._assign_controls(mechanism, actions))
 
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment: the scene every time, numbers and traces a few times a second."""
@@ -109,6 +113,28 @@ class Page:
         if time.monotonic() >= self._numbers_due_s:
             self._numbers_due_s = time.monotonic() + _NUMBERS_EVERY_S
             self._show_numbers(snapshot, scale_n)
+
+    def _assign_controls(self, mechanism: Mechanism, actions: Actions) -> None:
+        """Gives the controls to who has been there longest, and shows everyone who that is.
+
+        Controls are of one browser alone: what others send finds none.
+        """
+        with self._lock:
+            clients = self._server.get_clients()
+            self._visitors = {
+                number: self._visitors.get(number) or client.gui.add_html("")
+                for number, client in clients.items()
+            }
+            if self._commander not in clients and self._controls is not None:
+                self._controls.close()
+                self._joints_deg = self._controls.joints_deg
+                self._controls = None
+            if self._controls is None and clients:
+                self._commander = min(clients)
+                gui = clients[self._commander].gui
+                self._controls = Controls(gui, mechanism, actions, self._joints_deg)
+            for number, shown in self._visitors.items():
+                shown.content = panel.visitors_html(number + 1, self._commander + 1, len(clients))
 
     def _reset_errors(self) -> None:
         with self._lock:
@@ -166,8 +192,8 @@ def exposure_warning(host: str, port: int, controls: bool) -> str:
             return ""
     what = "see and move the arm" if controls else "see the arm"
     return (
-        f"the page is served on {host}, port {port}, without a password: everyone who reaches "
-        f"this machine can {what}"
+        f"the page is served on {host}, port {port}, without encryption: whoever is given its "
+        f"address, or listens in on the way, can {what}"
     )
 
 

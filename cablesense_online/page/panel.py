@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -45,39 +47,77 @@ class Actions:
 
 
 class Controls:
-    """Sliders and buttons in the main panel; what a person sets goes to `Actions`."""
+    """Sliders and buttons in the main panel; what a person sets goes to `Actions`.
 
-    def __init__(self, gui: viser.GuiApi, segment_count: int, actions: Actions) -> None:
+    A browser may send any number for a slider, which is brought into the slider's range, and any
+    text for a segment, which does nothing unless it is one.
+
+    Attributes:
+        joints_deg: (2N,) the joint angles that were asked for last.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        mechanism: Mechanism,
+        actions: Actions,
+        joints_deg: Sequence[float],
+    ) -> None:
+        """`joints_deg` (2N,) is where the joints' sliders begin."""
         self._actions = actions
-        self._pushing = False
+        self._pushing = self._closed = False
+        self._lock = threading.RLock()
+        self.joints_deg = list(joints_deg)
+        segments = [str(n) for n in range(1, mechanism.segment_count + 1)]
         with gui.add_folder("Push the arm"):
-            self._segment = gui.add_dropdown(
-                "segment",
-                [str(n) for n in range(1, segment_count + 1)],
-                initial_value=str(segment_count),
-            )
+            self._segment = gui.add_dropdown("segment", segments, initial_value=segments[-1])
             self._angle = gui.add_slider(
                 "angle, °", 0, 355, 5, 215, hint="direction of the force: 0° up, 90° to +y"
             )
             self._newtons = gui.add_slider("force, N", 0, int(FORCE_LIMIT_N), 1, 60)
             self._button = gui.add_button("Push", color="orange", icon=viser.Icon.HAND_FINGER)
+        limit_deg = joint_limit_deg(mechanism)
         with gui.add_folder("Move the joints", expand_by_default=True):
             self._joints = [
-                gui.add_slider(f"joint {n} {axis}, °", -JOINT_LIMIT_DEG, JOINT_LIMIT_DEG, 0.5, 0.0)
-                for n in range(1, segment_count + 1)
-                for axis in ("pitch", "yaw")
+                gui.add_slider(
+                    f"joint {1 + n // 2} {'yaw' if n % 2 else 'pitch'}, °",
+                    min=-limit_deg,
+                    max=limit_deg,
+                    step=0.5,
+                    initial_value=angle_deg,
+                )
+                for n, angle_deg in enumerate(joints_deg)
             ]
             home = gui.add_button("Home", icon=viser.Icon.HOME)
         with gui.add_folder("Estimator"):
             hint = "takes the present tensions as the unloaded state"
             tare = gui.add_button("Tare", icon=viser.Icon.SCALE, hint=hint)
-        self._button.on_click(lambda _: self._toggle())
+        self._button.on_click(self._act(lambda _: self._toggle()))
         for handle in (self._segment, self._angle, self._newtons):
-            handle.on_update(lambda _: self._send_push() if self._pushing else None)
+            handle.on_update(self._act(lambda _: self._send_push() if self._pushing else None))
         for joint in self._joints:
-            joint.on_update(lambda event: self._send_command() if event.client else None)
-        home.on_click(lambda _: self._go_home())
-        tare.on_click(lambda _: actions.tare())
+            joint.on_update(
+                self._act(lambda event: self._send_command() if event.client else None)
+            )
+        home.on_click(self._act(lambda _: self._go_home()))
+        tare.on_click(self._act(lambda _: actions.tare()))
+
+    def close(self) -> None:
+        """Let go of the arm; nothing that is still under way from the browser does anything."""
+        with self._lock:
+            self._closed = True
+            if self._pushing:
+                self._actions.push(1, 0.0, 0.0)
+
+    def _act(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
+        """One at a time, as viser calls from many threads, and none after `close`."""
+
+        def act(event: Any) -> None:
+            with self._lock:
+                if not self._closed:
+                    handle(event)
+
+        return act
 
     def _toggle(self) -> None:
         self._pushing = not self._pushing
@@ -87,16 +127,33 @@ class Controls:
 
     def _send_push(self) -> None:
         """The push as the sliders stand; 0 N unless the button is down."""
-        force_n = float(self._newtons.value) if self._pushing else 0.0
-        self._actions.push(int(self._segment.value), float(self._angle.value), force_n)
+        if self._segment.value not in self._segment.options:
+            return
+        force_n = _within(self._newtons) if self._pushing else 0.0
+        self._actions.push(int(self._segment.value), _within(self._angle), force_n)
 
     def _send_command(self) -> None:
-        self._actions.command(np.deg2rad([float(joint.value) for joint in self._joints]))
+        self.joints_deg = [_within(joint) for joint in self._joints]
+        self._actions.command(np.deg2rad(self.joints_deg))
 
     def _go_home(self) -> None:
         for joint in self._joints:
             joint.value = 0.0  # type: ignore[misc]  # mypy takes viser's setter for none
         self._send_command()
+
+
+def _within(slider: viser.GuiSliderHandle[Any]) -> float:
+    """The slider's value, brought into its range where a browser sent one outside."""
+    value = float(min(max(slider.value, slider.min), slider.max))
+    slider.value = value  # type: ignore[misc]
+    return value
+
+
+def joint_limit_deg(mechanism: Mechanism) -> float:
+    """How far sliders turn: no guide plates touch, even with both axes of a joint so far."""
+    bend_rad = float(mechanism.bend_limit_rad.min())
+    both_deg = math.degrees(math.acos(math.sqrt(max(0.0, math.cos(bend_rad)))))
+    return min(JOINT_LIMIT_DEG, math.ceil(2.0 * both_deg) / 2.0 - 0.5)
 
 
 _GREY = "#8a93a3"
@@ -116,6 +173,19 @@ def style_html() -> str:
 
 def _panel(content: str) -> str:
     return f"<div class='cablesense'>{content}</div>"
+
+
+def visitors_html(visitor: int, commander: int, count: int) -> str:
+    """Who of `count` visitors commands; visitors are numbered from 1 as they come."""
+    if visitor == commander:
+        others = {1: "nobody else watches", 2: "one other watches"}
+        text = f"<b>You command the arm</b>, {others.get(count, f'{count - 1} others watch')}."
+    else:
+        text = (
+            f"<b>Visitor {commander} commands the arm</b>; you are visitor {visitor} and watch. "
+            "When those before you leave, the controls are yours."
+        )
+    return _panel(f"<div id='cablesense-visitors'>{text}</div>")
 
 
 def status_html(status: Status) -> str:

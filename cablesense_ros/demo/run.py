@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import time
+import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from rich.console import Console
 from rich.table import Table
@@ -60,7 +63,13 @@ DEMO_FILES = ("demo.png", "admittance.png", "logs/*.log")
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """The command's options; `model` empty is the arm's own, `out` holds logs and picture."""
+    """The command's options.
+
+    Attributes:
+        model: empty is the arm's own.
+        out: holds logs and picture.
+        open_page: in a browser, where there is a screen.
+    """
 
     arm: str = "cdsm"
     model: str = ""
@@ -70,6 +79,7 @@ class DemoOptions:
     seed: int = 0
     source: Source = Source.SIM
     controller: Controller = Controller.NONE
+    open_page: bool = False
 
 
 def run_live(options: DemoOptions) -> None:
@@ -86,13 +96,16 @@ def run_live(options: DemoOptions) -> None:
         *names, last = (process.name for process in processes)
         print(f"Starting {', '.join(names)} and {last} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
-        busy = "" if url.endswith(f":{options.port}") else f" (port {options.port} is busy)"
+        port = urlsplit(url).port or 0
+        busy = "" if port == options.port else f" (port {options.port} is busy)"
         from cablesense_online.page.page import exposure_warning
 
-        warning = exposure_warning(options.host, int(url.rpartition(":")[2]), controls=True)
+        warning = exposure_warning(options.host, port, controls=True)
         if warning:
             print(f"Warning: {warning}.", flush=True)
         print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
+        if options.open_page:
+            _open_in_browser(url)
         processes.run_until_one_ends()
 
 
@@ -254,6 +267,13 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
 
 def _nodes(options: DemoOptions, live: bool) -> Processes:
     return Processes(node_commands(options, live), options.out / "logs", own_graph())
+
+
+def _open_in_browser(url: str) -> None:
+    """Where there is a screen; elsewhere a browser of the terminal would take that."""
+    screens = (os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY"))
+    if sys.platform != "linux" or any(screens):
+        webbrowser.open(url)
 
 
 def _terminate(*_: object) -> None:

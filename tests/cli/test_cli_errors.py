@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from urllib.request import urlopen
 
 import pytest
 from typer.testing import CliRunner
@@ -168,7 +169,7 @@ def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
     pytest.importorskip("rclpy", reason="needs rclpy")
     pytest.importorskip("viser", reason="needs viser")
     process = subprocess.Popen(
-        [*COMMAND, "demo", "--port", "18480", "--out", str(tmp_path)],
+        [*COMMAND, "demo", "--port", "18480", "--no-open", "--out", str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -176,7 +177,10 @@ def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
     )
     with process:
         line = next(line for line in process.stdout if "http://" in line)
-        assert re.search(r"open http://127\.0\.0\.1:\d+ in a browser", line)
+        url = re.search(r"open (http://127\.0\.0\.1:\d+/[\w-]{22}/) in a browser", line)[1]
+        with urlopen(url) as answer:
+            assert answer.status == 200
+        assert (tmp_path / "logs/page.log").stat().st_mode & 0o077 == 0
         children = child_pids(process.pid)
         assert len(children) == 3
         process.send_signal(number)

@@ -12,6 +12,7 @@ from cablesense_cli.options import OptionError, refuse_given
     ("arguments", "option"),
     [
         ("demo --headless --port 9000", "--port"),
+        ("demo --headless --no-open", "--no-open"),
         ("demo --headless --host 0.0.0.0 --controller admittance", "--host"),
         ("demo --duration 10", "--duration"),
         ("demo --json --controller admittance --source can", "--json"),

@@ -88,6 +88,13 @@ def test_a_load_in_an_unknown_frame_is_refused(live, frame):
     assert live.snapshot(0.0).true is None
 
 
+def test_a_command_that_the_arm_refuses_is_not_shown(live):
+    with pytest.raises(CableSenseError, match="plates touch"):
+        live.on_joint_commands(Message(name=list(ARM.joint_names), position=[0.6] + [0.0] * 7))
+    for now_s in (0.0, 30.0):
+        assert not live.snapshot(now_s).joint_angles_rad.any()
+
+
 @pytest.mark.parametrize("force", [float("nan"), float("inf"), -1.0])
 def test_a_push_that_is_no_number_is_refused(live, force):
     with pytest.raises(CableSenseError):

@@ -6,6 +6,7 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from small_models import small_model, written
 
+from cablesense_ros.demo import run
 from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
 
 SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
@@ -30,6 +31,18 @@ def test_source_and_controller_are_honoured_in_every_combination(
         assert link in commands["can_emulator"]
         assert link in commands["can_driver"]
         assert "cable_tensions:=simulated_tensions" in commands["sim"]
+
+
+@pytest.mark.parametrize(
+    ("screens", "opened"), [({}, []), ({"DISPLAY": ":0"}, ["http://page/"])], ids=["none", "X"]
+)
+def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
+    found = []
+    monkeypatch.setattr(run.webbrowser, "open", found.append)
+    monkeypatch.setattr(run.sys, "platform", "linux")
+    monkeypatch.setattr(run.os, "environ", screens)
+    run._open_in_browser("http://page/")
+    assert found == opened
 
 
 @pytest.mark.ros

@@ -1,5 +1,9 @@
-"""A wrong parameter ends a node with one line; a wrong file leaves it unconfigured."""
+"""A wrong parameter ends a node with one line; a wrong file leaves it unconfigured.
 
+A command that the arm cannot do is refused by each node that takes commands.
+"""
+
+import math
 from importlib import import_module
 
 import pytest
@@ -7,16 +11,22 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
 import rclpy
+from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
 
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.estimator_node import EstimatorNode
 from cablesense_ros.processes import node_command
+from cablesense_sim.arm import open_arm
 
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
+
+
+ARM = open_arm("cdsm")
 
 
 @pytest.mark.parametrize(
@@ -69,3 +79,29 @@ def test_a_wrong_file_leaves_a_lifecycle_node_unconfigured(make, parameters, rea
     assert "cannot configure" in printed
     assert reason in printed
     assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize("name", ["sim", "admittance"])
+def test_what_the_arm_cannot_do_is_refused_with_one_warning_a_second(name):
+    graph, node = Graph(), NodeProcess(f"cablesense_ros.{name}_node")
+    try:
+        graph.until(graph.command.get_subscription_count, "a subscriber of commands")
+        for _ in range(20):
+            for angle_rad in (math.nan, math.radians(1e6), 0.6):
+                message = JointState(name=list(ARM.joint_names), position=[0.0, angle_rad] * 4)
+                graph.command.publish(message)
+        for reason in ("finite and within", "guide plates touch"):
+            graph.until(lambda reason=reason: reason in node.log, reason)
+        graph.spin(0.3)
+        assert node.log.count("refused") <= 4
+        status = {"sim": "sim: simulation", "admittance": "admittance: control"}[name]
+        graph.until(lambda: status in graph.statuses, "diagnostics")
+        values = {one.key: one.value for one in graph.statuses[status].values}
+        if name == "sim":
+            graph.until(lambda: graph.tensions, "tensions")
+            assert max(graph.tensions[-1].effort) < 100.0
+        else:
+            assert set(values["home (deg)"].split(", ")) == {"0.000"}
+    finally:
+        node.stop()
+        graph.close()

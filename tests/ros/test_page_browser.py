@@ -1,5 +1,7 @@
 """The page in a real Chromium, over real DDS: it draws, and a push on it moves the estimate.
 
+One visitor commands while another watches, and another website gets nothing.
+
 Set CABLESENSE_PAGE_SCREENSHOT to a file name to keep a picture of the pushed arm.
 """
 
@@ -10,21 +12,25 @@ import os
 import re
 import shutil
 import subprocess
+import threading
 import time
 import urllib.request
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Processes, node_command
-
 pytest.importorskip(
     "rclpy", reason="needs rclpy: install the extra `ros`, or source a ROS 2 Jazzy"
 )
 pytest.importorskip("viser", reason="needs viser: install the extra `page`")
-connect = pytest.importorskip("websockets.sync.client").connect
+
+from page_visitor import SUBPROTOCOL, Visitor
+from websockets.sync.client import connect
+
+from cablesense_ros.discovery import own_graph
+from cablesense_ros.processes import Processes, node_command
 
 pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow]
 
@@ -51,28 +57,11 @@ WIDTH, HEIGHT = (1600, 900) if PICTURE else (1200, 640)
 """Small unless a picture is wanted: Chromium renders in software, which costs by the pixel."""
 
 
-class Browser:
+class Tab:
     """One tab of a headless Chromium, driven through the DevTools protocol."""
 
-    def __init__(self, program, profile):
-        self._process = subprocess.Popen(
-            [program, f"--user-data-dir={profile}", *FLAGS],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        lines = []
-        for line in self._process.stderr:
-            lines.append(line)
-            found = re.search(r"DevTools listening on ws://([^/]+)/", line)
-            if found:
-                break
-        else:
-            pytest.fail(f"{program} did not start: {''.join(lines)[-500:]}")
-        with urllib.request.urlopen(f"http://{found[1]}/json") as answer:
-            tabs = json.load(answer)
-        tab = next(tab for tab in tabs if tab["type"] == "page")
-        self._socket = connect(tab["webSocketDebuggerUrl"], max_size=None)
+    def __init__(self, address):
+        self._socket = connect(address, max_size=None)
         self._count = 0
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -91,9 +80,10 @@ class Browser:
                 return answer["result"]
 
     def evaluate(self, script):
-        return self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get(
-            "value"
+        found = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
+        return found["result"].get("value")
 
     def wait_for(self, script, what, timeout_s=40.0):
         until = time.monotonic() + timeout_s
@@ -117,7 +107,41 @@ class Browser:
 
     def close(self):
         with contextlib.suppress(Exception):
-            self._socket.close()
+            self.call("Page.close")
+        self._socket.close()
+
+
+class Browser(Tab):
+    """A headless Chromium, and its first tab."""
+
+    def __init__(self, program, profile):
+        self._process = subprocess.Popen(
+            [program, f"--user-data-dir={profile}", *FLAGS],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        lines = []
+        for line in self._process.stderr:
+            lines.append(line)
+            found = re.search(r"DevTools listening on ws://([^/]+)/", line)
+            if found:
+                break
+        else:
+            pytest.fail(f"{program} did not start: {''.join(lines)[-500:]}")
+        self._tabs = f"http://{found[1]}/json"
+        with urllib.request.urlopen(self._tabs) as answer:
+            tabs = json.load(answer)
+        super().__init__(next(t for t in tabs if t["type"] == "page")["webSocketDebuggerUrl"])
+
+    def new_tab(self, url):
+        """Another tab, that shows a page."""
+        request = urllib.request.Request(f"{self._tabs}/new?{url}", method="PUT")
+        with urllib.request.urlopen(request) as answer:
+            return Tab(json.load(answer)["webSocketDebuggerUrl"])
+
+    def close(self):
+        super().close()
         self._process.terminate()
         self._process.wait(10)
         self._process.stderr.close()
@@ -140,6 +164,26 @@ def page_url(tmp_path_factory, browser_program):
     with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
         yield processes.wait_for_line("page", "page: ", 40.0)
         processes.check()
+
+
+@pytest.fixture
+def website():
+    """The address of another server of this machine, with an empty page."""
+
+    class Empty(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -244,3 +288,38 @@ def keep_screenshot(browser):
         )
         time.sleep(5.0)
         Path(PICTURE).write_bytes(browser.screenshot())
+
+
+OPENED = """new Promise(done => {
+    const socket = new WebSocket(%r, [%r]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+"""Whether a page gets a WebSocket of this address."""
+
+
+def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
+    address = page_url.replace("http", "ws").rstrip("/")
+    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
+    tab = browser.new_tab(website)
+    for path in (address, address.rpartition("/")[0]):
+        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
+    tab.close()
+
+
+VISITORS = "document.querySelector('#cablesense-visitors')?.innerText"
+
+
+def test_one_commands_and_the_next_does_when_they_leave(page_url, browser):
+    browser.wait_for(f"{VISITORS}.includes('nobody else watches')", "that nobody else watches")
+    other = Visitor(page_url)
+    browser.wait_for(f"{VISITORS}.includes('one other watches')", "that another watches")
+    browser.call("Page.navigate", url="about:blank")
+    while "Tare" not in other.read().controls:
+        pass
+    browser.call("Page.navigate", url=page_url)
+    browser.wait_for(f"{VISITORS}?.includes('you are visitor')", "who commands")
+    assert "Push the arm" not in browser.evaluate("document.body.innerText")
+    other.close()
+    browser.wait_for(f"{VISITORS}.startsWith('You command')", "that it commands")
+    browser.wait_for("document.body.innerText.includes('Push the arm')", "the controls")

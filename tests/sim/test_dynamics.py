@@ -134,6 +134,8 @@ def test_rigid_and_servo_actuators_come_to_the_same_rest() -> None:
         (np.full(8, np.nan), "8 finite joint angles"),
         (np.full(8, 0.9), "joint 1 is .* touch at 33.4"),
         ([0, 0, 0, 0, 0.4, 0.5, 0, 0], "joint 3"),
+        ([0, 0, 0, 0, 2.0 * np.pi, 0, 0, 0], "joint 3 is 360.0 degrees"),
+        ([0, 0, 0, 0, 3.1, 3.1, 0, 0], "joint 3"),
     ],
 )
 def test_impossible_commands_are_refused_and_change_nothing(
