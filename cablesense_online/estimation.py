@@ -18,6 +18,7 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import (
+    FollowedPublisher,
     InputHealth,
     ProblemKind,
     SampleCheck,
@@ -36,6 +37,7 @@ from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
+_STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
 
@@ -63,13 +65,13 @@ class Estimation:
     """Takes samples and commands as they come; gives no force from what cannot be trusted.
 
     An answer follows from the samples in order and from what changed between them, never from when
-    they arrived: the clock decides only whether a sample is accepted at all. Changes count from
-    the next accepted sample, whose answer carries the new state; `restore` makes another object
-    give the same answers from there on.
+    they arrived: that decides only whether a sample is accepted at all, and whether its clock was
+    set, which is a change. Changes count from the next accepted sample, whose answer carries the
+    new state; `restore` makes another object give the same answers from there on.
 
     Attributes:
         largest_force_n: of the contacts since the reporter last set it to zero, N.
-        clock, check, health: of the input.
+        publisher, clock, check, health: of the input.
         gate: the command in force, and whether the arm moves.
         tares: the unloaded state.
         command_received: whether any joint command has come; until then the arm is assumed to be
@@ -97,6 +99,7 @@ class Estimation:
         unloaded = UnloadedTensions(arm)
         self._contact_m = unloaded.mechanism.contact_m.tolist()
         self.clock = SampleClock(settings.stale_after_s)
+        self.publisher = FollowedPublisher(self.clock)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
         self.health = InputHealth(self.clock, now_s)
         self.gate = MotionGate(straight, speed_rad_s, settings.settle_s)
@@ -114,6 +117,25 @@ class Estimation:
         self._events: list[Event] = []
         self._note_start()
 
+    def follow(self, number: int, now_s: float) -> bool:
+        """Whether another publisher is followed from the sample with this number of its own on.
+
+        To be called before `sample`, where several may publish, at monotonic time `now_s`.
+
+        Raises:
+            SampleError: it is not a sample of the followed publisher, so there is no answer to it.
+        """
+        try:
+            another = self.publisher.accept(number, now_s)
+        except SampleError as problem:
+            self.health.refused(problem)
+            raise
+        if another:
+            self.gate.wait_anew()
+            self.tares.forget_readings()
+            self._events.append(Event(EventKind.PUBLISHER))
+        return another
+
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Answer:
         """The answer to one serialized `JointState` of tensions.
 
@@ -125,9 +147,9 @@ class Estimation:
             message = self._reader.read(raw)
             self.clock.accept(message.stamp_ns, now_ns)
             stamp_ns = message.stamp_ns or now_ns
-            moving = self.gate.moving(stamp_ns)
-            if self.gate.stepped_back:
-                self._events.append(Event(EventKind.CLOCK))
+            moving = self.gate.moving(stamp_ns, now_ns, now_s)
+            if self.gate.step:
+                self._events.append(Event(_STEPS[self.gate.step]))
             if self._events:
                 state = self._changed_state(stamp_ns)
             stage = ProblemKind.NAMES
@@ -214,6 +236,7 @@ class Estimation:
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
         self.health = InputHealth(self.clock, now_s)
+        self.publisher = FollowedPublisher(self.clock)
         self.tares.forget_readings()
         self._model.restart(self.gate.command_rad)
         self._note_start()

@@ -1,4 +1,4 @@
-"""Which tension samples can be used: stamps and values are checked, and what came is counted.
+"""Which tension samples can be used: publisher, stamps and values are checked, and counted.
 
 No force is ever estimated from a sample that is refused here.
 """
@@ -20,6 +20,7 @@ from cablesense_msgs_py.messages import Level, Status
 class ProblemKind(Enum):
     """What is wrong with a sample; the value is its name in diagnostics."""
 
+    PUBLISHER = "of another publisher"
     MALFORMED = "malformed"
     CLOCK = "stale or from another clock"
     NAMES = "wrong names or length"
@@ -103,7 +104,8 @@ _PERIODS_KEPT, _FEWEST_PERIODS = 9, 3
 class SampleClock:
     """Refuses samples that are too old, from the future, or not newer than the one before.
 
-    Samples without a stamp (zero) are accepted, as sampled on arrival.
+    Samples without a stamp (zero) are accepted, as sampled on arrival, until one with a stamp has
+    come. Stamps may step back only where this machine's clock has.
 
     Attributes:
         stale_after_s: largest age that is accepted.
@@ -113,7 +115,7 @@ class SampleClock:
     def __init__(self, stale_after_s: float) -> None:
         self.stale_after_s = stale_after_s
         self.largest_age_s = 0.0
-        self._last_ns = self._accepted = 0
+        self._last_ns = self._last_now_ns = self._accepted = 0
         self._stamps_ns: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self._periods_ns: deque[float] = deque(maxlen=_PERIODS_KEPT)
         self._earliest = (0, 0)
@@ -125,6 +127,12 @@ class SampleClock:
             SampleError: the stamp cannot be that of a present sample.
         """
         if stamp_ns == 0:
+            if self._last_ns:
+                raise SampleError(
+                    ProblemKind.CLOCK,
+                    "header.stamp is 0, and samples with stamps have come: such a sample's age is "
+                    "unknown; stamp every sample",
+                )
             return
         age_s = (now_ns - stamp_ns) * 1e-9
         if abs(age_s) > self.stale_after_s:
@@ -134,13 +142,15 @@ class SampleClock:
                 f"header.stamp is {abs(age_s):.3f} s {where}; at most {self.stale_after_s:g} s is "
                 "accepted (synchronise the clocks; for a replay set use_sim_time)",
             )
-        if 0 <= self._last_ns - stamp_ns < self.stale_after_s * 1e9:
+        behind_ns = self._last_ns - stamp_ns
+        stepped_back = now_ns < self._last_now_ns and behind_ns >= self.stale_after_s * 1e9
+        if behind_ns >= 0 and not stepped_back:
             raise SampleError(
                 ProblemKind.CLOCK,
-                f"header.stamp lies {(self._last_ns - stamp_ns) * 1e-9:.6f} s before that of the "
+                f"header.stamp lies {behind_ns * 1e-9:.6f} s before that of the "
                 "last sample; stamps must ascend (is there more than one publisher?)",
             )
-        self._last_ns = stamp_ns
+        self._last_ns, self._last_now_ns = stamp_ns, now_ns
         self._stamps_ns.append(stamp_ns)
         self._accepted += 1
         if age_s > self.largest_age_s:
@@ -173,6 +183,90 @@ class SampleClock:
         if len(self._periods_ns) < _FEWEST_PERIODS:
             return 0
         return max(0, round(elapsed_ns / float(np.median(self._periods_ns))) - count)
+
+
+_UNNUMBERED: Final = 2**64 - 1
+"""In place of a number where the middleware gives none."""
+_MOST_LOST: Final = 1000
+_OTHERS_KEPT = 16
+
+
+class FollowedPublisher:
+    """Whose samples are used: those of one publisher, never of two in turn.
+
+    rclpy gives no GID with a sample, but the number that its publisher gave it, which ascends by
+    1. The first publisher is followed. While it is alone its numbers ascend, samples may be lost;
+    while others are there, its next sample is exactly the next number, and where another's next
+    would have that number too, nobody can tell and none is used. One that begins at just the next
+    number is mistaken for it until the followed one's own next comes.
+
+    Another is followed once that one has left, or only others have published for the clock's
+    `stale_after_s`.
+    """
+
+    def __init__(self, clock: SampleClock) -> None:
+        self._clock = clock
+        self._publishers = 0
+        self._last: int | None = None
+        self._others: deque[int] = deque(maxlen=_OTHERS_KEPT)
+        self._others_since_s: float | None = None
+        self._one_was_followed = self._in_doubt = False
+
+    def matched(self, publishers: int) -> None:
+        """So many publishers are there now."""
+        self._publishers = publishers
+        if not publishers:
+            self._last = None
+
+    def accept(self, number: int, now_s: float) -> bool:
+        """Accept the sample with this number of its publisher, at monotonic time `now_s`.
+
+        Gives whether another publisher is followed from this sample on, or may be.
+
+        Raises:
+            SampleError: the sample is not of the followed publisher, or may not be.
+        """
+        last = self._last
+        if last is None:
+            return self._follow(number)
+        if self._others or self._publishers > 1:
+            if number != last + 1 or last in self._others:
+                return self._other(number, last, now_s)
+            self._last, self._others_since_s = number, None
+            if self._publishers < 2:
+                self._others.clear()
+            in_doubt, self._in_doubt = self._in_doubt, False
+            return in_doubt
+        if not last < number <= last + _MOST_LOST and number != _UNNUMBERED:
+            return self._other(number, last, now_s)
+        self._last = number
+        return False
+
+    def _other(self, number: int, last: int, now_s: float) -> bool:
+        """As `accept`, for a sample that is not the next after the followed publisher's `last`."""
+        if self._others_since_s is None:
+            self._others_since_s = now_s
+        elif now_s - self._others_since_s >= self._clock.stale_after_s:
+            return self._follow(number)
+        if number - 1 != last:  # else it may be the followed one's
+            if number - 1 in self._others:
+                self._others.remove(number - 1)
+            elif abs(number - last) < _MOST_LOST:
+                self._in_doubt = True  # which of the two was followed before
+            self._others.append(number)
+        raise SampleError(
+            ProblemKind.PUBLISHER,
+            f"its publisher's number {number}, where the followed publisher's last was {last}; "
+            "another is followed when that has been silent for "
+            f"{self._clock.stale_after_s:g} s: let one alone publish",
+        )
+
+    def _follow(self, number: int) -> bool:
+        another = self._one_was_followed or self._publishers > 1
+        self._one_was_followed, self._in_doubt = True, False
+        self._last, self._others_since_s = number, None
+        self._others.clear()
+        return another
 
 
 class InputHealth:
@@ -236,11 +330,11 @@ class InputHealth:
             return Level.STALE, "no sample received yet"
         if silence > self._clock.stale_after_s:
             return Level.STALE, f"no sample for {silence:.1f} s"
+        if publisher_count > 1:
+            return Level.ERROR, f"{publisher_count} publishers; one arm has one, and one is used"
         if self._refused:
             kinds = ", ".join(f"{count} {kind.value}" for kind, count in self._refused.items())
             return Level.ERROR, f"samples refused: {kinds}"
-        if publisher_count > 1:
-            return Level.WARN, f"{publisher_count} publishers; one arm has one"
         if missing:
             return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
         return Level.OK, "receiving"

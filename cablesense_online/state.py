@@ -17,8 +17,11 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
+from math import tau
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -27,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cablesense_base.errors import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import Count, Number, describe_problem
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.topics import ContractError
 from cablesense_sim.arm import Arm
 
@@ -70,6 +74,8 @@ class EventKind(Enum):
     TARE_UNDO = "tare undone"
     SETTINGS = "settings"
     CLOCK = "stamps stepped back"
+    CLOCK_AHEAD = "stamps stepped forward"
+    PUBLISHER = "another publisher"
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,8 @@ class EstimatorState(BaseModel):
         """Refuse to continue from this state with an arm of other joints or cables.
 
         Raises:
-            ContractError: a number of angles or tensions is not that of the arm.
+            ContractError: a number of angles or tensions is not that of the arm, or an angle is
+                more than a turn.
         """
         joints, cables = arm.joint_count, arm.cable_count
         lengths = (
@@ -132,6 +139,11 @@ class EstimatorState(BaseModel):
                 raise ContractError(
                     f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
                 )
+        widest_rad = max(map(abs, (*self.lowest_rad, *self.highest_rad)))
+        if widest_rad > tau:
+            raise ContractError(
+                f"journal: a joint at {widest_rad:g} rad; none turns by more than {tau:.3f}"
+            )
 
     def settings_text(self) -> dict[str, str]:
         """Origin and settings as one mapping, as both serialisations have them."""
@@ -261,9 +273,10 @@ class StateFile:
         """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
         self._path = Path(path) if str(path) else None
         self._within_s, self._now_s = within_s, now_s
-        self._pending: EstimatorState | None = None
-        self._kept = False
-        self._alive_s = float("-inf")
+        self._state: EstimatorState | None = None
+        self._written = self._ours = False
+        self._tried_s = float("-inf")
+        self._problem = ""
 
     def read(self, arm_identity: str) -> EstimatorState | None:
         """The state of an estimator of the same arm that was alive a moment ago; None without one.
@@ -296,31 +309,59 @@ class StateFile:
             )
         if not state.tared_n:
             raise StateFileError(f"{self._path}: its estimator had no tare")
-        self._kept = True
+        self._state, self._written, self._ours = state, True, True
         return state
 
     def keep(self, state: EstimatorState) -> None:
         """Take over the state that answers rest on from now on."""
-        self._pending = state
+        self._state, self._written = state, False
 
     def flush(self) -> None:
         """Write the state that was kept, or renew the file's time.
 
+        Where that fails the file is removed, as it holds an earlier state, or one whose estimator
+        seems to be dead; it is tried again every `ALIVE_PERIOD_S`.
+
         Raises:
             StateFileError: it cannot be written.
         """
-        if self._path is None:
-            return
         now_s = self._now_s()
-        if self._pending is not None:
-            values = self._pending.model_dump(exclude={"events", "origin"})
-            values["settings"] = self._pending.settings_text()
-            text = json.dumps({"format": FORMAT, **values}, indent=1)
-            write_atomically(self._path, text, StateFileError)
-            self._pending, self._kept, self._alive_s = None, True, now_s
-        elif self._kept and not 0.0 <= now_s - self._alive_s < ALIVE_PERIOD_S:
-            self._alive_s = now_s
-            try:
+        recently = 0.0 <= now_s - self._tried_s < ALIVE_PERIOD_S
+        done = self._written or bool(self._problem)
+        if self._path is None or self._state is None or (recently and done):
+            return
+        self._tried_s = now_s
+        try:
+            if self._written:
                 os.utime(self._path)
-            except OSError as error:
-                raise StateFileError(f"{self._path}: cannot be written ({error})") from error
+            else:
+                values = self._state.model_dump(exclude={"events", "origin"})
+                values["settings"] = self._state.settings_text()
+                text = json.dumps({"format": FORMAT, **values}, indent=1)
+                write_atomically(self._path, text, StateFileError)
+        except (OSError, StateFileError) as error:
+            cause = error if isinstance(error, StateFileError) else f"{self._path}: {error}"
+            self._problem = f"{cause}; {self._invalidated(self._path)}"
+            self._written = False
+            raise StateFileError(self._problem) from error
+        self._written, self._ours, self._problem = True, True, ""
+
+    def status(self) -> Status | None:
+        """Whether the present state is in the file; none where no file is wanted."""
+        if self._path is None:
+            return None
+        if self._problem:
+            return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
+        return Status("state file", Level.OK, f"the state is kept in {self._path}")
+
+    def _invalidated(self, path: Path) -> str:
+        """Leave no earlier state in the file; gives what a restart comes to, as text."""
+        started = "until it is, an estimator that is started again begins without tare"
+        if not self._ours:
+            return started
+        for spoil in (partial(path.unlink, missing_ok=True), partial(os.truncate, path, 0)):
+            with suppress(OSError):
+                spoil()
+                self._ours = False
+                return started
+        return "an earlier state stays in it: delete it before an estimator is started again"

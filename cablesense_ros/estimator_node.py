@@ -9,7 +9,11 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    QoSMessageLostInfo,
+    QoSSubscriptionMatchedInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -22,6 +26,7 @@ from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.models import load_model
+from cablesense_online.samples import SampleError
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
 from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.estimator_outputs import EstimatorOutputs
@@ -29,6 +34,7 @@ from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
     RefusalLog,
+    numbered,
     overridable,
     run_node,
 )
@@ -57,10 +63,12 @@ class EstimatorNode(ConfiguredNode):
         samples = self.create_subscription(
             JointState,
             topics.CABLE_TENSIONS,
-            self._on_sample,
+            numbered(self._on_sample),
             **overridable(SENSOR),
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=self._on_lost, matched=self._on_matched
+            ),
         )
         commands = self._refuse_command.subscribe(
             JointState, topics.JOINT_COMMANDS, COMMAND, self._estimation.command
@@ -121,8 +129,19 @@ class EstimatorNode(ConfiguredNode):
         self._inputs.close()
         super()._release()
 
-    def _on_sample(self, raw: bytes) -> None:
+    def _on_sample(self, raw: bytes, number: int) -> None:
         now_ns, now_s = self._now_ns(), time.monotonic()
+        try:
+            if self._estimation.follow(number, now_s):
+                self.get_logger().warning(
+                    f"{topics.CABLE_TENSIONS}: samples of another publisher, or of one of "
+                    "several, are used from now on; no estimate until the arm must have come to "
+                    "rest",
+                    throttle_duration_sec=WARN_EVERY_S,
+                )
+        except SampleError as problem:
+            self._refuse_sample(topics.CABLE_TENSIONS, problem)
+            return
         answer = self._estimation.sample(raw, now_ns, now_s)
         self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
         if answer.problem is not None:
@@ -171,7 +190,7 @@ class EstimatorNode(ConfiguredNode):
         try:
             self._state.flush()
         except CableSenseError as error:
-            self.get_logger().warning(
+            self.get_logger().error(
                 f"the state is not kept: {error}", throttle_duration_sec=WARN_EVERY_S
             )
         now_s = time.monotonic()
@@ -188,6 +207,9 @@ class EstimatorNode(ConfiguredNode):
 
     def _on_lost(self, event: QoSMessageLostInfo) -> None:
         self._lost += event.total_count_change
+
+    def _on_matched(self, event: QoSSubscriptionMatchedInfo) -> None:
+        self._estimation.publisher.matched(event.current_count)
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         if self._identity and any(p.name in LIVE_SETTINGS for p in parameters):
@@ -214,6 +236,7 @@ class EstimatorNode(ConfiguredNode):
                 in_motion=estimation.answers_in_motion,
             ),
             estimation.tares.status(),
+            *filter(None, [self._state.status()]),
         ]
         self._lost = self._refuse_command.count = 0
         return statuses

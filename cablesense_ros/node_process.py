@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
+from inspect import Parameter, Signature
 from typing import Any
 
 import rclpy
@@ -70,6 +71,24 @@ def overridable(qos: Qos) -> dict[str, Any]:
     """
     overriding = QoSOverridingOptions.with_default_policies()
     return {"qos_profile": qos_profile(qos), "qos_overriding_options": overriding}
+
+
+def numbered(handle: Callable[[bytes, int], object]) -> Callable[..., None]:
+    """A subscription's callback: `handle` gets each message with its publisher's number of it.
+
+    rclpy documents two arguments, message and information, and looks at the signature for that;
+    the events executor of rclpy 7.1 gives both as one tuple.
+    """
+
+    def take(message: Any, information: Any = None) -> None:
+        if information is None:
+            message, information = message
+        handle(message, information["publication_sequence_number"])
+
+    take.__signature__ = Signature(  # type: ignore[attr-defined]
+        [Parameter(name, Parameter.POSITIONAL_ONLY) for name in ("message", "information")]
+    )
+    return take
 
 
 def of_node(node_name: str, topic: str) -> str:

@@ -38,6 +38,7 @@ _ANSWER_S = 1.0
 _SETTLE_S = 0.5
 _POLL_S = 0.0005
 _SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
+_NOT_REPEATED = {EventKind.CLOCK_AHEAD, EventKind.PUBLISHER}
 _REPEATED = {EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
 
 
@@ -274,6 +275,10 @@ class _Player:
             elif event.kind is EventKind.START and begun:
                 self._report(
                     "the recorded estimator was started anew here; the one that runs is not"
+                )
+            elif event.kind in _NOT_REPEATED:
+                self._report(
+                    f"recorded here: {event.kind.value}; the estimator that runs does not see it"
                 )
 
     def _await_answers(self) -> None:

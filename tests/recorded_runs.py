@@ -76,7 +76,7 @@ class MadeRun:
             )
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
             raw = serialize_message(message)
-            answer = live.sample(raw, now, 0.0)
+            answer = live.sample(raw, now, i * STEP_NS * 1e-9)
             wrench = writers[answer.contact.segment].write(now, answer.contact.wrench)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
             self.records.append((topics.WRENCH, now + 400_000, wrench))

@@ -61,7 +61,7 @@ class EstimateWatch:
     def commanded(self, command_rad: Array, now_s: float) -> None:
         """A command (2N,) is in force; estimates from before it count no more."""
         if self._gate.command(command_rad):
-            self._gate.moving(round(now_s * 1e9))
+            self._moving(now_s)
             self._contact_s = float("-inf")
             self._probabilities_s.clear()
 
@@ -122,6 +122,10 @@ class EstimateWatch:
     def _estimate_s(self) -> float:
         return max((self._contact_s, *self._probabilities_s))
 
+    def _moving(self, now_s: float) -> bool:
+        now_ns = round(now_s * 1e9)
+        return self._gate.moving(now_ns, now_ns, now_s)
+
     def _silence(self, now_s: float) -> str:
         silent_s = now_s - self._fresh_s
         if silent_s > self._settings.stale_after_s:
@@ -132,7 +136,7 @@ class EstimateWatch:
             )
         if self._stale_report_s > self._estimate_s:
             return "the estimator reports that its samples are stale"
-        if self._gate.moving(round(now_s * 1e9)):
+        if self._moving(now_s):
             self._moved_until_s = now_s
             return ""
         mute_s = now_s - max(self._estimate_s, self._moved_until_s)

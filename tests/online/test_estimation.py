@@ -17,7 +17,7 @@ from cablesense_msgs_py.messages import NO_CONTACT, Load
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.samples import ProblemKind
+from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_online.state import EstimationSettings, Event, EventKind
 from cablesense_online.tare import UnloadedTensions
@@ -77,14 +77,15 @@ class Feed:
     def __init__(self, estimator=None, **changes):
         self.estimator = estimator or AnyDifference()
         self.estimation = Estimation(ARM, self.estimator, SETTINGS.model_copy(update=changes), 0.0)
-        self.now_ns = 10**18
+        self.now_ns, self.stepped_ns = 10**18, 0
 
     @property
     def now_s(self):
-        return (self.now_ns - 10**18) * 1e-9
+        return (self.now_ns - self.stepped_ns - 10**18) * 1e-9
 
-    def sample(self, tensions=UNLOADED, names=ARM.cable_names, age_ns=0, raw=None):
-        self.now_ns += 10_000_000
+    def sample(self, tensions=UNLOADED, names=ARM.cable_names, age_ns=0, raw=None, step_ns=0):
+        self.now_ns += 10_000_000 + step_ns
+        self.stepped_ns += step_ns
         if raw is None:
             raw = message_bytes(tensions, self.now_ns - age_ns, names)
         return self.estimation.sample(raw, self.now_ns, self.now_s)
@@ -201,6 +202,48 @@ def test_no_force_while_the_arm_moves_then_the_unloaded_state_of_the_new_pose():
     np.testing.assert_array_equal(feed.estimator.asked[-1][1], command)
 
 
+def test_a_clock_that_steps_forward_in_mid_move_gives_no_force():
+    feed = Feed().tared()
+    feed.command(np.full(8, 0.05))
+    feed.sample(PUSHED)
+    state = None
+    for _ in range(10):
+        answer = feed.sample(PUSHED, step_ns=3600 * 10**9 if state is None else 0)
+        state = answer.state or state
+        assert answer.contact == NO_CONTACT
+    assert [event.kind for event in state.events] == [EventKind.CLOCK_AHEAD]
+    for _ in range(200):
+        answer = feed.sample(PUSHED)
+    assert answer.contact.segment == 3
+
+
+def test_of_two_publishers_one_is_used_until_it_is_silent():
+    feed = Feed().tared()
+    feed.estimation.publisher.matched(2)
+    for number in range(9000, 9100):
+        assert feed.estimation.follow(number, feed.now_s) is (number == 9000)
+        feed.sample()
+        with pytest.raises(SampleError, match="its publisher's number") as refused:
+            feed.estimation.follow(number - 8990, feed.now_s)
+        assert refused.value.kind is ProblemKind.PUBLISHER
+    assert feed.sample(PUSHED).contact.segment == 3
+    silent_since_s, number = feed.now_s, 111
+    while not followed(feed, number):
+        feed.now_ns += 10_000_000
+        number += 1
+    assert feed.now_s - silent_since_s == pytest.approx(SETTINGS.stale_after_s, abs=0.02)
+    began = feed.sample(PUSHED)
+    assert [event.kind for event in began.state.events] == [EventKind.PUBLISHER]
+    waited = [feed.sample(PUSHED).contact.segment for _ in range(70)]
+    assert waited == [0] * 59 + [3] * 11  # 0.1 s for the shortest move, 0.5 s to settle
+
+
+def followed(feed, number):
+    with suppress(SampleError):
+        return feed.estimation.follow(number, feed.now_s)
+    return False
+
+
 def test_a_refused_command_leaves_the_one_before():
     feed = Feed().tared()
     for angles in (np.full(8, math.nan), np.full(8, 1.04), np.zeros(7)):
@@ -238,7 +281,7 @@ def live_run(seed, count=120):
     rng = np.random.default_rng(seed)
     feed, run = every_bit(), []
     live, stamp = feed.estimation, 10**18
-    for _ in range(count):
+    for step in range(count):
         chance = rng.random()
         if chance < 0.05:
             feed.command(rng.uniform(-0.004, 0.004, 8))
@@ -247,12 +290,15 @@ def live_run(seed, count=120):
                 live.take_tare(stamp) if chance < 0.12 else live.undo_tare()
         elif chance < 0.17:
             live.adjust(float(rng.uniform(0.0, 1.0)), 0.2, 1.0)
-        stamp += 10_000_000 if rng.random() < 0.99 else -1_000_000_000
+        elif chance < 0.18:
+            live.publisher.matched(0)  # its publisher leaves; the next sample is of another
+        stamp += 10_000_000 if rng.random() < 0.98 else int(rng.choice([-1, 3])) * 1_000_000_000
         tensions = 100.0 + rng.uniform(-0.5, 0.5, 12)
         if rng.random() < 0.05:
             tensions[3] = np.nan
         raw = message_bytes(tensions, stamp)
-        run.append((raw, stamp, live.sample(raw, stamp + 3_000_000, 0.0)))
+        live.follow(step, 0.01 * step)
+        run.append((raw, stamp, live.sample(raw, stamp + 3_000_000, 0.01 * step)))
     return run
 
 
@@ -272,7 +318,7 @@ def test_the_last_state_and_the_samples_are_enough_from_anywhere(seed, begin):
     for raw, stamp, answer in run[begin:]:
         if answer.state is not None:
             go_on(answer.state)
-        again = other.sample(raw, stamp, 0.0)
+        again = other.sample(raw, stamp, stamp * 1e-9)
         assert again[:3] == answer[:3]
 
 

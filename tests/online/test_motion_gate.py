@@ -1,9 +1,11 @@
 """The gate stays shut as long as the arm can be moving, and no longer."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cablesense_msgs_py.messages import Level
 from cablesense_online.motion_gate import MotionGate
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 
@@ -12,8 +14,22 @@ S = 1_000_000_000
 MS = 1_000_000
 
 
+class Gate(MotionGate):
+    """Its samples arrive at once, by a monotonic clock that goes with the stamps' steps or not."""
+
+    def __init__(self):
+        super().__init__(np.zeros(2), SPEED, SETTLE)
+
+    def moving(self, stamp_ns, now_ns=None, now_s=None):
+        now_ns = stamp_ns if now_ns is None else now_ns
+        return super().moving(stamp_ns, now_ns, now_ns * 1e-9 if now_s is None else now_s)
+
+    def status_now(self):
+        return self.status(10.0, 0, received=True, in_motion=False)
+
+
 def gate():
-    return MotionGate(np.zeros(2), SPEED, SETTLE)
+    return Gate()
 
 
 def test_open_until_a_command_differs():
@@ -58,11 +74,64 @@ def test_a_stream_of_small_steps_does_not_add_up():
 def test_stamps_that_step_back_keep_what_is_left_to_wait():
     watched = gate()
     watched.command(np.array([0.0, 0.3]))
-    watched.moving(3600 * S)
+    watched.moving(3600 * S, now_s=0.0)
     left = watched.rest_from_ns - 3600 * S
+    assert watched.moving(5 * S, now_s=0.0)
+    assert watched.step == -1
+    assert watched.moving(5 * S + left - MS, now_s=left * 1e-9 - 1e-3)
+    assert not watched.moving(5 * S + left, now_s=left * 1e-9)
+
+
+def test_stamps_that_step_forward_do_not_end_the_wait():
+    watched = gate()
+    watched.command(np.array([0.0, 0.3]))
+    watched.moving(0, now_s=100.0)
+    wait_s = watched.rest_from_ns * 1e-9
+    assert watched.moving(3600 * S, now_s=100.5)
+    assert watched.step == 1
+    assert watched.rest_from_ns == pytest.approx(3600 * S + (wait_s - 0.5) * S, abs=MS)
+    assert watched.moving(round((3600.0 + wait_s - 0.5) * S) - MS, now_s=99.999 + wait_s)
+    assert watched.step == 0
+    assert not watched.moving(round((3600.0 + wait_s - 0.5) * S), now_s=100.0 + wait_s)
+
+
+@pytest.mark.parametrize("ages_ms", [(0, 150), (150, 0), (-150, -150)])
+def test_samples_that_come_late_or_of_another_clock_are_no_step(ages_ms):
+    watched = gate()
+    watched.command(np.array([0.0, 0.3]))
+    first, last = (age * MS for age in ages_ms)
+    watched.moving(10 * S, now_ns=10 * S + first)
+    end = watched.rest_from_ns
+    assert not watched.moving(end, now_ns=end + last)
+
+
+def test_the_rest_of_a_restored_gate_is_no_further_ahead_than_a_move_takes():
+    watched, there = gate(), np.array([0.0, 0.3])
+    watched.restore(there, np.zeros(2), there, 3600 * S)
     assert watched.moving(5 * S)
-    assert watched.moving(5 * S + left - MS)
-    assert not watched.moving(5 * S + left)
+    wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
+    assert watched.rest_from_ns == 5 * S + wait_ns
+    status = watched.status_now()
+    assert status.level is Level.WARN
+    assert "lay 359" in status.message
+    assert not watched.moving(5 * S + wait_ns)
+    watched.command(np.zeros(2))
+    assert watched.status_now().level is Level.OK
+
+
+def test_a_wait_anew_is_one_of_the_move_that_may_be_under_way():
+    watched, there = gate(), np.array([0.0, 0.3])
+    watched.moving(0)
+    watched.wait_anew()
+    assert watched.moving(S)
+    assert watched.rest_from_ns == S + round((move_duration_s(0.0, SPEED) + SETTLE) * S)
+    watched.moving(100 * S)
+    watched.command(there)
+    watched.moving(200 * S)
+    watched.wait_anew()
+    assert watched.moving(200 * S + 100 * MS)
+    wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
+    assert watched.rest_from_ns == 200 * S + 100 * MS + wait_ns
 
 
 @settings(max_examples=40)

@@ -1,12 +1,16 @@
 """Stamps and readings that cannot be true are refused; missing ones are counted and reported."""
 
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.samples import (
+    FollowedPublisher,
     InputHealth,
     ProblemKind,
     SampleCheck,
@@ -50,6 +54,33 @@ def test_stamps_must_ascend(back_ms):
     clock.accept(NOW, NOW)
     with pytest.raises(SampleError, match="must ascend"):
         clock.accept(NOW - back_ms * MS, NOW)
+
+
+def test_a_sample_without_stamp_is_refused_once_one_had_a_stamp():
+    clock = SampleClock(0.2)
+    clock.accept(0, NOW)
+    clock.accept(NOW, NOW)
+    with pytest.raises(SampleError, match=r"header.stamp is 0"):
+        clock.accept(0, NOW + MS)
+
+
+def test_interleaved_stamps_do_not_pass():
+    """Of two clocks so far apart that the second's stamps might be those of a clock set back."""
+    clock, accepted = SampleClock(0.2), []
+    for number in range(100):
+        now = NOW + 10 * MS * number
+        for lead_ms in (150, -150):
+            with suppress(SampleError):
+                clock.accept(now + lead_ms * MS, now)
+                accepted.append(lead_ms)
+    assert set(accepted) == {150}
+
+
+def test_stamps_step_back_where_the_clock_does():
+    clock = SampleClock(0.2)
+    clock.accept(NOW, NOW)
+    clock.accept(NOW - 3600_000 * MS, NOW - 3600_000 * MS + MS)
+    clock.accept(NOW - 3599_990 * MS, NOW - 3599_990 * MS)
 
 
 def reports(period_ms, late_ms, lost=(), seconds=12):
@@ -184,6 +215,102 @@ def test_refused_samples_are_an_error_until_the_next_report():
     assert again.values["refused in all"] == "1"
 
 
-def test_losses_and_a_second_publisher_are_warnings():
+def test_losses_are_a_warning_and_a_second_publisher_an_error():
     assert status(fed(), 1.0, missing=3).message == "3 samples dropped"
-    assert status(fed(), 1.0, publishers=2).level is Level.WARN
+    second = status(fed(), 1.0, publishers=2)
+    assert second.level is Level.ERROR
+    assert second.message.startswith("2 publishers")
+
+
+def heard(samples, publishers=2, period_s=0.01):
+    """What was accepted of (publisher, number), and with which one another was followed."""
+    watched = FollowedPublisher(SampleClock(0.2))
+    watched.matched(publishers)
+    accepted, changes = [], []
+    for at, sample in enumerate(samples):
+        with suppress(SampleError):
+            if watched.accept(sample[1], period_s * at):
+                changes.append(sample)
+            accepted.append(sample)
+    return accepted, changes
+
+
+def numbered(first, count, name="a"):
+    return [(name, number) for number in range(first, first + count)]
+
+
+def in_turn(*sources):
+    return [sample for samples in zip(*sources, strict=True) for sample in samples]
+
+
+@pytest.mark.parametrize("lead", [-5000, -3, -1, 2, 3, 5000])
+def test_two_publishers_in_turn_are_not_mixed(lead):
+    samples = in_turn(numbered(9000, 200), numbered(9000 + lead, 200, "b"))
+    accepted, _ = heard(samples)
+    assert accepted == numbered(9000, 200)
+
+
+@pytest.mark.parametrize("lead", [0, 1])
+def test_two_publishers_that_number_alike_are_not_used(lead):
+    """But for the first, with which the arm's wait begins anew."""
+    samples = in_turn(numbered(9000, 200), numbered(9000 + lead, 200, "b"))
+    accepted, changes = heard(samples)
+    assert accepted[0] == changes[0]
+    assert len(accepted) <= 2 * len(changes)
+    gaps = np.diff([samples.index(change) for change in changes])
+    assert gaps.min() >= 20  # stale_after_s
+
+
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 3)), min_size=5, max_size=300))
+def test_what_is_accepted_between_two_changes_is_of_one_publisher(turns):
+    """Whatever the turns and the losses of both."""
+    numbers, samples = {"a": 5000, "b": 1}, []
+    for name, lost in turns:
+        numbers[name] += 1 + lost
+        samples.append((name, numbers[name]))
+    accepted, changes = heard(samples)
+    of = None
+    for sample in accepted:
+        of = sample[0] if sample in changes else of
+        assert sample[0] == of
+
+
+def test_one_that_begins_at_just_the_next_number_is_noticed_with_the_followed_ones_next():
+    accepted, _ = heard([*numbered(1, 50), ("b", 51), *numbered(51, 1), ("b", 60)])
+    assert accepted == [*numbered(1, 50), ("b", 51)]
+    watched = FollowedPublisher(SampleClock(0.2))
+    watched.matched(2)
+    for number in (50, 51, 51):
+        with suppress(SampleError):
+            watched.accept(number, 0.0)
+    with pytest.raises(SampleError):
+        watched.accept(52, 0.01)
+    assert watched.accept(53, 0.3)  # with the arm's wait begun anew
+
+
+def test_another_is_followed_once_only_it_has_published_for_a_time():
+    accepted, changes = heard(numbered(9000, 50) + numbered(1, 50, "b"))
+    assert changes[1:] == [("b", 21)]
+    assert accepted == numbered(9000, 50) + numbered(21, 30, "b")
+
+
+def test_another_that_comes_alone_is_followed_at_once():
+    watched = FollowedPublisher(SampleClock(0.2))
+    watched.matched(1)
+    assert not watched.accept(100, 0.0)
+    watched.matched(0)
+    watched.matched(1)
+    assert watched.accept(1, 0.01)
+    assert not watched.accept(2, 0.02)
+
+
+def test_lost_samples_of_one_publisher_are_no_other():
+    samples = [sample for sample in numbered(1, 2000) if sample[1] % 7]
+    assert heard(samples, publishers=1) == (samples, [])
+
+
+def test_middleware_that_does_not_number_serves_one_publisher_alone():
+    samples = [("a", 2**64 - 1)] * 200
+    assert heard(samples, publishers=1) == (samples, [])
+    accepted, changes = heard(samples)
+    assert accepted == changes

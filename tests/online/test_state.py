@@ -3,11 +3,14 @@
 import json
 import math
 import os
+import resource
+from contextlib import contextmanager
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import (
     EstimationSettings,
@@ -128,6 +131,7 @@ def test_a_message_that_is_no_state_is_refused_in_one_line(message, problem):
     [
         ({"command_rad": (0.0,) * 7}, "7 joint angles; the arm cdsm-.* has 8"),
         ({"lowest_rad": ()}, "0 lowest joint angles"),
+        ({"highest_rad": (0.0,) * 7 + (1e6,)}, "a joint at 1e"),
         ({"tared_n": (1.0,) * 9, "tare_command_rad": (0.0,) * 8}, "9 tared tensions"),
         ({"tared_n": (1.0,) * 12, "tare_command_rad": ()}, "0 joint angles at the tare"),
     ],
@@ -230,3 +234,63 @@ def test_a_broken_file_is_refused(path, text):
 def test_a_file_that_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(StateFileError, match="cannot be written"):
         written(tmp_path / "no folder" / "state.json")
+
+
+@contextmanager
+def full_disk():
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_leaves_no_earlier_state_and_is_an_error_until_there_is_room(path):
+    now_s = 1e9
+    file = StateFile(path, 60.0, lambda: now_s)
+    file.keep(STATE)
+    file.flush()
+    assert file.status().level is Level.OK
+    file.keep(STATE.model_copy(update={"command_rad": (0.3, 0.3)}))
+    with full_disk(), pytest.raises(StateFileError, match="cannot be written"):
+        file.flush()
+    assert StateFile(path, 60.0).read("cdsm-1") is None
+    assert list(path.parent.iterdir()) == []
+    assert file.status().level is Level.ERROR
+    file.flush()  # it is not tried at every sample
+    assert not path.exists()
+    now_s += 1.0
+    file.flush()
+    assert file.status().level is Level.OK
+    assert StateFile(path, 1e12).read("cdsm-1").command_rad == (0.3, 0.3)
+
+
+def test_a_file_that_is_removed_is_written_again(path):
+    now_s = 1e9
+    file = StateFile(path, 60.0, lambda: now_s)
+    file.keep(STATE)
+    file.flush()
+    path.unlink()
+    now_s += 1.0
+    with pytest.raises(StateFileError, match="No such file"):
+        file.flush()
+    now_s += 1.0
+    file.flush()
+    assert path.exists()
+
+
+def test_what_is_no_state_is_not_removed(path):
+    """Nor is one that could not be continued from."""
+    path.write_text("mine")
+    file = StateFile(path, 60.0)
+    with pytest.raises(StateFileError):
+        file.read("cdsm-1")
+    file.keep(STATE)
+    with full_disk(), pytest.raises(StateFileError):
+        file.flush()
+    assert path.read_text() == "mine"
+
+
+def test_without_a_path_there_is_no_status():
+    assert StateFile("", 60.0).status() is None

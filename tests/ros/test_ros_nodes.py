@@ -9,7 +9,6 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import serialize_message
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
 
@@ -165,22 +164,26 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.spin(0.5)  # that they know of the publisher as well
     nan, names = [*UNLOADED[:4], math.nan, *UNLOADED[5:]], list(ARM.cable_names)
     pushed = (UNLOADED + np.linspace(-20.0, 20.0, 12)).tolist()
+
+    def publish(name, effort):
+        message = JointState(name=name, effort=effort)
+        message.header.stamp = tared.node.get_clock().now().to_msg()
+        source.publish(message)
+
     for name, effort in ((names, nan), (names[:9], pushed[:9])):  # two kinds at the same moment
-        source.publish(serialize_message(JointState(name=name, effort=effort)))
+        publish(name, effort)
     tared.until(
         lambda: "cable_5 is nan N" in estimator.log and "missing 'cable_10'" in estimator.log,
         "both refusals in the log",
     )
     tared.spin(1.1)  # the next of a kind is logged a second later
-    source.publish(serialize_message(JointState(name=["x"] * 12, effort=pushed)))
+    publish(["x"] * 12, pushed)
     tared.until(lambda: "more than once" in estimator.log, "the third refusal in the log")
     assert {force(wrench) for wrench in tared.wrenches} == {(0.0, 0.0, 0.0)}
     tared.until(
         lambda: int(_values(tared, "cable_tensions")["refused in all"]) >= 3, "the diagnostics"
     )
-    message = JointState(name=names[::-1], effort=UNLOADED[::-1].tolist())
-    message.header.stamp = tared.node.get_clock().now().to_msg()
-    source.publish(message)
+    publish(names[::-1], UNLOADED[::-1].tolist())
     tared.spin(0.2)
     assert estimator.alive
     tared.node.destroy_publisher(source)
