@@ -9,11 +9,13 @@ BIN := $(VENV)/bin
 # tests/conftest.py groups them: the tests of a file share fixtures, those of real nodes follow one another.
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+# Of every file of a release, so that each platform's wheel passes.
+HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup models lock clean
+.PHONY: help demo test test-fast lint setup models lock verify clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -43,12 +45,22 @@ setup: $(VENV)/.all  ## everything that developing needs, in .venv
 models: setup  ## trains every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
 
-lock: setup  ## writes the versions of .venv to constraints.txt, and their licences that ask for care to NOTICE
+lock: setup  ## writes versions of .venv to constraints.txt, their files' hashes beside it, and to NOTICE what is copyleft
 	@mkdir -p build
 	@$(BIN)/python .ci/lock > build/constraints.txt
-	@mv build/constraints.txt constraints.txt
+	@$(BIN)/python -m venv build/uv
+	@build/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
+	@$(HASHES) build/constraints.txt --output-file build/constraints.hashes.txt >/dev/null
+	@mv build/constraints.txt build/constraints.hashes.txt .
 	@$(BIN)/python .ci/notice > build/NOTICE
 	@mv build/NOTICE NOTICE
+
+verify: | $(BIN)/python  ## installs constraints.txt apart, refusing every file whose hash is not in constraints.hashes.txt
+	@$(BIN)/python -m venv --clear build/verify
+	@build/verify/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
+		--no-deps --require-hashes --requirement constraints.hashes.txt
+	@rm -r build/verify
+	@echo 'Every file has a hash of constraints.hashes.txt.'
 
 clean:  ## takes away .venv and what was built
 	@rm -rf $(VENV) build install log *.egg-info

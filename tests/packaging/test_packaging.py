@@ -37,6 +37,12 @@ def test_every_direct_requirement_is_pinned(
         assert requirement.specifier.contains(version), requirement
 
 
+def test_every_pin_has_the_hashes_of_its_files(pins: dict[str, str]) -> None:
+    hashed = (CHECKOUT / "constraints.hashes.txt").read_text(encoding="utf-8")
+    entries = re.findall(r"^(\S+)==(\S+)((?: \\\n +--hash=sha256:[0-9a-f]{64})+)$", hashed, re.M)
+    assert {name: version for name, version, _ in entries} == pins, "run `make lock`"
+
+
 def test_every_direct_requirement_says_what_it_is_for(direct: list[Requirement]) -> None:
     declared = (CHECKOUT / "setup.py").read_text(encoding="utf-8")
     for requirement in direct:
