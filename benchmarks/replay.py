@@ -118,7 +118,7 @@ class Operator(SpunNode):
 def measure(arm: str, seconds: float) -> dict[str, Any]:
     """Run, record and replay; the result with its origin and the bars."""
     killed = "begun in mid-run and killed, in process"
-    estimator_command = node_command("estimator", {"arm": arm})
+    estimator_command = node_command("estimator", {"arm": arm, "tare_force": True})
     with LiveRun() as run:
         run.start("sim", node_command("sim", {"arm": arm, "rate_hz": RATE_HZ}))
         recorder = run.record("whole")

@@ -6,6 +6,7 @@ state, estimate of the model, decision whether it is a contact.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -91,7 +92,6 @@ class Estimation:
         """`origin` goes into each state beside the settings."""
         self._arm, self._settings = arm, settings
         self._origin = {**(origin or {}), "joints": " ".join(arm.joint_names)}
-        self._auto_tare = settings.auto_tare
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
@@ -104,7 +104,13 @@ class Estimation:
         self.health = InputHealth(self.clock, now_s)
         self.gate = MotionGate(straight, speed_rad_s, settings.settle_s)
         self.tares = Tares(
-            unloaded.predict_n, straight, settings.tare_samples, settings.tare_steady_n
+            unloaded.predict_n,
+            straight,
+            settings.tare_samples,
+            settings.tare_steady_n,
+            settings.tare_deviation_n or math.inf,
+            complete=unloaded.complete,
+            automatic=settings.auto_tare,
         )
         self._model: ContactModel = (
             HistoryDependentModel(estimator, self.tares, unloaded.predict_n, straight, speed_rad_s)
@@ -161,8 +167,7 @@ class Estimation:
             if not moving:
                 self.tares.add(tensions)
             estimate = self._model.estimate(tensions, stamp_ns)
-            if self._auto_tare and not moving and self.tares.ready:
-                self._auto_tare = False
+            if self.tares.automatic and not moving and self.tares.ready:
                 tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
                 return Answer(stamp_ns=stamp_ns, new_tare=tare, state=state)
             if estimate is None:
@@ -175,6 +180,8 @@ class Estimation:
                 self._settings.contact_threshold,
                 self._contact_m,
             )
+            if contact.segment:
+                self.tares.touched(contact)
         except CableSenseError as error:
             problem = error if isinstance(error, SampleError) else SampleError(stage, str(error))
             self.health.refused(problem)
@@ -187,28 +194,34 @@ class Estimation:
         """Whether the last message is too long ago for its answer to stand."""
         return self.health.silence_s(now_s) > self.clock.stale_after_s
 
-    def command(self, message: Any) -> None:
-        """Take over a `JointState` of commanded angles.
+    def command(self, message: Any) -> bool:
+        """Take over a `JointState` of commanded angles; gives whether the tare was dropped.
 
         Raises:
             CableSenseError: the message breaks the contract, or the arm has no static equilibrium
                 at this command; the command before it stays.
         """
-        command = joint_command_rad(message, self._joint_order)
+        command, dropped = joint_command_rad(message, self._joint_order), False
         if not np.array_equal(command, self.gate.command_rad):
-            self.tares.command(command)
+            dropped = self.tares.command(command, first=not self.command_received)
             self.gate.command(command)
             self._model.command(command)
             self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
         self.command_received = True
+        return dropped
 
-    def take_tare(self, now_ns: int, how: EventKind = EventKind.TARE) -> Tare:
+    def take_tare(
+        self, now_ns: int, how: EventKind = EventKind.TARE, *, forced: bool = False
+    ) -> Tare:
         """Take the latest readings as the unloaded state, at `now_ns` since the epoch.
 
         Raises:
-            TareError: too few readings yet, or they are not steady.
+            TareError: too few readings yet, they are not steady, or, unless `forced`, they do not
+                seem to be those of the unloaded arm.
         """
-        tare = self.tares.take(self.gate.command_rad, now_ns)
+        by_itself = how is EventKind.AUTO_TARE
+        command = self.gate.command_rad
+        tare = self.tares.take(command, now_ns, by_itself=by_itself, forced=forced)
         self._model.tared()
         self._events.append(Event(how))
         return tare
@@ -262,7 +275,6 @@ class Estimation:
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
         self._repeat(state.events, command)
-        self._auto_tare = False
         self._events.clear()
 
     @property

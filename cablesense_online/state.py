@@ -58,6 +58,7 @@ class EstimationSettings(BaseModel):
     auto_tare: bool
     joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     settle_s: _NotNegative
+    tare_deviation_n: _NotNegative = 0.0
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")

@@ -6,10 +6,16 @@ A tare is taken at one command. Elsewhere the unloaded tensions are
 
 with the prediction of the arm file's static equilibrium: what the sensors read beyond the model
 (offsets) stays, what gravity and geometry change is added.
+
+Readings of a loaded arm, or of one that is not where it was commanded, would be subtracted from
+all that come after. So none are taken that lie far from the model at the command, nor soon after a
+reported contact, unless that is forced; and a tare that was taken by itself before any command
+rests on an assumed pose, so that it is dropped by a first command to another one.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,10 +25,10 @@ import numpy as np
 
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.messages import Level, Status
+from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import amended
+from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 
 MOST_TARES_KEPT = 16
@@ -34,11 +40,15 @@ class UnloadedTensions:
 
     Attributes:
         mechanism: the arm with what its effects change of it.
+        complete: whether the arm lists no effects of actuators, friction or sensors, which may
+            move readings away from this equilibrium; manufacturing tolerances do by little.
     """
 
     def __init__(self, arm: Arm) -> None:
-        self._nominal = mechanism_of(arm)
-        self.mechanism = amended(self._nominal, entries_of(arm))
+        self._nominal, entries = mechanism_of(arm), entries_of(arm)
+        self.mechanism = amended(self._nominal, entries)
+        causes = [[entry for entry in entries if not entry.effect.tolerance]]
+        self.complete = not (actuations(causes) or transmissions(causes) or sensings(causes))
 
     def predict_n(self, command_rad: Array) -> Array:
         """Tensions (M,) at rest at a command (2N,).
@@ -106,6 +116,7 @@ class Tares:
 
     Attributes:
         present: the tare in use.
+        automatic: whether one is to be taken as soon as `ready`.
         unloaded_n: (M,) unloaded tensions at the present command; none before the first tare.
     """
 
@@ -115,12 +126,17 @@ class Tares:
         command_rad: Array,
         sample_count: int,
         steady_n: float,
+        deviation_n: float = math.inf,
+        *,
+        complete: bool = True,
+        automatic: bool = False,
     ) -> None:
         """Without a tare, at `command_rad` (2N,).
 
         `predict_n` gives the unloaded tensions (M,) of the arm's model at a command (2N,). A tare
         averages `sample_count` readings, with a standard deviation of each cable's, N, of
-        `steady_n` at most.
+        `steady_n` at most, and an average within `deviation_n` of the model's where that is
+        `complete`.
 
         Raises:
             CableSenseError: the model has no unloaded state at this command.
@@ -128,6 +144,11 @@ class Tares:
         self._predict_n = predict_n
         self._predicted_n = predict_n(command_rad)
         self._steady_n, self._sample_count = steady_n, sample_count
+        self._deviation_n, self._complete = deviation_n, complete
+        self.automatic = automatic
+        self._by_itself: Tare | None = None
+        self._contact: Contact | None = None
+        self._since_contact = 0
         self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
         self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
         self.present: Tare | None = None
@@ -138,15 +159,26 @@ class Tares:
         """How many times `undo` can be called."""
         return len(self._earlier) + (self.present is not None)
 
-    def command(self, command_rad: Array) -> None:
+    def command(self, command_rad: Array, *, first: bool = False) -> bool:
         """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
+
+        The `first` drops a tare that was taken by itself before, where the model's tensions change
+        by more than a tare may be wrong by; gives whether it was in use. Another is then taken.
 
         Raises:
             CableSenseError: the model has no unloaded state at this command; nothing has changed.
         """
-        self._predicted_n = self._predict_n(command_rad)
+        before_n, self._predicted_n = self._predicted_n, self._predict_n(command_rad)
         self._readings.clear()
-        self._use(self.present)
+        present, dropped = self.present, self._by_itself
+        if first and np.abs(self._predicted_n - before_n).max() > self._deviation_n:
+            kept = [tare for tare in self._earlier if tare is not dropped]
+            self._earlier = deque(kept, maxlen=self._earlier.maxlen)
+            if present is not None and present is dropped:
+                present, self.automatic = None, True
+        lost = present is not self.present
+        self._use(present)
+        return lost
 
     def forget_readings(self) -> None:
         """Readings before this moment do not belong to the next tare."""
@@ -155,27 +187,45 @@ class Tares:
     def add(self, reading_n: Sequence[float]) -> None:
         """A reading (M,) in N at the present command, with the arm at rest."""
         self._readings.append(reading_n)
+        self._since_contact += 1
+
+    def touched(self, contact: Contact) -> None:
+        """A contact was estimated from the last reading."""
+        self._contact, self._since_contact = contact, 0
 
     @property
     def ready(self) -> bool:
-        """Whether enough readings have come for a tare, and they hold still."""
-        return not self._obstacle()
+        """Whether the last readings can be those of the unloaded arm."""
+        return not (self._obstacle() or self._objection())
 
-    def take(self, command_rad: Array, now_ns: int) -> Tare:
+    @property
+    def awaited(self) -> str:
+        """Why the automatic tare is not taken though readings are there; else empty."""
+        if not self.automatic or len(self._readings) < self._sample_count:
+            return ""
+        return self._obstacle() or self._objection()
+
+    def take(
+        self, command_rad: Array, now_ns: int, *, by_itself: bool = False, forced: bool = False
+    ) -> Tare:
         """Take the average of the last readings as the unloaded state.
 
-        At the present command (2N,), `now_ns` since the epoch.
+        At the present command (2N,), `now_ns` since the epoch. `forced` takes steady readings
+        whatever they are.
 
         Raises:
-            TareError: too few readings yet, or they do not hold still.
+            TareError: too few readings yet, they do not hold still, or the arm seems to be loaded
+                or elsewhere.
         """
-        obstacle = self._obstacle()
+        obstacle = self._obstacle() or ("" if forced else self._objection())
         if obstacle:
             raise TareError(obstacle)
         measured_n = np.mean(self._readings, axis=0)
         if self.present is not None:
             self._earlier.append(self.present)
         tare = Tare(measured_n, self._predicted_n, command_rad, self._sample_count, now_ns)
+        self._by_itself = tare if by_itself else self._by_itself
+        self.automatic = False
         self._use(tare)
         return tare
 
@@ -202,7 +252,8 @@ class Tares:
             CableSenseError: the model has no unloaded state at one of the commands.
         """
         self._earlier.clear()
-        self.present = None
+        self.present = self._by_itself = self._contact = None
+        self.automatic = False
         self.command(command_rad)
         if tared_n.size:
             predicted_n = self._predict_n(tare_command_rad)
@@ -214,8 +265,10 @@ class Tares:
         """Whether there is a tare, since when, and how far it lies from the arm's model."""
         tare = self.present
         if tare is None:
-            message = "none taken: no estimate; call ~/tare with the arm unloaded"
-            return Status("tare", Level.WARN, message)
+            message = "call ~/tare with the arm unloaded"
+            if self.automatic:
+                message = f"auto_tare waits: {self.awaited or 'too few readings at rest yet'}"
+            return Status("tare", Level.WARN, f"none taken: no estimate; {message}")
         values = {
             "tared since": tare.since,
             "readings averaged": str(tare.sample_count),
@@ -223,14 +276,37 @@ class Tares:
             "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
             "tares that can be undone": str(self.undoable),
         }
-        return Status("tare", Level.OK, f"tared since {tare.since}", values)
+        level, message = Level.OK, f"tared since {tare.since}"
+        if self._complete and tare.offset_n > self._deviation_n:
+            level, message = Level.WARN, f"{message}, {tare.offset_n:.1f} N from the arm file"
+        return Status("tare", level, message, values)
 
     def _use(self, tare: Tare | None) -> None:
         self.present = tare
         self.unloaded_n = None if tare is None else tare.unloaded_n(self._predicted_n)
 
+    def _objection(self) -> str:
+        """Why the last readings are not those of an unloaded arm; empty where they may be."""
+        contact = self._contact
+        if contact is not None and self._since_contact < self._sample_count:
+            return (
+                f"a contact of {contact.magnitude_n:.1f} N on segment {contact.segment} is "
+                "reported, or was among these readings; take it away and call again. If nothing "
+                "touches the arm, the present tare is wrong: call ~/tare_undo, or set tare_force"
+            )
+        off_n = np.mean(self._readings, axis=0) - self._predicted_n
+        worst = int(np.argmax(np.abs(off_n)))
+        if not self._complete or abs(off_n[worst]) <= self._deviation_n:
+            return ""
+        return (
+            f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded tension "
+            f"at the last command, straight before the first (at most {self._deviation_n:g} N, "
+            "tare_deviation_n): take loads away, and send the command that the arm is at. If it "
+            "is unloaded and there, its arm file or sensors are off: set tare_force to take it"
+        )
+
     def _obstacle(self) -> str:
-        """Why no tare can be taken now; empty where one can."""
+        """Why there is nothing to average now; empty where there is."""
         if len(self._readings) < self._sample_count:
             return (
                 f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "

@@ -71,7 +71,7 @@ class EstimatorNode(ConfiguredNode):
             ),
         )
         commands = self._refuse_command.subscribe(
-            JointState, topics.JOINT_COMMANDS, COMMAND, self._estimation.command
+            JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command
         )
         for subscription in (samples, commands):
             self._inputs.callback(self.destroy_subscription, subscription)
@@ -147,9 +147,16 @@ class EstimatorNode(ConfiguredNode):
         if answer.problem is not None:
             self._refuse_sample(topics.CABLE_TENSIONS, answer.problem)
         if answer.new_tare is not None:
-            self._log_tare(answer.new_tare, "by itself at start (auto_tare)")
+            self._log_tare(answer.new_tare, "by itself (auto_tare)")
         if answer.state is not None:
             self._state.keep(answer.state)
+
+    def _on_command(self, message: JointState) -> None:
+        if self._estimation.command(message):
+            self.get_logger().warning(
+                "the tare that was taken before any command is dropped: the first command is to "
+                "another pose than was assumed; auto_tare takes another once the arm rests"
+            )
 
     def _on_request(
         self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
@@ -165,7 +172,9 @@ class EstimatorNode(ConfiguredNode):
         return response
 
     def _tare(self) -> str:
-        return self._log_tare(self._estimation.take_tare(self._now_ns()), "on request")
+        forced = self.get_parameter("tare_force").value
+        tare = self._estimation.take_tare(self._now_ns(), forced=forced)
+        return self._log_tare(tare, "on request" + " (tare_force)" * forced)
 
     def _undo_tare(self) -> str:
         tares = self._estimation.tares
@@ -192,6 +201,10 @@ class EstimatorNode(ConfiguredNode):
         except CableSenseError as error:
             self.get_logger().error(
                 f"the state is not kept: {error}", throttle_duration_sec=WARN_EVERY_S
+            )
+        if awaited := self._estimation.tares.awaited:
+            self.get_logger().warning(
+                f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
             )
         now_s = time.monotonic()
         if self._estimation.stale(now_s):

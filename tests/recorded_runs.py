@@ -67,7 +67,7 @@ class MadeRun:
                 self.records.append((topics.JOINT_COMMANDS, now, serialize_message(message)))
                 live.command(SimpleNamespace(name=arm.joint_names, position=angles))
             if i == samples - 40:
-                live.take_tare(now)
+                live.take_tare(now, forced=True)
             if i == samples - 20:
                 live.undo_tare()
             tensions = solve_equilibrium(mechanism, angles, force).tensions_n

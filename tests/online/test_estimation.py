@@ -258,6 +258,64 @@ def test_silence_becomes_stale():
     assert feed.estimation.stale(feed.now_s + 0.21)
 
 
+BENT = np.deg2rad([0.0, 0.0, 8.0, 0.0, 6.0, 0.0, 0.0, 0.0])
+
+
+def judged(**changes):
+    """An estimator with the arm's own model that judges its tares, as the node does."""
+    return Feed(load_model("cdsm", "").estimator, tare_deviation_n=2.0, **changes)
+
+
+def fed(feed, tensions, count=20):
+    return [feed.sample(tensions) for _ in range(count)]
+
+
+def test_beside_a_bent_arm_no_tare_is_taken_before_a_command():
+    """Taken for straight it gives a force for good after the next command."""
+    feed = judged()
+    there = solve_equilibrium(MECHANISM, BENT).tensions_n
+    assert all(answer.new_tare is None for answer in fed(feed, there))
+    assert "auto_tare waits: cable_" in feed.estimation.tares.status().message
+    with pytest.raises(CableSenseError, match=r"cable_\d+ lies [+-]\d+\.\d N"):
+        feed.estimation.take_tare(feed.now_ns)
+    feed.command(BENT)
+    assert sum(answer.new_tare is not None for answer in fed(feed, there, 300)) == 1
+    feed.command(np.zeros(8))
+    assert {answer.contact for answer in fed(feed, UNLOADED, 300)} == {NO_CONTACT}
+
+
+def test_a_load_of_35_n_is_not_tared_by_itself():
+    feed, force = judged(), np.zeros((4, 3))
+    force[2, 1] = 35.0
+    loaded = solve_equilibrium(MECHANISM, np.zeros(8), force).tensions_n
+    assert all(answer.new_tare is None for answer in fed(feed, loaded))
+    assert sum(answer.new_tare is not None for answer in fed(feed, UNLOADED)) == 1
+    assert {answer.contact for answer in fed(feed, UNLOADED)} == {NO_CONTACT}
+    assert fed(feed, loaded)[-1].contact.magnitude_n == pytest.approx(35.0, abs=1.0)
+
+
+def test_no_tare_is_taken_in_a_contact_that_is_reported():
+    feed = Feed().tared()
+    fed(feed, PUSHED)
+    with pytest.raises(CableSenseError, match=r"contact of 40\.0 N on segment 3"):
+        feed.estimation.take_tare(feed.now_ns)
+    assert feed.sample(PUSHED).contact.segment == 3
+    feed.estimation.take_tare(feed.now_ns, forced=True)
+    assert feed.sample(PUSHED).contact == NO_CONTACT
+
+
+def test_the_automatic_tare_of_an_assumed_pose_is_dropped_and_taken_anew():
+    feed = judged().tared()
+    there = solve_equilibrium(MECHANISM, BENT).tensions_n
+    feed.command(BENT)
+    assert feed.sample(there).state.tared_n == ()
+    fed(feed, there, 300)
+    tare = feed.estimation.tares.present
+    np.testing.assert_array_equal(tare.command_rad, BENT)
+    feed.command(np.zeros(8))
+    assert feed.estimation.tares.present is tare
+
+
 class EveryBit:
     """An answer in which every bit of the difference and of the command shows."""
 
@@ -287,7 +345,7 @@ def live_run(seed, count=120):
             feed.command(rng.uniform(-0.004, 0.004, 8))
         elif chance < 0.15:
             with suppress(CableSenseError):
-                live.take_tare(stamp) if chance < 0.12 else live.undo_tare()
+                live.take_tare(stamp, forced=True) if chance < 0.12 else live.undo_tare()
         elif chance < 0.17:
             live.adjust(float(rng.uniform(0.0, 1.0)), 0.2, 1.0)
         elif chance < 0.18:
@@ -327,7 +385,7 @@ def test_a_state_comes_with_the_first_sample_after_a_change():
     feed.estimation.start(0.0)  # again, before the first sample
     for i in range(12):
         if i == 8:
-            feed.estimation.take_tare(feed.now_ns)
+            feed.estimation.take_tare(feed.now_ns, forced=True)
             feed.estimation.undo_tare()
         if i == 10:
             for angle in (0.001, 0.002, 0.002):

@@ -5,7 +5,7 @@ import pytest
 from arm_variants import variant
 
 from cablesense_base.errors import CableSenseError
-from cablesense_msgs_py.messages import Level
+from cablesense_msgs_py.messages import Contact, Level
 from cablesense_online.tare import (
     TareError,
     Tares,
@@ -90,6 +90,91 @@ def test_a_moving_arm_is_refused_by_cable():
     with pytest.raises(TareError, match=r"cable_2 varies by 2\.24 N"):
         tare.take(ZERO, NOW_NS)
     assert tare.present is None
+
+
+def judging(automatic=False, complete=True):
+    return Tares(
+        predict, np.zeros(1), 4, 0.5, deviation_n=1.5, complete=complete, automatic=automatic
+    )
+
+
+def test_readings_far_from_the_model_are_refused_with_the_figure_unless_forced():
+    tares = judging()
+    feed(tares, predict([0.0]) + OFFSET)
+    with pytest.raises(TareError, match=r"cable_3 lies \+2\.0 N .*at most 1\.5 N.*tare_force"):
+        tares.take(ZERO, NOW_NS)
+    assert tares.present is None
+    tares.take(ZERO, NOW_NS, forced=True)
+    status = tares.status()
+    assert (status.level, "2.0 N from the arm file" in status.message) == (Level.WARN, True)
+
+
+def test_an_arm_whose_file_lists_more_than_the_model_has_is_not_judged_by_it():
+    tares = judging(complete=False)
+    feed(tares, predict([0.0]) + OFFSET)
+    assert tares.take(ZERO, NOW_NS).offset_n == pytest.approx(2.0)
+    assert tares.status().level is Level.OK
+    friction = {"effect": "capstan_friction", "at": "arm", "parameters": {"coefficient": 0.1}}
+    zero = {"effect": "cable_tolerance", "at": "cable_1", "parameters": {"zero_n": 0.3}}
+    assert UnloadedTensions(variant({"effects": [zero]})).complete
+    assert not UnloadedTensions(variant({"effects": [zero, friction]})).complete
+
+
+def test_readings_of_a_reported_contact_are_refused_until_all_are_newer():
+    tares = judging()
+    feed(tares, predict([0.0]))
+    tares.touched(Contact(2, 0.0, 12.3))
+    with pytest.raises(TareError, match=r"contact of 12\.3 N on segment 2"):
+        tares.take(ZERO, NOW_NS)
+    feed(tares, predict([0.0]), 3)
+    assert not tares.ready
+    feed(tares, predict([0.0]), 1)
+    assert tares.ready
+
+
+def test_an_automatic_tare_waits_and_gives_the_figure():
+    tares = judging(automatic=True)
+    feed(tares, predict([0.0]) + OFFSET, 3)
+    assert tares.awaited == ""
+    feed(tares, predict([0.0]) + OFFSET)
+    assert not tares.ready
+    assert "cable_3 lies +2.0 N" in tares.awaited
+    status = tares.status()
+    assert status.level is Level.WARN
+    assert "auto_tare waits: cable_3 lies +2.0 N" in status.message
+    feed(tares, predict([0.0]))
+    assert tares.ready
+    tares.take(ZERO, NOW_NS, by_itself=True)
+    assert not tares.automatic
+
+
+@pytest.mark.parametrize(
+    ("by_itself", "first", "angle_rad", "dropped"),
+    [
+        (True, True, 0.1, True),
+        (True, True, 0.001, False),
+        (True, False, 0.1, False),
+        (False, True, 0.1, False),
+    ],
+)
+def test_a_first_command_elsewhere_drops_the_automatic_tare(by_itself, first, angle_rad, dropped):
+    tares = judging()
+    feed(tares, predict([0.0]))
+    tare = tares.take(ZERO, NOW_NS, by_itself=by_itself)
+    assert tares.command(np.array([angle_rad]), first=first) is dropped
+    assert (tares.present is None) is dropped
+    assert tares.automatic is dropped
+    assert dropped or tares.present is tare
+
+
+def test_a_dropped_tare_is_not_come_back_to():
+    tares = judging()
+    feed(tares, predict([0.0]))
+    tares.take(ZERO, NOW_NS, by_itself=True)
+    requested = tares.take(ZERO, NOW_NS)
+    assert not tares.command(np.array([0.1]), first=True)
+    assert tares.present is requested
+    assert tares.undo() is None
 
 
 CABLES = ("cable_1", "cable_2")

@@ -78,7 +78,7 @@ def recorded(folder):
         graph.until(
             lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow"
         )
-        estimator = NodeProcess(ESTIMATOR, tare_samples=20)
+        estimator = NodeProcess(ESTIMATOR, tare_samples=20, tare_force=True)
         nodes.append(estimator)
         graph.until(lambda: "tare taken" in estimator.log, "the first tare")
         graph.until(
@@ -112,7 +112,8 @@ def recorded(folder):
 
 def test_recorded_whole_killed_late_and_through_a_node(tmp_path):
     whole, killed = recorded(tmp_path)
-    fresh = NodeProcess(ESTIMATOR, tare_samples=20)  # starts while the replays below run
+    # starts while the replays below run
+    fresh = NodeProcess(ESTIMATOR, tare_samples=20, tare_force=True)
     run = RecordedRun(whole)
     assert run.cut == ""
     got = replay_in_process(run)
@@ -163,6 +164,7 @@ def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(made
         tare_samples=SETTINGS.tare_samples,
         joint_speed_deg_s=math.degrees(SETTINGS.joint_speed_rad_s),
         settle_s=SETTINGS.settle_s,
+        tare_force=True,
     )
     try:
         got = replay_through_node(RecordedRun(path), 1.0, "", print)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
@@ -126,14 +128,19 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     tared.spin(1.5)
 
 
-def test_tare_takes_a_steady_load_as_unloaded_and_is_undone(tared):
+def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
     tared.push(4, (0.0, 0.0, -20.0))
     tared.until(touched(tared, 4), "a contact on segment 4")
     tared.spin(0.5)
+    refused = tared.call("/estimator/tare")
+    assert not refused.success
+    assert "N on segment 4 is reported" in refused.message
+    _force_tares(tared, True)
     answer = tared.call("/estimator/tare")
     assert answer.success, answer.message
     tared.until(touched(tared, 0), "the tared load to vanish")
     assert tared.call("/estimator/tare_undo").success
+    _force_tares(tared, False)
     tared.until(touched(tared, 4), "the load to show again")
     tared.push(4, (0.0, 0.0, 0.0))
     tared.until(touched(tared, 0), "the contact to end")
@@ -187,6 +194,16 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.spin(0.2)
     assert estimator.alive
     tared.node.destroy_publisher(source)
+
+
+def _force_tares(graph, wanted):
+    client = graph.node.create_client(SetParameters, "/estimator/set_parameters")
+    graph.until(client.service_is_ready, "the estimator's parameters")
+    parameter = Parameter("tare_force", value=wanted).to_parameter_msg()
+    future = client.call_async(SetParameters.Request(parameters=[parameter]))
+    graph.until(future.done, "the new value")
+    assert future.result().results[0].successful
+    graph.node.destroy_client(client)
 
 
 def _values(graph, status):
