@@ -7,8 +7,8 @@ With a state and the samples from there on every answer is determined, whatever 
   `diagnostic_msgs/DiagnosticArray` with one status for each event since the state before and one
   for each part of the state, numbers as text with all their digits;
 - `StateFile`, a JSON file that keeps the latest state, so that an estimator that was killed
-  continues with its tare. Without it, one that starts beside a loaded arm would take the load for
-  the unloaded state (`auto_tare`), and never see it.
+  continues with its tare. Without it, one that starts beside a loaded arm would have no tare
+  until the load goes.
 """
 
 from __future__ import annotations
