@@ -18,6 +18,7 @@ from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_c
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
+from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import (
     FollowedPublisher,
     InputHealth,
@@ -35,6 +36,7 @@ from cablesense_online.state import (
 )
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
+from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
@@ -75,6 +77,7 @@ class Estimation:
         publisher, clock, check, health: of the input.
         gate: the command in force, and whether the arm moves.
         tares: the unloaded state.
+        plausibility: whether readings fit the estimates.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
         reproducible: whether the answers after `restore` are those of the object that made the
@@ -117,6 +120,7 @@ class Estimation:
             if isinstance(estimator, TemporalEstimator)
             else ContactModel(estimator, self.tares, self.gate)
         )
+        self.plausibility = self._plausibility_check(unloaded, estimator)
         self.reproducible = not self._model.in_motion
         self.command_received = False
         self.largest_force_n = 0.0
@@ -180,6 +184,8 @@ class Estimation:
                 self._settings.contact_threshold,
                 self._contact_m,
             )
+            if not self.plausibility.unchecked:
+                self._require_plausible(tensions, contact, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)
         except CableSenseError as error:
@@ -274,6 +280,7 @@ class Estimation:
         )
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
+        self.plausibility.withheld_until_ns = state.withheld_until_ns
         self._repeat(state.events, command)
         self._events.clear()
 
@@ -281,6 +288,39 @@ class Estimation:
     def answers_in_motion(self) -> bool:
         """Whether the model estimates while the arm moves."""
         return self._model.in_motion
+
+    def _plausibility_check(
+        self, unloaded: UnloadedTensions, estimator: Estimator | TemporalEstimator
+    ) -> PlausibilityCheck:
+        settings, arm = self._settings, self._arm
+        unchecked = ""
+        if self._model.in_motion:
+            unchecked = "the model is history-dependent"
+        elif not unloaded.complete:
+            unchecked = "the arm file lists effects of actuators, friction or sensors"
+        variance_n2 = difference_variance_n2(arm.sensors, settings.tare_samples)
+        # of settings without a check, the estimator may be any object that answers
+        range_n = estimator.metadata.force_range_n if settings.largest_misfit else 0.0
+        return PlausibilityCheck(
+            unloaded,
+            variance_n2**0.5,
+            settings.largest_misfit,
+            range_n,
+            arm.cable_names,
+            unchecked,
+        )
+
+    def _require_plausible(
+        self, tensions: Sequence[float], contact: Contact, stamp_ns: int
+    ) -> None:
+        check, unloaded = self.plausibility, self.tares.unloaded_n
+        assert unloaded is not None  # or there would be no estimate
+        before_ns = check.withheld_until_ns
+        try:
+            check.check(tensions - unloaded, self.gate.command_rad, contact, stamp_ns)
+        finally:
+            if check.withheld_until_ns != before_ns:
+                self._events.append(Event(EventKind.MISFIT))
 
     def _note_start(self) -> None:
         """Once, however often it is started before the first sample."""
@@ -318,4 +358,5 @@ class Estimation:
             unloaded_n=() if unloaded is None else unloaded.tolist(),
             tared_n=() if tare is None else tare.measured_n.tolist(),
             tare_command_rad=() if tare is None else tare.command_rad.tolist(),
+            withheld_until_ns=self.plausibility.withheld_until_ns,
         )

@@ -27,6 +27,7 @@ class ProblemKind(Enum):
     NOT_FINITE = "not finite"
     SATURATED = "saturated"
     IMPLAUSIBLE = "implausible"
+    MISFIT = "readings that fit no contact"
     ESTIMATE = "no finite estimate"
 
 

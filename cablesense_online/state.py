@@ -46,7 +46,10 @@ _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class EstimationSettings(BaseModel):
-    """The estimator's settings, as the node's parameters of these names, angles in rad."""
+    """The estimator's settings, as the node's parameters of these names, angles in rad.
+
+    Recordings from before there was a `largest_misfit` were answered without a check.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -59,6 +62,7 @@ class EstimationSettings(BaseModel):
     joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     settle_s: _NotNegative
     tare_deviation_n: _NotNegative = 0.0
+    largest_misfit: _NotNegative = 0.0
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
@@ -77,6 +81,7 @@ class EventKind(Enum):
     CLOCK = "stamps stepped back"
     CLOCK_AHEAD = "stamps stepped forward"
     PUBLISHER = "another publisher"
+    MISFIT = "readings do not fit"
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,7 @@ class EstimatorState(BaseModel):
         unloaded_n: (M,) unloaded tensions at this command; empty without a tare.
         tared_n: (M,) as they were measured at the tare.
         tare_command_rad: (2N,) the command at which it was taken.
+        withheld_until_ns: samples stamped earlier give no force, as readings did not fit.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -118,6 +124,7 @@ class EstimatorState(BaseModel):
     unloaded_n: Numbers = ()
     tared_n: Numbers = ()
     tare_command_rad: Numbers = ()
+    withheld_until_ns: WholeNumber = 0
 
     def require_fitting(self, arm: Arm) -> None:
         """Refuse to continue from this state with an arm of other joints or cables.
@@ -181,6 +188,7 @@ _PARTS: Final = {
     },
 }
 """Statuses of a journal message, with the state's field for each of their keys."""
+_MISFIT, _WITHHELD = "misfit", "no force before stamp (ns)"
 
 
 def put_state(
@@ -196,6 +204,7 @@ def put_state(
     parts.append((_SETTINGS, state.settings_text()))
     for name, keys in _PARTS.items():
         parts.append((name, {key: _text(getattr(state, field)) for key, field in keys.items()}))
+    parts.append((_MISFIT, {_WITHHELD: _text(state.withheld_until_ns)}))
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)
     message.status = [
@@ -241,6 +250,8 @@ def state_of(message: Any) -> EstimatorState:
         for key, field in keys.items():
             text = given.get(key, "")
             values[field] = text if field.endswith("_ns") else text.split()
+    if _MISFIT in statuses:
+        values["withheld_until_ns"] = _values(statuses[_MISFIT]).get(_WITHHELD, "")
     return _validated(values)
 
 

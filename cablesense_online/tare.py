@@ -29,7 +29,7 @@ from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.equilibrium import Equilibrium, held_lengths_m, solve_equilibrium
 
 MOST_TARES_KEPT = 16
 """How many times a tare can be undone."""
@@ -56,8 +56,20 @@ class UnloadedTensions:
         Raises:
             CableSenseError: the arm has no rest at this command.
         """
-        held = held_lengths_m(self._nominal, command_rad)
-        return solve_equilibrium(self.mechanism, command_rad, held_m=held).tensions_n
+        return self.at_rest(command_rad).tensions_n
+
+    def at_rest(self, command_rad: Array, forces_n: Array | None = None) -> Equilibrium:
+        """Pose and tensions at a command (2N,) under forces (N, 3) in base axes.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
+        held = self.held_m(command_rad)
+        return solve_equilibrium(self.mechanism, command_rad, forces_n, held_m=held)
+
+    def held_m(self, command_rad: Array) -> Array:
+        """Cable lengths (M,) that are held at a command (2N,), relative to the straight arm."""
+        return held_lengths_m(self._nominal, command_rad)
 
 
 class TareError(CableSenseError):

@@ -242,6 +242,7 @@ class EstimatorNode(ConfiguredNode):
             model,
             estimation.health.status(time.monotonic(), self._lost, publishers),
             estimation.check.status(),
+            estimation.plausibility.status(),
             estimation.gate.status(
                 self._loaded.estimator.metadata.pose_range_deg,
                 self._refuse_command.count,

@@ -70,6 +70,7 @@ STATES = st.builds(
         auto_tare=st.booleans(),
         joint_speed_rad_s=st.floats(1e-3, 10.0),
         settle_s=AMOUNTS,
+        largest_misfit=AMOUNTS,
     ),
     origin=st.dictionaries(TEXTS, TEXTS, max_size=5),
     command_rad=NUMBERS,
@@ -79,6 +80,7 @@ STATES = st.builds(
     unloaded_n=NUMBERS,
     tared_n=NUMBERS,
     tare_command_rad=NUMBERS,
+    withheld_until_ns=st.integers(-(2**62), 2**62),
 )
 
 
@@ -93,6 +95,15 @@ def test_a_message_reads_back_bit_for_bit(state):
     raw = serialization.serialize_message(message_of(state))
     got = state_of(serialization.deserialize_message(raw, diagnostic_msgs.DiagnosticArray))
     assert repr(got) == repr(state)  # which distinguishes 0.0 from -0.0
+
+
+def test_a_journal_from_before_misfits_is_read_as_one_without_a_check():
+    checked = SETTINGS.model_copy(update={"largest_misfit": 2.3})
+    message = message_of(STATE.model_copy(update={"settings": checked, "withheld_until_ns": 5}))
+    message.status = [status for status in message.status if status.name != "misfit"]
+    for status in message.status:
+        status.values = [value for value in status.values if value.key != "largest_misfit"]
+    assert state_of(message) == STATE
 
 
 def changed(part, key=None, **values):

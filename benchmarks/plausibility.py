@@ -1,0 +1,264 @@
+"""The plausibility check: what it withholds of healthy arms, and which faults it lets pass.
+
+    python benchmarks/plausibility.py [--commands 1000] [--faulty 60] [--workers 2] [--write]
+
+Healthy arms: random commands within 10 degrees, a tare of 50 readings at each; 20 loads, one
+fifth none, the others 0 to 200 N on any segment in any direction; 50 readings of each. Faulty
+arms: every cable has every fault under each load; a force is wrong by the length of the difference
+between the estimated and the true one, or by the larger of the two where segments differ.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import harness
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_base.workers import WorkerPool
+from cablesense_msgs_py.messages import Contact
+from cablesense_online.models import decide, load_model
+from cablesense_online.plausibility import PlausibilityCheck
+from cablesense_online.samples import SampleError
+from cablesense_online.tare import UnloadedTensions
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_training.inference.estimator import Estimator
+
+ARMS = ("cdsm", "cdsm_lab")
+LARGEST_MISFIT = 2.3
+TARE_SAMPLES, LOADS, READINGS = 50, 20, 50
+WRONG_N = 5.0
+APART_NS = 10_000_000_000
+SCALES = (0.5, 0.8, 0.9, 1.1, 2.0)
+OFFSETS_N = (-20.0, -5.0, -2.0, 2.0, 5.0, 20.0, 100.0)
+LOOSE_N = -1e5
+"""Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
+
+
+class Bench:
+    """One arm with its estimator and check, at one random command with its tare."""
+
+    def __init__(self, arm_name: str, number: int) -> None:
+        loaded = load_model(arm_name, "")
+        assert isinstance(loaded.estimator, Estimator)
+        self.arm, self.estimator = loaded.arm, loaded.estimator
+        self.rng = np.random.default_rng([20_260_013, ARMS.index(arm_name), number])
+        statics = UnloadedTensions(self.arm)
+        self.mechanism = statics.mechanism
+        self.check = PlausibilityCheck(
+            statics,
+            difference_variance_n2(self.arm.sensors, TARE_SAMPLES) ** 0.5,
+            LARGEST_MISFIT,
+            self.estimator.metadata.force_range_n,
+            self.arm.cable_names,
+        )
+        self.command = np.deg2rad(self.rng.uniform(-10.0, 10.0, self.arm.joint_count))
+        unloaded = statics.predict_n(self.command)
+        self.tare = self.read(np.tile(unloaded, (TARE_SAMPLES, 1))).mean(axis=0)
+        self._stamp_ns = 0
+
+    def read(self, tensions_n: Array) -> Array:
+        """Readings, never below zero."""
+        return np.maximum(read_tensions_n(tensions_n, self.arm.sensors, self.rng), 0.0)
+
+    def contacts(self, readings_n: Array) -> list[Contact]:
+        """The estimates of readings (B, M)."""
+        found = self.estimator.estimate_batch(readings_n - self.tare, self.command)
+        reach_m = self.mechanism.contact_m.tolist()
+        rows = zip(found.probabilities.tolist(), found.angle_deg, found.magnitude_n, strict=True)
+        return [decide(p, float(angle), float(force), 0.5, reach_m) for p, angle, force in rows]
+
+    def passes(self, reading_n: Array, contact: Contact) -> bool:
+        """Whether a reading (M,) vouches for its estimate."""
+        self._stamp_ns += APART_NS
+        try:
+            self.check.check(reading_n - self.tare, self.command, contact, self._stamp_ns)
+        except SampleError:
+            return False
+        return True
+
+    def loads(self, count: int) -> tuple[NDArray[np.int64], Array]:
+        """Segments from 0 (none, one fifth) to N, and forces (B, 2), y and z, of random loads."""
+        segments = self.rng.integers(1, self.arm.segment_count + 1, count)
+        segments[self.rng.random(count) < 0.2] = 0
+        angles = self.rng.uniform(0.0, 2.0 * np.pi, count)
+        forces = self.rng.uniform(0.0, 200.0, count)[:, None]
+        forces = forces * np.column_stack([np.sin(angles), np.cos(angles)])
+        return segments, forces * (segments > 0)[:, None]
+
+    def tensions_n(
+        self, mechanism: Mechanism, segments: NDArray[np.int64], forces: Array
+    ) -> Array:
+        """(B, M) true tensions under those loads."""
+        commands = np.tile(self.command, (len(segments), 1))
+        angle_deg = np.rad2deg(np.arctan2(forces[:, 0], forces[:, 1]))
+        size = np.hypot(forces[:, 0], forces[:, 1])
+        loads = normal_force_n(self.mechanism, commands, segments, angle_deg, size)
+        return solve_equilibrium(mechanism, commands, loads).tensions_n
+
+
+def wrong_n(contact: Contact, segment: int, force_n: Array) -> float:
+    """How far an estimate is from the true force (2,)."""
+    y, z = (contact.magnitude_n * part for part in contact.direction)
+    if contact.segment == segment:
+        return float(np.hypot(y - force_n[0], z - force_n[1]))
+    return max(contact.magnitude_n, float(np.hypot(*force_n)))
+
+
+def healthy(arm_name: str, number: int) -> Array:
+    """Misfit, error (N), slack cables, whether it passes, and force, N, of each sample."""
+    bench = Bench(arm_name, number)
+    segments, forces = bench.loads(LOADS)
+    tensions = bench.tensions_n(bench.mechanism, segments, forces)
+    rows = []
+    for segment, force, true in zip(segments, forces, tensions, strict=True):
+        readings = bench.read(np.tile(true, (READINGS, 1)))
+        for reading, contact in zip(readings, bench.contacts(readings), strict=True):
+            passes = bench.passes(reading, contact)
+            error = wrong_n(contact, segment, force)
+            slack = int((true <= 0.0).sum())
+            rows.append((bench.check.misfit, error, slack, passes, np.hypot(*force)))
+    return np.array(rows)
+
+
+def faults(bench: Bench, reading_n: Array, cable: int) -> Iterator[tuple[str, Array]]:
+    """A healthy reading (M,) as every fault of one cable's channel leaves it."""
+
+    def with_reading(value: float) -> Array:
+        changed = reading_n.copy()
+        changed[cable] = max(value, 0.0)
+        return changed
+
+    own = float(reading_n[cable])
+    for scale in SCALES:
+        yield f"scale {scale:g}", with_reading(scale * own)
+    for offset in OFFSETS_N:
+        yield f"offset {offset:+g} N", with_reading(own + offset)
+    yield "stuck at the tare", with_reading(float(bench.tare[cable]))
+    yield "zero", with_reading(0.0)
+    yield "19,999 N", with_reading(19_999.0)
+    others = [other for other in range(len(reading_n)) if other != cable]
+    for other in bench.rng.choice(others, 3, replace=False):
+        changed = with_reading(float(reading_n[other]))
+        changed[other] = own
+        yield "exchanged with another", changed
+    if cable == 0:
+        yield "all twelve at zero", np.zeros_like(reading_n)
+
+
+def faulty(arm_name: str, number: int) -> list[tuple[str, float, bool, int, int, float]]:
+    """Fault, error (N), whether it passes, slack cables, cable, force of every case."""
+    bench = Bench(arm_name, 1_000_000 + number)
+    segments, forces = bench.loads(6)
+    tensions = bench.tensions_n(bench.mechanism, segments, forces)
+    cases: list[tuple[str, Array, int, int]] = []
+    for i, true in enumerate(tensions):
+        reading = bench.read(true)
+        for cable in range(bench.arm.cable_count):
+            cases += [(name, r, i, cable) for name, r in faults(bench, reading, cable)]
+    for cable in range(bench.arm.cable_count):
+        pretension = bench.mechanism.pretension_n.copy()
+        pretension[cable] = LOOSE_N
+        broken = replace(bench.mechanism, pretension_n=pretension)
+        for i in range(len(segments)):
+            try:
+                true = bench.tensions_n(broken, segments[i : i + 1], forces[i : i + 1])[0]
+            except EquilibriumError:
+                continue  # the arm collapses
+            cases.append(("broken cable", bench.read(true), i, cable))
+    contacts = bench.contacts(np.array([reading for _, reading, *_ in cases]))
+    slack = (tensions <= 0.0).sum(axis=1)
+    return [
+        (
+            name,
+            wrong_n(contact, segments[i], forces[i]),
+            bench.passes(reading, contact),
+            int(slack[i]),
+            cable,
+            float(np.hypot(*forces[i])),
+        )
+        for (name, reading, i, cable), contact in zip(cases, contacts, strict=True)
+    ]
+
+
+def check_us(arm_name: str) -> float:
+    """Median time of a check under a steady contact, µs."""
+    bench = Bench(arm_name, 0)
+    true = bench.tensions_n(bench.mechanism, np.array([3]), np.array([[30.0, 20.0]]))
+    readings = bench.read(np.tile(true, (2000, 1)))
+    contacts, times = bench.contacts(readings), []
+    for reading, contact in zip(readings, contacts, strict=True):
+        begin = time.perf_counter()
+        bench.passes(reading, contact)
+        times.append(time.perf_counter() - begin)
+    return round(float(np.median(times)) * 1e6, 1)
+
+
+def measure(arm_name: str, options: Any) -> dict[str, Any]:
+    """Everything of one arm."""
+    with WorkerPool(options.workers, arm_name) as pool:
+        sound = np.concatenate(list(pool.map(healthy, range(options.commands))))
+        found = [row for rows in pool.map(faulty, range(options.faulty)) for row in rows]
+    misfit, error, slack, passes, _ = sound.T
+    at = ("median", "99 %", "99.9 %", "99.99 %", "99.999 %", "worst")
+    table = {}
+    for name in dict.fromkeys(row[0] for row in found):
+        of = [row for row in found if row[0] == name]
+        wrong = [row for row in of if row[1] > WRONG_N]
+        passed = [row for row in wrong if row[2]]
+        table[name] = {
+            "cases": len(of),
+            "noticed": round(1.0 - np.mean([row[2] for row in of]), 4),
+            "wrong": len(wrong),
+            "wrong_and_passed": len(passed),
+            "share_of_all": round(len(passed) / len(of), 5),
+            "largest_passed_n": round(max((row[1] for row in of if row[2]), default=0.0), 1),
+        }
+    passed = [row for row in found if row[1] > WRONG_N and row[2]]
+    return {
+        "healthy": {
+            "samples": len(sound),
+            "withheld": int((passes == 0).sum()),
+            "misfit": harness.percentiles(misfit, at),
+            "misfit_by_slack_cables": {
+                str(int(n)): {"samples": int((slack == n).sum())}
+                | harness.percentiles(misfit[slack == n], at)
+                for n in np.unique(slack)
+            },
+            "error_n": harness.percentiles(error, at),
+        },
+        "faults": table,
+        "passed_by_slack_cables": {
+            str(n): [sum(row[3] == n for row in passed), sum(row[3] == n for row in found)]
+            for n in sorted({row[3] for row in found})
+        },
+        "worst_passed": [
+            [name, round(wrong, 1), f"cable_{cable + 1}", slack, round(force, 1)]
+            for name, wrong, _, slack, cable, force in sorted(passed, key=lambda r: -r[1])[:10]
+        ],
+        "check_us": check_us(arm_name),
+    }
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = harness.parser(__doc__, "results/plausibility.json")
+    parser.add_argument("--commands", type=int, default=1000, help="of 1000 healthy samples each")
+    parser.add_argument("--faulty", type=int, default=60, help="commands with every fault")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    options = parser.parse_args()
+    result = {**harness.origin(), "largest_misfit": LARGEST_MISFIT}
+    result["arms"] = {name: measure(name, options) for name in ARMS}
+    harness.publish("plausibility.json", result, options)
+
+
+if __name__ == "__main__":
+    main()
