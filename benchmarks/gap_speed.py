@@ -12,10 +12,8 @@ Rows where the arm has more than one place to rest count in neither.
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -94,14 +92,7 @@ def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
     """Wall seconds and peak memory of the verb, all of its processes together."""
     command = [*harness.CABLESENSE, "gap", "diagnose", str(recording), "--arm", ARM]
     command += ["--out", str(out), "--workers", str(WORKERS)]
-    began, peak_mb = time.monotonic(), 0.0
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
-        while running.poll() is None:
-            peak_mb = max(peak_mb, _resident_mb(running.pid))
-            time.sleep(0.1)
-    seconds = time.monotonic() - began
-    if running.returncode:
-        raise SystemExit(f"the diagnosis ended with {running.returncode}")
+    seconds, peak_mb = harness.run_watched(command)
     verdict = read_verdict(out / "verdict.json")
     return {
         "workers": WORKERS,
@@ -114,18 +105,6 @@ def _diagnosed(recording: Path, out: Path) -> dict[str, Any]:
         "gap_after_n": round(verdict.gap.after_n, 4),
         "gap_floor_n": round(verdict.gap.floor_n, 4),
     }
-
-
-def _resident_mb(pid: int) -> float:
-    """Of a process and all that it started; pages that they share count in each."""
-    total_mb, open_pids = 0.0, [pid]
-    while open_pids:
-        pid = open_pids.pop()
-        with contextlib.suppress(OSError):  # ended meanwhile
-            total_mb += np.nan_to_num(harness.rss_mb(pid))
-            for task in Path(f"/proc/{pid}/task").iterdir():
-                open_pids += map(int, (task / "children").read_text().split())
-    return total_mb
 
 
 def _fitted(recording: Recording) -> dict[str, Any]:

@@ -10,8 +10,11 @@ import argparse
 import json
 import os
 import platform
+import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -93,6 +96,32 @@ def rss_mb(pid: int) -> float:
     except (OSError, IndexError):
         return float("nan")
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def run_watched(command: Sequence[str]) -> tuple[float, float]:
+    """Run a command; gives its wall seconds, and the peak memory of all of its processes, MB.
+
+    Pages that processes share count in each.
+    """
+    began, peak_mb = time.monotonic(), 0.0
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
+        while running.poll() is None:
+            sizes_mb = [rss_mb(pid) for pid in _tree(running.pid)]
+            peak_mb = max(peak_mb, float(np.nansum(sizes_mb)))
+            time.sleep(0.1)
+    if running.returncode:
+        raise SystemExit(f"{command[0]} ended with {running.returncode}")
+    return time.monotonic() - began, peak_mb
+
+
+def _tree(pid: int) -> Iterator[int]:
+    """A process and all that it started, while they run."""
+    with suppress(OSError):  # ended meanwhile
+        tasks = [task / "children" for task in Path(f"/proc/{pid}/task").iterdir()]
+        children = [int(child) for task in tasks for child in task.read_text().split()]
+        yield pid
+        for child in children:
+            yield from _tree(child)
 
 
 def cpu_s(pid: int) -> float:

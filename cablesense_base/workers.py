@@ -1,20 +1,39 @@
-"""A pool of worker processes: the same results in the same order for any number of workers."""
+"""A pool of worker processes: the same results in the same order for any number of workers.
+
+No worker outlives its pool. Where the block around the pool ends by an error or an interrupt, what
+the workers do is ended, with the temporary files that they have open; and where the process that
+owns the pool is killed, each worker notices and ends itself. Ctrl-C and a hangup of the terminal
+reach workers too: they leave it to their owner.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait
 from typing import Any, Self, TypeVar
 
 from cablesense_base.errors import CableSenseError
 
 Result = TypeVar("Result")
 
+GRACE_S = 3.0
+"""How long a worker may take to end after SIGTERM, before it is killed."""
+_TERMINATED = 128 + signal.SIGTERM
+_OF_THE_TERMINAL = {signal.SIGINT, signal.SIGHUP}
+
 _shared: tuple[Any, ...] = ()
 """In a worker: what the tasks of its pool share."""
+_at_work = False
+"""In a worker: whether a task is under way, which may have files to remove."""
 
 
 class WorkerPool:
@@ -37,18 +56,31 @@ class WorkerPool:
 
     def __enter__(self) -> Self:
         if self._workers > 1:
-            self._pool = ProcessPoolExecutor(
-                self._workers,
-                mp_context=multiprocessing.get_context("spawn"),
-                initializer=_share,
-                initargs=self._common,
-            )
+            with _terminal_is_not_heard():  # multiprocessing starts a process for its semaphores
+                self._pool = ProcessPoolExecutor(
+                    self._workers,
+                    mp_context=multiprocessing.get_context("spawn"),
+                    initializer=_begin,
+                    initargs=self._common,
+                )
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Tasks that have not begun are dropped."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Tasks that have not begun are dropped; after an error those under way are ended."""
+        if self._pool is None:
+            return
+        if kind is not None:
+            # Python 3.14 has this as ProcessPoolExecutor.terminate_workers
+            alive = list((self._pool._processes or {}).values())
+            for worker in alive:
+                worker.terminate()
+            deadline_s = time.monotonic() + GRACE_S
+            while alive and (left_s := deadline_s - time.monotonic()) > 0.0:
+                ended = wait([worker.sentinel for worker in alive], left_s)
+                alive = [worker for worker in alive if worker.sentinel not in ended]
+            for worker in alive:
+                worker.kill()
+        self._pool.shutdown(cancel_futures=True)
 
     def map(
         self,
@@ -71,7 +103,8 @@ class WorkerPool:
         pending: deque[Future[Result]] = deque()
         try:
             for task in tasks:
-                pending.append(self._pool.submit(_call, function, task))
+                with _terminal_is_not_heard():  # a worker may start
+                    pending.append(self._pool.submit(_call, function, task))
                 if len(pending) == most_pending:
                     yield pending.popleft().result()
             while pending:
@@ -82,10 +115,46 @@ class WorkerPool:
             ) from error
 
 
-def _share(*shared: Any) -> None:
+@contextmanager
+def _terminal_is_not_heard() -> Iterator[None]:
+    """Processes that start in the block inherit the signals blocked; here they only wait."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_THE_TERMINAL)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(*shared: Any) -> None:
+    """In a worker, before its first task."""
     global _shared
     _shared = shared
+    signal.signal(signal.SIGTERM, _end)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor sends one more
+    if not _at_work:
+        os._exit(_TERMINATED)
+    raise SystemExit(_TERMINATED)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # this is a worker
+    wait([parent.sentinel])
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(GRACE_S)
+    os._exit(_TERMINATED)
 
 
 def _call(function: Callable[..., Result], task: tuple[Any, ...]) -> Result:
-    return function(*_shared, *task)
+    global _at_work
+    _at_work = True
+    try:
+        return function(*_shared, *task)
+    except SystemExit:  # the executor would report it and take the next task
+        os._exit(_TERMINATED)
+    finally:
+        _at_work = False

@@ -1,15 +1,19 @@
 """The `cablesense` command: gathers the verbs and turns errors into one line and an exit code.
 
 Exit codes: 0 done; 1 something that ran has failed; 2 wrong input, with a remedy in the
-message; 130 Ctrl-C.
+message; 130 Ctrl-C, 143 SIGTERM, 129 a terminal that hung up.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from traceback import clear_frames
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
@@ -59,8 +63,20 @@ def options(
     """Options before the verb."""
 
 
+_END_S = 5.0
+"""More than an end takes; a signal after it asks again."""
+_END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
 def main() -> None:
-    """Runs the command and ends the process with its exit code."""
+    """Runs the command and ends the process with its exit code.
+
+    Signals that end it leave through the `with` statements: worker processes end, and no part of
+    a file stays behind.
+    """
+    for number in _END_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup
+            signal.signal(number, _on_end_signal)
     try:
         if sys.stdout is None or sys.stderr is None:
             raise OutputError("standard output or error is closed; send both to a file")
@@ -68,7 +84,8 @@ def main() -> None:
         err = _CheckedStream(sys.stderr, "standard error")
         with redirect_stdout(out), redirect_stderr(err):
             try:
-                app()
+                with _released():
+                    app()
             finally:
                 out.flush()
     except CableSenseError as error:
@@ -81,6 +98,34 @@ def main() -> None:
         )
     except KeyboardInterrupt:
         _end("interrupted", 130)
+
+
+_last_end_s = -math.inf
+
+
+def _on_end_signal(number: int, _: object) -> None:
+    global _last_end_s
+    now_s = time.monotonic()
+    if now_s - _last_end_s < _END_S:  # the end is under way and must not be cut short
+        return
+    _last_end_s = now_s
+    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+
+@contextmanager
+def _released() -> Iterator[None]:
+    """An error ends the generators that its frames hold, and with them pools and part files.
+
+    Else they would end with the interpreter, which first waits for the pools' tasks.
+    """
+    try:
+        yield
+    except BaseException as error:
+        each: BaseException | None = error
+        while each is not None:
+            clear_frames(each.__traceback__)
+            each = each.__context__
+        raise
 
 
 class _CheckedStream:

@@ -79,11 +79,13 @@ def diagnose(
 
         found = make(recorded, nominal, show, workers)
         if retrain:
-            errors = estimator_errors(recorded, nominal, found.amended, show, workers)
+            errors = estimator_errors(found.recording, nominal, found.amended, show, workers)
             verdict = found.verdict.model_copy(update={"estimator": errors})
             found = replace(found, verdict=verdict)
     write_diagnosis(out, found)
     console.print(headline(found.verdict), soft_wrap=True)
+    if len(found.recording) < len(recorded):
+        console.print(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 
 
@@ -201,14 +203,15 @@ def record(
     if description is None:
         return
     from cablesense_gap.recordings.checks import check_recording, read_recording
+    from cablesense_gap.recordings.thinning import rows_to_use
     from cablesense_sim.build import mechanism_of
     from cablesense_sim.equilibrium import solve_equilibrium
 
     recording = read_recording(out, description)
-    nominal = solve_equilibrium(
-        mechanism_of(description), recording.command_rad, recording.forces_n
-    )
-    for finding in check_recording(recording, description, nominal.tensions_n):
+    rows = rows_to_use(recording)
+    used = recording.rows(rows)
+    nominal = solve_equilibrium(mechanism_of(description), used.command_rad, used.forces_n)
+    for finding in check_recording(recording, description, nominal.tensions_n, rows):
         console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
 
 

@@ -1,8 +1,9 @@
 """From a recording and a nominal arm to a verdict.
 
-The way of a recording, from here downward: checks (`recordings.checks`), the nominal arm and the
-candidates (`arm_simulator`), screening and fits (`diagnosis.search`), probabilities
-(`diagnosis.probability`), then the places, numbers and gap of the verdict.
+The way of a recording, from here downward: checks (`recordings.checks`), the rows to use
+(`recordings.thinning`), the nominal arm and the candidates (`arm_simulator`), screening and fits
+(`diagnosis.search`), probabilities (`diagnosis.probability`), then the places, numbers and gap of
+the verdict.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from cablesense_gap.diagnosis.search import search
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_gap.unlisted import describe_unlisted
@@ -54,6 +56,7 @@ class Diagnosis:
     """A verdict, the arm that follows from it, and what both arms predict.
 
     Attributes:
+        recording: the R rows that were used (`recordings.thinning`).
         amended: the arm with what was found.
         predicted_before_n: (R, M) by the nominal arm.
         predicted_after_n: (R, M) by the amended arm.
@@ -103,14 +106,17 @@ def diagnose(
         EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
     """
     began = time.monotonic()
-    refuse_unusable(recording, check_recording(recording, arm))
+    whole = recording
+    refuse_unusable(whole, check_recording(whole, arm))
+    rows = rows_to_use(whole)
+    recording = whole if len(rows) == len(whole) else whole.rows(rows)
     progress("predicting the nominal arm", 0.0)
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
     if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
         nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
-    findings = check_recording(recording, arm, nominal)
-    refuse_unusable(recording, findings)
+    findings = check_recording(whole, arm, nominal, rows)
+    refuse_unusable(whole, findings)
     problem = problem_of(recording, simulator, nominal)
     ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
     progress("describing the verdict", 0.98)
@@ -151,6 +157,8 @@ def diagnose(
         why=reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
+        rows=len(whole),
+        rows_used=len(recording),
         arm=arm.name,
     )
     progress("done", 1.0)

@@ -43,6 +43,7 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Effects = Annotated[tuple[Name, ...], Field(min_length=1), AfterValidator(_in_order)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Rows = Annotated[int, Field(ge=1)]
 Newtons = Annotated[float, Field(ge=0.0)]
 Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
 ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$")]
@@ -127,6 +128,8 @@ class Verdict(FilePart):
         estimator: present if it was trained again.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
+        rows: of the recording.
+        rows_used: as many, or fewer of a long one.
         arm: name of the nominal arm.
     """
 
@@ -142,6 +145,8 @@ class Verdict(FilePart):
     why: tuple[str, ...] = ()
     seconds: Newtons | None = None
     recording: str = ""
+    rows: Rows | None = None
+    rows_used: Rows | None = None
     arm: str = ""
 
     @model_validator(mode="after")

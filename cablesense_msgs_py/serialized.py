@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 from cablesense_msgs_py.topics import ContractError, Frames
 
+MAX_MESSAGE_BYTES = 1 << 18
+"""Of a message that is read; a sample of an arm with twelve cables has 400."""
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
 _STAMP_AT, _HEAD_AT = 4, 12
@@ -63,7 +65,7 @@ class EffortReader:
         """Read one message, of either byte order.
 
         Raises:
-            ContractError: the bytes end too early, or are no CDR joint state.
+            ContractError: the bytes end too early, are too many, or are no CDR joint state.
         """
         head = None
         if raw[:2] == self._encapsulation:
@@ -85,6 +87,7 @@ class EffortReader:
         return Efforts(stamp_ns, head.names, layout.unpack_from(raw, at))
 
     def _read_head(self, raw: bytes) -> _Head:
+        require_bounded(raw)
         encapsulation = raw[:2]
         order = _BYTE_ORDERS.get(encapsulation)
         if order is None or len(raw) < _HEAD_AT:
@@ -100,6 +103,18 @@ class EffortReader:
             self._stamp = _STAMPS[encapsulation]
         self._known[raw[_HEAD_AT : head.values_at]] = head
         return head
+
+
+def require_bounded(raw: bytes) -> None:
+    """Nothing, where a message may be parsed.
+
+    Raises:
+        ContractError: it is longer than any message of the contract.
+    """
+    if len(raw) > MAX_MESSAGE_BYTES:
+        raise ContractError(
+            f"{len(raw)} bytes; a message of this topic has at most {MAX_MESSAGE_BYTES}"
+        )
 
 
 def _decode_head(raw: bytes, order: str) -> _Head:

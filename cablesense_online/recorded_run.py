@@ -12,12 +12,16 @@ from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawM
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract
-from cablesense_msgs_py.serialized import stamp_ns
+from cablesense_msgs_py.serialized import require_bounded, stamp_ns
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import EstimatorState, EventKind, state_of
 
 MOST_CHANGES = 1_000_000
 """A hundred commands a second for hours; more would fill the memory."""
+_MOST_KEPT_BYTES = 1 << 30
+"""Of the messages that these are in."""
+_MOST_OPEN = 100_000
+"""Samples that wait for their answer, whatever the times in the file: far more than any window."""
 _WINDOW_NS = 2_000_000_000
 """An answer that has not come this long after its sample never came; far longer than any takes."""
 _STATE_AFTER_NS = 1_000_000_000
@@ -80,6 +84,7 @@ class RecordedRun:
         self._logged: list[tuple[int, EstimatorState]] = []
         names: dict[str, str] = {}
         others: list[RawMessage] = []
+        kept_bytes = 0
         for raw in messages:
             topic = of_contract(raw.topic)
             if topic is None:
@@ -89,8 +94,14 @@ class RecordedRun:
                 self._logged.append((raw.log_ns, self._state(types, raw)))
             elif topic in INPUTS and topic != topics.CABLE_TENSIONS:
                 others.append(raw._replace(topic=topic))
-            if len(self._logged) + len(others) > MOST_CHANGES:
-                raise RecordingError(f"{path}: more than {MOST_CHANGES} commands and loads")
+            else:
+                continue
+            kept_bytes += len(raw.data)
+            if len(self._logged) + len(others) > MOST_CHANGES or kept_bytes > _MOST_KEPT_BYTES:
+                raise RecordingError(
+                    f"{path}: more than {MOST_CHANGES} commands and loads, or more than "
+                    f"{_MOST_KEPT_BYTES >> 20} MiB of them; record shorter runs"
+                )
         if topics.CABLE_TENSIONS not in names:
             there = ", ".join(sorted(names.values())[:8]) or "nothing"
             raise RecordingError(
@@ -157,13 +168,17 @@ class RecordedRun:
         self, samples: deque[Step], answers: dict[int, tuple[int, bytes]], before_ns: int
     ) -> Iterator[Step]:
         """Take out the samples whose answer is there, or that were recorded before a time."""
-        while samples and (samples[0].stamp_ns in answers or samples[0].log_ns < before_ns):
+        while samples and (
+            samples[0].stamp_ns in answers
+            or samples[0].log_ns < before_ns
+            or len(samples) > _MOST_OPEN
+        ):
             sample = samples.popleft()
             _, answer = answers.pop(sample.stamp_ns, (0, None))
             yield sample._replace(answer=answer)
         while answers:
             stamp, (log_ns, answer) = next(iter(answers.items()))
-            if log_ns >= before_ns - _WINDOW_NS:
+            if log_ns >= before_ns - _WINDOW_NS and len(answers) <= _MOST_OPEN:
                 break
             del answers[stamp]
             contact = shows_contact(answer)
@@ -199,6 +214,7 @@ def shows_contact(answer: bytes) -> bool:
 
 def _stamp(raw: bytes) -> int:
     try:
+        require_bounded(raw)
         return stamp_ns(raw)
     except ContractError:
         return 0

@@ -15,6 +15,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from importlib import import_module
 from inspect import Parameter, Signature
 from typing import Any
@@ -27,6 +28,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -36,14 +38,18 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.time_source import CLOCK_TOPIC, TimeSource
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos
+from cablesense_msgs_py.serialized import require_bounded
+from cablesense_msgs_py.topics import ContractError
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 
@@ -142,9 +148,36 @@ class RefusalLog:
     def subscribe(
         self, kind: type, topic: str, qos: Qos, handle: Callable[[Any], object]
     ) -> Subscription:
-        """A subscription of the node, guarded so."""
-        take = self.guarded(topic, handle)
-        return self._node.create_subscription(kind, topic, take, **overridable(qos))
+        """A subscription of the node, guarded so; what is too long is refused unread."""
+
+        def take(raw: bytes) -> None:
+            require_bounded(raw)
+            try:
+                message = deserialize_message(raw, kind)
+            except Exception as error:  # of the middleware, each its own
+                raise ContractError(f"no message of its type ({error})") from error
+            handle(message)
+
+        return self._node.create_subscription(
+            kind, topic, self.guarded(topic, take), **overridable(qos), raw=True
+        )
+
+
+@cache
+def refuse_negative_clock() -> None:
+    """Leave the time as it is at a `/clock` before 1970, which rclpy would end the process for."""
+    take = TimeSource.clock_callback
+
+    def checked(source: TimeSource, message: Any) -> None:
+        try:
+            take(source, message)
+        except ValueError as error:
+            get_logger("clock").warning(
+                f"{CLOCK_TOPIC} is {message.clock.sec} s: refused, the time stays ({error})",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
+
+    TimeSource.clock_callback = checked
 
 
 _WAKE_S = 0.2
@@ -158,6 +191,7 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     cannot start. A `ConfiguredNode` is configured and activated where its `autostart` asks for it.
     """
     prefer_quick_discovery()
+    refuse_negative_clock()
     wanted_end = Future()
     given = None if args is None else list(args)
     try:

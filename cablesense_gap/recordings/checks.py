@@ -118,16 +118,19 @@ def check_form(recording: Recording, arm: Arm) -> list[Finding]:
 
 
 def check_recording(
-    recording: Recording, arm: Arm, nominal_n: Array | None = None
+    recording: Recording,
+    arm: Arm,
+    nominal_n: Array | None = None,
+    rows: NDArray[np.int64] | None = None,
 ) -> list[Finding]:
     """Problems of a recording that is to be diagnosed, the worst first.
 
-    `nominal_n` (R, M) is what the nominal arm predicts for the rows: exchanged channels and other
-    arms can only be found with it.
+    `nominal_n` is what the nominal arm predicts for the `rows` (K,), all of them if None, as
+    (K, M): exchanged channels and other arms can only be found with it.
     """
     found = check_form(recording, arm)
     if not any(finding.severity is Severity.REFUSE for finding in found):
-        found += [*_amount(recording), *channel_findings(recording, arm, nominal_n)]
+        found += [*_amount(recording), *channel_findings(recording, arm, nominal_n, rows)]
     return sorted(found, key=_rank)
 
 
@@ -135,10 +138,16 @@ def _rank(finding: Finding) -> bool:
     return finding.severity is not Severity.REFUSE
 
 
-def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) -> list[Finding]:
+def channel_findings(
+    recording: Recording,
+    arm: Arm,
+    nominal_n: Array | None,
+    rows: NDArray[np.int64] | None = None,
+) -> list[Finding]:
     """Problems of the channels: saturated, stuck, of other cables or another arm.
 
-    Without a nominal prediction (R, M) only constant and saturated ones can be found.
+    Without a nominal prediction for the `rows`, as in `check_recording`, only constant and
+    saturated ones can be found.
     """
     read = recording.tensions_n
     findings = list(_at_range_ends(read, arm))
@@ -157,13 +166,16 @@ def channel_findings(recording: Recording, arm: Arm, nominal_n: Array | None) ->
     predicted = np.ptp(nominal_n, axis=0) > moved_n
     if predicted.sum() < 2:
         return findings
+    numbers = np.arange(len(recording)) if rows is None else rows
+    compared = recording if rows is None else recording.rows(rows)
+    read = compared.tensions_n
     cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
     own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
     if len(cables) >= 2:
         swapped = list(_swapped(own, expected, cables))
         if swapped:  # other findings would be of the wrong channels
             return [*findings, *swapped]
-    findings += _stuck(recording, nominal_n, moved_n)
+    findings += _stuck(compared, numbers, nominal_n, moved_n)
     return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
 
 
@@ -315,8 +327,10 @@ def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
                 )
 
 
-def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[Finding]:
-    """Channels that stop at one value while the prediction moves on.
+def _stuck(
+    recording: Recording, numbers: NDArray[np.int64], nominal_n: Array, moved_n: float
+) -> Iterator[Finding]:
+    """Channels that stop at one value while the prediction moves on; rows have `numbers` from 0.
 
     Friction and slack hold a tension as well, but not from one trial to the next, as a dead
     channel does, nor at the same maximum in one cycle of loads after another.
@@ -332,8 +346,9 @@ def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[F
         if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
             yield _warn(
                 "stuck",
-                f"tension_{cable}_n stands still in rows {longest.start + 1} to {longest.stop}, "
-                "while loads or poses change; see whether its sensor is connected",
+                f"tension_{cable}_n stands still in rows {numbers[longest.start] + 1} to "
+                f"{numbers[longest.stop - 1] + 1}, while loads or poses change; see whether its "
+                "sensor is connected",
             )
             continue
         tops = [
@@ -341,10 +356,12 @@ def _stuck(recording: Recording, nominal_n: Array, moved_n: float) -> Iterator[F
         ]
         at_top = np.concatenate([predicted[run] for run in tops]) if tops else np.zeros(1)
         if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
+            highest = np.zeros(numbers[-1] + 1, dtype=bool)
+            highest[numbers[values == values.max()]] = True
             yield _warn(
                 "saturated",
                 f"tension_{cable}_n does not exceed {values.max():g} N in "
-                f"{rows_named(values == values.max())}, while the load on it goes on; load less, "
+                f"{rows_named(highest)}, while the load on it goes on; load less, "
                 "or give the sensors' range_n in the arm file",
             )
 

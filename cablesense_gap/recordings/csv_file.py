@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base.arrays import Array
 from cablesense_base.errors import some_of
 from cablesense_base.files import written_whole
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.recordings.recording import MAX_NUMBERS, Recording, RecordingError
 from cablesense_sim.arm import Arm
 
 if TYPE_CHECKING:
@@ -29,7 +29,9 @@ LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
 MAX_FILE_BYTES = 200_000_000
 """Days at 5 Hz; what is larger is no recording of one protocol."""
 
-_MAX_HEADER_CHARACTERS = 100_000
+_MAX_LINE_CHARACTERS = 100_000
+_CELLS_AT_ONCE = 2_000_000
+"""A cell takes some fifty bytes while a part of the file is parsed."""
 _TIME_DECIMALS, _LOAD_DECIMALS, _TENSION_DECIMALS = 6, 4, 4
 _COMMAND_DECIMALS = 6
 """A microradian moves the tension of a stiff cable by less than a sensor's step."""
@@ -63,9 +65,9 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
     """
     path = Path(path)
     wanted = all_columns(arm.joint_count, arm.cable_count)
-    _check_header(path, wanted, arm)
-    table = _read_table(path)
-    values = {name: _numbers(path, table[name]) for name in wanted}
+    columns = _checked_columns(path, wanted, arm)
+    parts = _parts(path, wanted, max(1, _CELLS_AT_ONCE // columns))
+    values = {name: np.concatenate([part[name] for part in parts]) for name in wanted}
 
     def stacked(names: Sequence[str]) -> Array:
         return np.stack([values[name] for name in names], axis=1)
@@ -111,7 +113,8 @@ def write_csv(path: str | Path, recording: Recording) -> None:
         pd.DataFrame(table).to_csv(beside, index=False, lineterminator="\n")
 
 
-def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
+def _checked_columns(path: Path, wanted: list[str], arm: Arm) -> int:
+    """How many columns the file has; it is gone through once, a line at a time."""
     try:
         if not path.is_file():
             raise RecordingError(f"{path}: no such file")
@@ -122,13 +125,21 @@ def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
                 "what no trial needs"
             )
         with path.open(encoding="utf-8-sig", newline="") as file:
-            line = file.readline(_MAX_HEADER_CHARACTERS)
-        # a quote left open would go on to any number of columns
-        if len(line) == _MAX_HEADER_CHARACTERS or line.count('"') % 2:
-            raise RecordingError(f"{path}: its first line has no end; it must name the columns")
-        header = [name.strip() for name in next(csv.reader([line]), [])]
+            line = file.readline(_MAX_LINE_CHARACTERS)
+            # a quote left open would go on to any number of columns
+            if len(line) == _MAX_LINE_CHARACTERS or line.count('"') % 2:
+                raise RecordingError(
+                    f"{path}: its first line has no end; it must name the columns"
+                )
+            header = [name.strip() for name in next(csv.reader([line]), [])]
+            _check_names(path, header, wanted, arm)
+            _check_lines(path, file, len(header), MAX_NUMBERS // len(wanted))
     except (OSError, ValueError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read as CSV text ({error})") from error
+    return len(header)
+
+
+def _check_names(path: Path, header: list[str], wanted: list[str], arm: Arm) -> None:
     twice = sorted({name for name in header if name in wanted and header.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: columns {some_of(twice)} stand twice; each must be once")
@@ -144,27 +155,58 @@ def _check_header(path: Path, wanted: list[str], arm: Arm) -> None:
         )
 
 
-def _read_table(path: Path) -> pd.DataFrame:
+def _check_lines(path: Path, file: TextIO, columns: int, most_rows: int) -> None:
+    """Every line by itself is a row with no more cells than there are columns.
+
+    A parser would hold any number of them, at 300 bytes each.
+    """
+    number = 1
+    while line := file.readline(_MAX_LINE_CHARACTERS):
+        number += 1
+        cells = line.count(",") + 1
+        if '"' in line:
+            cells = len(next(csv.reader([line], strict=True, skipinitialspace=True)))
+        # a comma at the end of each line is one of some programs
+        if cells > columns + line.rstrip().endswith(",") or len(line) == _MAX_LINE_CHARACTERS:
+            raise RecordingError(
+                f"{path}: line {number} has more than {columns} cells, or no end; every row must "
+                "have as many cells as the header"
+            )
+        if number > most_rows:
+            raise RecordingError(
+                f"{path}: more than {most_rows} rows; an hour at 1 kHz has fewer: split it"
+            )
+
+
+def _parts(path: Path, wanted: Sequence[str], rows_at_once: int) -> list[dict[str, Array]]:
+    """The columns wanted of some rows at a time; at least one part."""
     import pandas as pd
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
+        with (
+            warnings.catch_warnings(),
+            pd.read_csv(
                 path,
                 encoding="utf-8-sig",
                 index_col=False,
                 skipinitialspace=True,
                 low_memory=False,
-            )
+                usecols=lambda name: name.strip() in wanted,
+                chunksize=rows_at_once,
+            ) as tables,
+        ):
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            parts = []
+            for table in tables:
+                table.columns = table.columns.str.strip()
+                parts.append({name: _numbers(path, table[name]) for name in wanted})
+            return parts
     except (OSError, ValueError, pd.errors.ParserWarning) as error:
         line = " ".join(str(error).split())
         raise RecordingError(
             f"{path}: not a table with one cell per column ({line}); every row must have as many "
             "cells as the header"
         ) from error
-    table.columns = table.columns.str.strip()
-    return table
 
 
 def _numbers(path: Path, column: pd.Series) -> Array:
@@ -178,7 +220,8 @@ def _numbers(path: Path, column: pd.Series) -> Array:
     if column.dtype == bool or bad.size:
         at = int(bad[0]) if bad.size else 0
         cell = str(column.iloc[at])[:40]
-        raise RecordingError(f"{path}: row {at + 1}, column {column.name}: {cell!r} is no number")
+        row = column.index[at] + 1
+        raise RecordingError(f"{path}: row {row}, column {column.name}: {cell!r} is no number")
     return np.asarray(numbers, dtype=float)
 
 

@@ -6,6 +6,7 @@ Each `cable_tensions` is one row, with the command and the load in force when it
 from __future__ import annotations
 
 import logging
+from array import array
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,20 +17,27 @@ import numpy as np
 from cablesense_base.arrays import Array
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage, TopicFile
-from cablesense_gap.recordings.recording import Recording, RecordingError, derive_trials
+from cablesense_gap.recordings.recording import (
+    MAX_NUMBERS,
+    Recording,
+    RecordingError,
+    derive_trials,
+    numbers_a_row,
+)
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
+from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.arm import Arm
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
-MAX_ROWS = 10_800_000
-"""A packed file holds any number of equal messages; rows of them take some 500 bytes each."""
 
 _LOG = logging.getLogger(__name__)
 _REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
+_NO_LOAD = np.zeros(3)
+_LATEST_NS = 2**63 - 1
 _START_NS = 1_000_000_000
 """Stamp of a written recording's time 0: a stamp of 0 would mean that there is none."""
 
@@ -49,7 +57,11 @@ class BagRows:
         self._command: Array | None = None
         self._loads: dict[int, Array] = {}
         self._trial: int | None = None
-        self._rows: list[tuple[Any, ...]] = []
+        self._most_rows = MAX_NUMBERS // numbers_a_row(arm.joint_count, arm.cable_count)
+        # in plain arrays, as objects would take four times the memory
+        self._times_ns, self._tensions_n = array("q"), array("d")
+        self._states: list[tuple[int | None, Array, int, Array]] = []
+        self._state_of_row = array("q")
 
     def taken(self, topic: str) -> int:
         """How many messages of a topic have come, the last one included."""
@@ -64,7 +76,7 @@ class BagRows:
         """
         self._taken[topic] += 1
         if topic == topics.JOINT_COMMANDS:
-            self._command = joint_command_rad(message, self._joints)
+            self._command = _same(self._command, joint_command_rad(message, self._joints))
         elif topic == topics.APPLIED_WRENCH:
             self._take_load(message)
         elif topic == topics.TRIAL:
@@ -83,30 +95,33 @@ class BagRows:
                 f"{path}: no message on {topics.JOINT_COMMANDS}; publish the command once more "
                 "after the recorder has started, also for a straight arm"
             )
-        if not self._rows:
+        if not self._times_ns:
             raise RecordingError(
                 f"{path}: no message on {topics.CABLE_TENSIONS} after the first on "
                 f"{topics.JOINT_COMMANDS}; record on after the command"
             )
-        logs, stamps, trials, commands, segments, forces, tensions = zip(*self._rows, strict=True)
+        logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
         # a clock that stamps only some messages is none
-        clock_ns = np.array(stamps if all(stamps) else logs, dtype=np.int64)
+        clock_ns = stamps_ns if stamps_ns.all() else logs_ns
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
-        command, load_n = np.array(commands), np.array(forces)
-        segment = np.array(segments, dtype=np.int64)
+        at = np.array(self._state_of_row)
+        trials, commands, segments, forces = zip(*self._states, strict=True)
+        command, load_n = np.array(commands)[at], np.array(forces)[at]
+        segment = np.array(segments, dtype=np.int64)[at]
         first = next((trial for trial in trials if trial is not None), None)
         if first is None:
             trial = derive_trials(time_s, command, segment, load_n)
         else:
-            trial = np.array([first if n is None else n for n in trials], dtype=np.int64)
-        return Recording(path.stem, time_s, trial, command, segment, load_n, np.array(tensions))
+            trial = np.array([first if n is None else n for n in trials], dtype=np.int64)[at]
+        tensions_n = np.array(self._tensions_n).reshape(len(at), -1)
+        return Recording(path.stem, time_s, trial, command, segment, load_n, tensions_n)
 
     def _take_load(self, message: Any) -> None:
         prefix = message.header.frame_id.rpartition("segment_")[0]
         load = read_load(message, Frames(self._arm.segment_count, prefix))
-        self._loads.pop(load.segment, None)
+        before = self._loads.pop(load.segment, None)
         if load.force_base_n.any():
-            self._loads[load.segment] = load.force_base_n
+            self._loads[load.segment] = _same(before, load.force_base_n)
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:
@@ -114,16 +129,28 @@ class BagRows:
                 f"segments {' and '.join(map(str, sorted(self._loads)))} are loaded at once; take "
                 "one load off (a zero force in its frame) before putting on the next"
             )
-        segment, force = next(iter(self._loads.items()), (0, np.zeros(3)))
-        tensions = self._cables.arrange(message.name, message.effort, "effort")
+        segment, force = next(iter(self._loads.items()), (0, _NO_LOAD))
+        tensions = self._cables.pick(message.name, message.effort, "effort")
         if not self._keep:
             return
-        if len(self._rows) >= MAX_ROWS:
+        if len(self._state_of_row) >= self._most_rows:
             raise RecordingError(
-                f"more than {MAX_ROWS} samples; three hours at 1 kHz are as many: split it"
+                f"more than {self._most_rows} samples; an hour at 1 kHz has fewer: split it"
             )
+        state = self._trial, command, segment, force
+        if not self._states or any(
+            one is not other for one, other in zip(state, self._states[-1], strict=True)
+        ):
+            self._states.append(state)
+        self._state_of_row.append(len(self._states) - 1)
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        self._rows.append((log_ns, stamp_ns, self._trial, command, segment, force, tensions))
+        self._times_ns.extend((min(log_ns, _LATEST_NS), stamp_ns))
+        self._tensions_n.extend(tensions)
+
+
+def _same(before: Array | None, now: Array) -> Array:
+    """The array that is kept already, where the values are those."""
+    return before if before is not None and np.array_equal(before, now) else now
 
 
 def read_mcap(path: str | Path, arm: Arm) -> Recording:
@@ -209,6 +236,10 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
                     f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
                     f"{INPUTS[topic].kind}"
                 )
+            try:
+                require_bounded(raw.data)
+            except CableSenseError as error:
+                raise RecordingError(f"{path}: {raw.topic}: {error}") from error
             yield topic, raw.log_ns, types.message(raw.kind, raw.data)
     except CableSenseError:
         raise
@@ -227,12 +258,17 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 
 def _raw_messages(path: Path) -> Iterator[RawMessage]:
-    """Of a file, also of one that breaks off; of a folder, by its metadata."""
-    if not path.is_dir():
-        messages = McapMessages(path)
+    """Of a file, also one that breaks off; of a folder, its files in the order of their numbers.
+
+    A folder without MCAP files is left to `rosbags`, which unpacks without bound.
+    """
+    inside = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    for file in inside if path.is_dir() else [path]:
+        messages = McapMessages(file)
         yield from messages
         if messages.cut:
-            _LOG.warning("%s: %s; what came before is used", path, messages.cut)
+            _LOG.warning("%s: %s; what came before is used", file, messages.cut)
+    if inside or not path.is_dir():
         return
     from rosbags.rosbag2 import Reader
 

@@ -30,6 +30,9 @@ _GAP_INTERVALS = 5.0
 _SAME_SIDE_COSINE = 0.866
 """Loads within 30 degrees of each other come from one side."""
 
+MAX_NUMBERS = 100_000_000
+"""Of a recording that is read: an hour at 1 kHz of an arm with twelve cables, 0.8 GB in memory."""
+
 _SHOWN = 5
 
 
@@ -74,6 +77,11 @@ class Recording:
         """The chosen rows: a mask (R,), indices or a slice."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return replace(self, **{name: column[chosen] for name, column in columns.items()})
+
+
+def numbers_a_row(joint_count: int, cable_count: int) -> int:
+    """How many numbers a row of a recording has."""
+    return 6 + joint_count + cable_count
 
 
 def rows_named(wrong: NDArray[Any]) -> str:

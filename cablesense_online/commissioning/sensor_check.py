@@ -14,6 +14,7 @@ import numpy as np
 
 from cablesense_gap.recordings.checks import Severity, channel_findings
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_online.commissioning.sensor_statistics import (
     PULLED_FLOORS,
     ChannelStatistics,
@@ -260,8 +261,6 @@ def _of_pull(result: PullResult, expected: SensorExpectation) -> _Findings:
         yield SensorFinding(wrong, kind, result.cable, text)
 
 
-MOST_ROWS = 20_000
-"""Predicted within a second or two; longer recordings are thinned out."""
 _KINDS = ("swapped", "stuck", "arm", "unit")
 """The others show in the sensors' own statistics."""
 
@@ -274,12 +273,11 @@ def exercised_channel_findings(recording: Recording, arm: Arm) -> list[SensorFin
     """
     if not (np.ptp(recording.command_rad, axis=0).any() or recording.load_n.any()):
         return []
-    every = -(-len(recording) // MOST_ROWS)
-    recording = recording.rows(slice(None, None, every))
-    nominal = solve_equilibrium(mechanism_of(arm), recording.command_rad, recording.forces_n)
-    counted = f" (rows count one sample in {every})" if every > 1 else ""
+    rows = rows_to_use(recording)
+    used = recording.rows(rows)
+    nominal = solve_equilibrium(mechanism_of(arm), used.command_rad, used.forces_n)
     return [
-        SensorFinding(True, finding.kind, "all", finding.text + counted)
-        for finding in channel_findings(recording, arm, nominal.tensions_n)
+        SensorFinding(True, finding.kind, "all", finding.text)
+        for finding in channel_findings(recording, arm, nominal.tensions_n, rows)
         if finding.kind in _KINDS or finding.severity is Severity.REFUSE
     ]

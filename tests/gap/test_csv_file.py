@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -145,3 +147,56 @@ def test_a_first_line_without_end_is_refused(tmp_path, line):
     path.write_text(line + "\n1,2\n")
     with pytest.raises(RecordingError, match="first line has no end"):
         read_csv(path, open_arm("cdsm"))
+
+
+READ = """
+import resource, sys
+from cablesense_gap.recordings.csv_file import read_csv
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_sim.arm import open_arm
+import pandas
+arm = open_arm("cdsm_lab")
+before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    read_csv(sys.argv[1], arm)
+except RecordingError as error:
+    print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb) // 1000, error)
+"""
+
+
+def commas(lines):
+    return [*lines[:2], "," * 4_000_000]
+
+
+def quoted_lines(lines):
+    return [*lines[:2], '"\n",' * 800_000]
+
+
+@pytest.mark.slow  # a process whose memory is its own
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [(commas, "line 3 has more than 26 cells"), (quoted_lines, "cannot be read as CSV text")],
+)
+def test_a_row_of_any_shape_takes_no_more_memory_than_its_file(tmp_path, change, why):
+    path = written(tmp_path, change)
+    done = subprocess.run([sys.executable, "-c", READ, path], capture_output=True, text=True)
+    took_mb, said = done.stdout.split(maxsplit=1)
+    assert why in said
+    assert int(took_mb) < 60
+
+
+def test_a_file_is_read_in_parts_as_it_is_at_once(tmp_path, monkeypatch):
+    path = written(tmp_path, lambda lines: [lines[0], *(line + "," for line in lines[1:])])
+    at_once = read_csv(path, LAB)
+    monkeypatch.setattr(csv_file, "_CELLS_AT_ONCE", 60)
+    in_parts = read_csv(path, LAB)
+    np.testing.assert_array_equal(in_parts.time_s, at_once.time_s)
+    np.testing.assert_array_equal(in_parts.tensions_n, at_once.tensions_n)
+    with pytest.raises(RecordingError, match="row 5, column tension_3_n: 'x' is no number"):
+        read_csv(written(tmp_path, in_cell(5, "tension_3_n", "x")), LAB)
+
+
+def test_more_rows_than_memory_is_meant_for_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(csv_file, "MAX_NUMBERS", 4 * 26)
+    with pytest.raises(RecordingError, match="more than 4 rows"):
+        read_csv(written(tmp_path), LAB)

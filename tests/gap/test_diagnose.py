@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from gap_problem import CHANNELS, TRIAL, explanation, rate, size
-from gap_recordings import LAB, small_recording
+from gap_recordings import LAB, RATE_HZ, small_recording
 
 from cablesense_base.errors import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
@@ -24,7 +24,9 @@ from cablesense_gap.pipeline import (
     rmse_interval_n,
     where,
 )
+from cablesense_gap.recordings import thinning
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.report.page import report_page
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
@@ -85,6 +87,24 @@ def test_the_candidates_are_of_one_truth():
     assert sum(c.probability for c in candidates) == pytest.approx(1.0)
     assert candidates[0].effects == loaded().verdict.effects
     assert {("none",), ("unknown",)} <= {c.effects for c in candidates}
+
+
+@pytest.mark.slow
+def test_a_long_recording_is_diagnosed_on_some_of_its_rows(monkeypatch):
+    monkeypatch.setattr(thinning, "MOST_ROWS", len(PROTOCOL))
+    short = made({Term("payload", "segment_3", "mass_kg"): MASS_KG})
+    often = 20
+    long = replace(
+        short.rows(np.repeat(np.arange(len(short)), often)),
+        time_s=np.arange(often * len(short)) / (often * RATE_HZ),
+    )
+    found = diagnose(long, LAB)
+    assert found.verdict.effects == ("payload",)
+    assert found.verdict.where.segments == ("segment_3",)
+    assert found.verdict.rows == often * len(short)
+    assert found.verdict.rows_used == len(found.recording) <= len(short)
+    assert f"of {found.verdict.rows:,} rows used" in " ".join(report_page(found).split())
+    assert loaded().verdict.rows_used == loaded().verdict.rows == len(short)
 
 
 @pytest.mark.slow

@@ -223,3 +223,17 @@ def test_a_type_of_any_name_is_refused_in_one_line(tmp_path, monkeypatch):
         read_mcap(path, LAB)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 400
+
+
+def test_a_message_that_is_too_long_is_refused_unread(tmp_path):
+    long = ("tensions", [f"cable_{i}" for i in range(20_000)], [0.0] * 20_000)
+    with pytest.raises(RecordingError, match=r"/cable_tensions: .* at most 262144"):
+        read_mcap(bag(tmp_path / "long.mcap", COMMAND, long), LAB)
+
+
+def test_more_samples_than_memory_is_meant_for_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_file, "MAX_NUMBERS", 2 * 26)
+    path = bag(tmp_path / "r.mcap", COMMAND, TENSIONS, TENSIONS)
+    assert len(read_mcap(path, LAB)) == 2
+    with pytest.raises(RecordingError, match="more than 2 samples"):
+        read_mcap(bag(tmp_path / "s.mcap", COMMAND, *[TENSIONS] * 3), LAB)

@@ -46,6 +46,8 @@ VERDICT = Verdict(
         ),
     ),
     seconds=12.0,
+    rows=600_000,
+    rows_used=6_000,
 )
 KEYS = [
     "effects",
@@ -58,6 +60,8 @@ KEYS = [
     "candidates",
     "estimator",
     "seconds",
+    "rows",
+    "rows_used",
 ]
 
 

@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.serialized import EffortReader, WrenchWriter, restamped, stamp_ns
+from cablesense_msgs_py.serialized import (
+    MAX_MESSAGE_BYTES,
+    EffortReader,
+    WrenchWriter,
+    restamped,
+    stamp_ns,
+)
 from cablesense_msgs_py.topics import ContractError
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -162,3 +168,13 @@ def test_as_rclpy_writes_it():
 def test_other_bytes_are_refused(raw):
     with pytest.raises(ContractError, match="no message with a stamp"):
         stamp_ns(raw)
+
+
+@pytest.mark.parametrize("field", ["name", "position", "effort"])
+def test_a_message_that_is_too_long_is_refused_unread_and_not_kept(field):
+    reader, count = EffortReader(), MAX_MESSAGE_BYTES // 8 + 1
+    values = ["joint"] * count if field == "name" else [0.0] * count
+    message = sensor_msgs.JointState(**{field: values})
+    with pytest.raises(ContractError, match=f"bytes; .* at most {MAX_MESSAGE_BYTES}"):
+        reader.read(serialization.serialize_message(message))
+    assert not reader._known

@@ -1,5 +1,6 @@
 """Good sensors pass; every fault is a finding that names its cable and the remedy."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from gap_recordings import LAB, small_recording
 from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
 
+from cablesense_gap.recordings import thinning
 from cablesense_online.commissioning.sensor_check import (
     LEAST_FLOOR_N,
     check_sensors,
@@ -173,10 +175,12 @@ def test_an_arm_that_was_left_alone_shows_nothing(recording):
     assert exercised_channel_findings(still, LAB) == []
 
 
-def test_a_long_recording_is_thinned_out_and_the_finding_states_it(recording, monkeypatch):
-    module = "cablesense_online.commissioning.sensor_check.MOST_ROWS"
-    monkeypatch.setattr(module, len(recording) // 2)
-    swapped_n = recording.tensions_n.copy()
-    swapped_n[:, [1, 6]] = swapped_n[:, [6, 1]]
-    (finding,) = exercised_channel_findings(replace(recording, tensions_n=swapped_n), LAB)
-    assert "one sample in" in finding.text
+def test_a_long_recording_is_thinned_out_and_rows_are_those_of_the_file(recording, monkeypatch):
+    monkeypatch.setattr(thinning, "MOST_ROWS", len(recording) // 2)
+    dead_n = recording.tensions_n.copy()
+    dead_n[100:, 4] = 50.0
+    (finding,) = exercised_channel_findings(replace(recording, tensions_n=dead_n), LAB)
+    assert finding.kind == "stuck"
+    first, last = map(int, re.findall(r"rows (\d+) to (\d+)", finding.text)[0])
+    assert 100 < first < 110
+    assert last == len(recording)

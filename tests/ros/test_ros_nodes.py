@@ -1,8 +1,10 @@
 """The sim and estimator nodes as processes, over the real middleware."""
 
 import math
+import re
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import serialize_message
 from ros_graph import Graph, NodeProcess, force
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from cablesense_sim.arm import open_arm
@@ -208,6 +212,57 @@ def _force_tares(graph, wanted):
 
 def _values(graph, status):
     return {v.key: v.value for v in graph.statuses[f"estimator: {status}"].values}
+
+
+def test_huge_messages_are_refused_unread_and_leave_no_memory_behind(graph):
+    process = NodeProcess(ESTIMATOR, namespace="/flooded")
+    samples, commands = (
+        graph.node.create_publisher(JointState, f"/flooded/{topic}", 100)
+        for topic in ("cable_tensions", "joint_commands")
+    )
+    for publisher in (samples, commands):
+        graph.until(publisher.get_subscription_count, "the estimator")
+    commands.publish(JointState(name=["x"] * 100_000))
+    before_mb = _resident_mb(process.pid)
+    huge = serialize_message(JointState(effort=[0.0] * 1_000_000))
+    for _ in range(100):
+        samples.publish(huge)
+        graph.spin(0.02)
+    for topic in ("cable_tensions: sample refused", "joint_commands: message refused"):
+        graph.until(
+            lambda topic=topic: re.search(rf"{topic}: \d+ bytes; a message", process.log),
+            f"{topic} in the log",
+        )
+    graph.spin(1.0)
+    assert _resident_mb(process.pid) < before_mb + 250
+    for publisher in (samples, commands):
+        graph.node.destroy_publisher(publisher)
+    assert process.stop() == 0, process.log
+
+
+def _resident_mb(pid):
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def test_a_clock_before_1970_is_refused_and_the_node_goes_on(graph):
+    process = NodeProcess(ESTIMATOR, namespace="/simulated", use_sim_time=True)
+    clock = graph.node.create_publisher(Clock, "/clock", 10)
+    graph.until(clock.get_subscription_count, "the estimator")
+    message = Clock()
+    message.clock.sec = -5
+
+    def refused():
+        clock.publish(message)
+        return "/clock is -5 s: refused" in process.log or not process.alive
+
+    graph.until(refused, "the refusal in the log")
+    message.clock.sec = 6
+    clock.publish(message)
+    graph.spin(0.5)
+    assert process.alive
+    assert process.stop() == 0, process.log
+    assert "Traceback" not in process.log
+    graph.node.destroy_publisher(clock)
 
 
 def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):

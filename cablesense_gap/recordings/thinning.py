@@ -1,0 +1,96 @@
+"""The rows of a long recording that a diagnosis works on.
+
+Its time and memory grow with rows and trials, and neighbouring rows of a fast recording say the
+same. So rows are chosen, never averaged, since the noise of a reading must stay that of the
+sensors. Kept are
+
+- of each trial the first row and the last,
+- rows where the command or the load turns back, and both sides of their leaps: what friction,
+  backlash and creep remember is made there,
+- of all others as many as there is room for, at equal distances in their order.
+
+A turn or leap counts from a hundredth of the recording's largest on, and from twice as much as
+often as there are too many for half of the room. Of too many trials, whole ones are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base.arrays import Array
+from cablesense_gap.recordings.recording import Recording
+
+MOST_ROWS = 6_000
+"""Twenty minutes at 5 Hz: recordings by the protocol are used whole."""
+MOST_TRIALS = 500
+"""The protocol of an arm with four segments has sixty."""
+
+_LEAST_TURN = 0.01
+_OTHER_SEGMENT = 100.0
+"""In the units of a turn: a load that goes to another segment always counts, if anything does."""
+
+Rows = NDArray[np.int64]
+
+
+def rows_to_use(recording: Recording) -> Rows:
+    """(K,) ascending; all rows where they and the trials are few enough."""
+    numbers, first, inverse = np.unique(recording.trial, return_index=True, return_inverse=True)
+    rows = np.arange(len(recording))
+    if len(rows) <= MOST_ROWS and len(numbers) <= MOST_TRIALS:
+        return rows
+    last = len(rows) - 1 - np.unique(recording.trial[::-1], return_index=True)[1]
+    if len(numbers) > MOST_TRIALS:
+        chosen = np.linspace(0, len(numbers) - 1, MOST_TRIALS).astype(int)
+        rows, first, last = rows[np.isin(inverse, chosen)], first[chosen], last[chosen]
+    kept = np.union1d(np.concatenate([first, last]), rows[_turns(recording.rows(rows))])
+    room = max(MOST_ROWS - len(kept), 0)
+    even = rows[np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int)]
+    return np.union1d(kept, even)
+
+
+def _turns(recording: Recording) -> Rows:
+    """Rows where command or load turns back or leaps, at most half of all that may be kept."""
+    columns = list(_scaled(recording))
+    turns: list[Rows] = [np.arange(len(recording))] * len(columns)
+    leaps = [np.abs(np.diff(column)) for column in columns]
+    least = 1.0
+    while True:
+        turns = [_turned(*both, least) for both in zip(columns, turns, strict=True)]
+        leapt = [np.flatnonzero(leap >= least) for leap in leaps]
+        found = np.unique(np.concatenate([*turns, *leapt, *(rows + 1 for rows in leapt)]))
+        if len(found) <= MOST_ROWS // 2:
+            return found
+        least *= 2.0
+
+
+def _scaled(recording: Recording) -> Iterator[Array]:
+    """Each commanded angle and component of the load (R,), in units of the least turn."""
+    for values in (recording.command_rad, recording.load_n):
+        largest = float(np.ptp(values, axis=0).max(initial=0.0))
+        if largest > 0.0:
+            yield from np.asarray(values.T / (_LEAST_TURN * largest))
+    yield np.asarray(_OTHER_SEGMENT * recording.load_segment)
+
+
+def _turned(values: Array, rows: Rows, least: float) -> Rows:
+    """Those of some rows at which values (R,) turn, by `least` or more since the last turn."""
+    if not len(rows):
+        return rows
+    change = np.diff(values[rows])
+    moves = np.flatnonzero(change)
+    # the last row of each stretch at an end of the way, before it turns back, and the last of all
+    ends = rows[np.append(moves[1:][np.diff(np.sign(change[moves])) != 0.0], len(rows) - 1)]
+    found: list[int] = []
+    way, high, low = 0, (-np.inf, 0), (np.inf, 0)
+    for here in zip(values[ends].tolist(), ends.tolist(), strict=True):
+        high, low = max(high, here), min(low, here)
+        if way >= 0 and high[0] - here[0] >= least:
+            found.append(high[1])
+            way, high, low = -1, here, here
+        elif way <= 0 and here[0] - low[0] >= least:
+            found.append(low[1])
+            way, high, low = 1, here, here
+    return np.array(found, dtype=np.int64)

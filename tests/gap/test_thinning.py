@@ -1,0 +1,85 @@
+"""Rows of a long recording: few, of every trial, with all turns of command and load."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gap_recordings import small_recording
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.recordings import thinning
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.thinning import rows_to_use
+
+
+def recording(command, load_z_n, trial=None) -> Recording:
+    """At 1 kHz; one joint moves, and one segment is loaded along z."""
+    rows = len(command)
+    load_n = np.outer(load_z_n, [0.0, 0.0, 1.0])
+    return Recording(
+        name="long",
+        time_s=1e-3 * np.arange(rows),
+        trial=np.zeros(rows, dtype=np.int64) if trial is None else trial,
+        command_rad=np.outer(command, np.eye(8)[2]),
+        load_segment=np.where(load_n.any(axis=1), 2, 0),
+        load_n=load_n,
+        tensions_n=np.zeros((rows, 12)),
+    )
+
+
+def test_a_recording_by_the_protocol_is_used_whole():
+    whole = small_recording()
+    np.testing.assert_array_equal(rows_to_use(whole), np.arange(len(whole)))
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.integers(1, 200)), min_size=1, max_size=60),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.0, 1e-3, 1.0]),
+)
+@settings(max_examples=60)
+def test_there_are_never_too_many_and_of_each_trial_the_ends(blocks, seed, noise):
+    trial = np.repeat([number for number, _ in blocks], [rows for _, rows in blocks])
+    rng = np.random.default_rng(seed)
+    held = np.repeat(rng.normal(size=len(blocks)), [rows for _, rows in blocks])
+    load_n = 9.0 * rng.integers(0, 2, len(trial)) * rng.normal(size=len(trial))
+    made = recording(held + noise * rng.normal(size=len(trial)), load_n, trial)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(thinning, "MOST_ROWS", 300)
+        patch.setattr(thinning, "MOST_TRIALS", 30)
+        rows = rows_to_use(made)
+    assert (np.diff(rows) > 0).all()
+    assert len(rows) <= 300 or len(rows) == len(trial)
+    used, present = made.rows(rows), np.unique(trial)
+    kept = np.unique(used.trial)
+    assert len(kept) == min(len(present), 30)
+    for number in kept:
+        ends = np.flatnonzero(trial == number)[[0, -1]]
+        assert np.isin(ends, rows).all()
+
+
+def test_turns_of_a_sweep_are_kept_to_the_row():
+    turns = np.array([0, 7_123, 23_456, 31_001, 44_444, 59_999])
+    command = np.interp(np.arange(60_000), turns, [0.0, 0.1, -0.15, 0.02, -0.01, 0.0])
+    rows = rows_to_use(recording(command, np.zeros(60_000)))
+    assert np.isin(turns, rows).all()
+    assert len(rows) <= thinning.MOST_ROWS
+    assert np.diff(rows).max() <= 60_000 / 5_000
+
+
+def test_both_sides_of_a_leap_of_the_load_are_kept_and_noise_takes_no_room():
+    load_n = np.repeat([0.0, 30.0, 0.0, -20.0], 25_000)
+    load_n = load_n + (load_n != 0.0) * np.random.default_rng(0).normal(0.0, 0.5, len(load_n))
+    rows = rows_to_use(recording(np.zeros(100_000), load_n))
+    for leap in (25_000, 50_000, 75_000):
+        assert np.isin([leap - 1, leap], rows).all()
+    assert len(rows) <= thinning.MOST_ROWS
+    assert np.diff(rows).max() <= 100_000 / 2_900
+
+
+def test_a_load_that_goes_to_another_segment_is_a_leap():
+    made = recording(np.zeros(50_000), np.full(50_000, 9.0))
+    segment = np.where(np.arange(50_000) < 20_003, 1, 4)
+    moved = Recording(**{**vars(made), "load_segment": segment})
+    assert np.isin([20_002, 20_003], rows_to_use(moved)).all()
