@@ -80,6 +80,8 @@ class WorkerPool:
                 alive = [worker for worker in alive if worker.sentinel not in ended]
             for worker in alive:
                 worker.kill()
+            # or the pool would wait for the rest of a result that was cut short
+            self._pool._result_queue._writer.close()  # type: ignore[attr-defined]
         self._pool.shutdown(cancel_futures=True)
 
     def map(

@@ -124,3 +124,21 @@ def test_workers_end_with_an_owner_that_is_killed(tmp_path):
         owner.send_signal(signal.SIGKILL)
     assert_gone(workers)
     assert not [each for each in tmp_path.iterdir() if each.is_dir()]
+
+
+def large(_: str, task: int) -> bytes:
+    return bytes(50_000_000 + task)
+
+
+def end_in_mid_result() -> None:
+    with WorkerPool(2, "") as pool:
+        next(pool.map(large, [0, 1] * 20, most_pending=6))
+        raise ValueError("the owner fails")
+
+
+@pytest.mark.slow  # processes start
+@pytest.mark.timeout(60)
+def test_a_result_that_is_cut_short_holds_nothing_up():
+    for _ in range(3):
+        with pytest.raises(ValueError, match="the owner fails"):
+            end_in_mid_result()
