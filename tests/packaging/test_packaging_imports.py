@@ -49,7 +49,8 @@ def distributions_of(module: str) -> set[str]:
 @pytest.fixture(scope="module")
 def ros_modules() -> set[str]:
     """Name the modules that a ROS installation, or the ros extra, brings."""
-    return {depend.name for depend in parse_package(CHECKOUT).exec_depends}
+    package = parse_package(CHECKOUT)
+    return {depend.name for depend in (*package.exec_depends, *package.test_depends)}
 
 
 @pytest.mark.parametrize(
