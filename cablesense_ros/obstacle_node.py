@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -72,6 +73,8 @@ class ObstacleNode(Node):
     def destroy_node(self) -> None:
         """Let go of the arm."""
         self._press(np.zeros(3))
+        # a publisher that is gone repeats nothing, and the arm would stay loaded
+        self._loads_out.wait_for_all_acked(Duration(seconds=1))
         super().destroy_node()
 
     def _on_joint_states(self, message: JointState) -> None:
