@@ -8,6 +8,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 # tests/conftest.py groups them: the tests of a file share fixtures, those of real nodes follow one another.
 PARALLEL := --numprocesses auto --dist loadfile
+# Hundreds of processes start in the tests; each would compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
+FAST := --ignore=tests/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
@@ -30,7 +33,7 @@ test: setup build/mypy/cablesense_training  ## style, types, dependencies betwee
 	exit $$failed
 
 test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow
-	@$(BIN)/python -m pytest $(PARALLEL) -m 'not slow and not ros and not browser' $(ARGS)
+	@$(BIN)/python -m pytest $(PARALLEL) $(FAST) $(ARGS)
 
 lint: setup build/mypy/cablesense_training  ## style, types and dependencies between packages
 	@failed=0; \

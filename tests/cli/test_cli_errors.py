@@ -53,6 +53,7 @@ def test_every_verb_of_the_diagnosis_explains_itself(verb):
     assert "Example" in result.output
 
 
+@pytest.mark.slow
 def test_help_loads_neither_ros_nor_torch_nor_the_page():
     code = (
         "import sys; from cablesense_cli.app import app;"
@@ -91,8 +92,8 @@ def test_version_is_shown():
         (["gap", "record", "--arm", "nonsense", "--out", "r.mcap"], "bundled arms are cdsm"),
     ],
 )
-def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, tmp_path):
-    result = run(*arguments, cwd=tmp_path)
+def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, command, tmp_path):
+    result = command(*arguments)
     assert result.returncode == 2
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1
@@ -101,10 +102,10 @@ def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, tmp_path):
     assert list(tmp_path.rglob("*.png")) == []
 
 
-def test_a_file_that_is_no_model_is_refused(tmp_path):
+def test_a_file_that_is_no_model_is_refused(command, tmp_path):
     path = tmp_path / "broken.onnx"
     path.write_bytes(b"not a model")
-    result = run("info", str(path))
+    result = command("info", path)
     assert result.returncode == 2
     assert "not a valid ONNX file" in result.stderr
 
@@ -115,6 +116,7 @@ def assert_one_line_on_output(returncode, stderr, why):
     assert line.startswith(f"cablesense: standard output cannot be written ({why}); send it")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["info", "info --json", "--help", "--version"])
 def test_output_that_cannot_be_written_is_one_line(arguments):
     command, errors = [*COMMAND, *arguments.split()], {"stderr": subprocess.PIPE, "text": True}
@@ -128,12 +130,14 @@ def test_output_that_cannot_be_written_is_one_line(arguments):
     assert_one_line_on_output(done.returncode, done.stderr, "Broken pipe")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", [">&-", "2>&-", "2>/dev/full", ">/dev/full 2>&1"])
 def test_errors_that_nobody_can_read_end_with_2_too(where):
     command = f"{sys.executable} -c '{COMMAND[-1]}' info nonsense {where}"
     assert subprocess.run(command, shell=True, capture_output=True).returncode == 2
 
 
+@pytest.mark.slow
 def test_info_of_an_arm_as_json():
     result = run("info", "cdsm", "--json")
     description = json.loads(result.stdout)
@@ -153,6 +157,7 @@ def test_info_of_an_arm_as_tables():
     assert "cable_10" not in result.output
 
 
+@pytest.mark.slow
 def test_info_of_the_bundled_model_says_what_it_was_made_for():
     from cablesense_base.installation import config_path
 
@@ -219,6 +224,7 @@ def run_without(libraries, *arguments, program=COMMAND_TEXT):
     )
 
 
+@pytest.mark.slow
 def test_a_library_that_is_not_installed_is_named_with_the_remedy():
     result = run_without("torch", "train")
     assert result.returncode == 2
@@ -227,6 +233,7 @@ def test_a_library_that_is_not_installed_is_named_with_the_remedy():
     assert "make setup" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_which_library_it_lacks(tmp_path):
     path = tmp_path / "recording.csv"
     arm = open_arm("cdsm_lab")
@@ -241,6 +248,7 @@ def test_a_diagnosis_says_which_library_it_lacks(tmp_path):
 GAP_LIBRARIES = "pandas,rosbags,jinja2"
 
 
+@pytest.mark.slow
 def test_what_is_no_diagnosis_needs_none_of_its_libraries(tmp_path):
     assert run_without(GAP_LIBRARIES, "--help").returncode == 0
     assert run_without(GAP_LIBRARIES, "gap", "--help").returncode == 0
@@ -251,6 +259,7 @@ def test_what_is_no_diagnosis_needs_none_of_its_libraries(tmp_path):
     assert loaded.returncode == 0, loaded.stderr
 
 
+@pytest.mark.slow
 def test_evaluation_needs_no_library_for_files():
     result = run_without("torch,pyarrow", "evaluate", "--table2")
     assert result.returncode == 0, result.stderr

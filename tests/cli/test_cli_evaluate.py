@@ -1,7 +1,6 @@
 """`cablesense evaluate`: tables for people, JSON for programs, one line for what cannot be."""
 
 import json
-import subprocess
 import sys
 
 import pytest
@@ -46,6 +45,7 @@ def test_table2_as_a_table_names_the_loads(table2_model):
     assert "physical arm" in text
 
 
+@pytest.mark.slow
 def test_one_model_is_evaluated_on_its_own_arm():
     path = find_model("cdsm")
     content = json.loads(_run("--model", path, "--samples", 200, "--seed", 1, "--json"))
@@ -71,8 +71,8 @@ def test_one_model_is_evaluated_on_its_own_arm():
         (["--model", "setup.py"], "unknown model"),
     ],
 )
-def test_a_refusal_is_one_line_and_exit_code_two(arguments, remedy):
-    result = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60)
+def test_a_refusal_is_one_line_and_exit_code_two(arguments, remedy, command):
+    result = command("evaluate", *arguments)
     assert result.returncode == 2
     assert result.stdout == ""
     assert remedy in result.stderr

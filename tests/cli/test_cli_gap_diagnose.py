@@ -13,7 +13,7 @@ from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app, main
+from cablesense_cli.app import app
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import read_answers
@@ -90,18 +90,11 @@ def broken(recording: Recording, what: str) -> Recording:
         ("one trial", "2 trials"),
     ],
 )
-def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(
-    tmp_path, monkeypatch, capsys, what, text
-):
+def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(command, tmp_path, what, text):
     write_csv(tmp_path / "new.csv", broken(recorded(LAB), what))
-    monkeypatch.setattr(
-        sys, "argv", ["cablesense", "gap", "diagnose", "new.csv", "--out", "found"]
-    )
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
+    result = command("gap", "diagnose", "new.csv", "--out", "found")
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
     assert line.startswith("cablesense: ")
     assert text in line
     assert not (tmp_path / "found").exists()

@@ -15,6 +15,7 @@ from cablesense_gap.recordings.protocol import standard_protocol
 from cablesense_sim.arm import open_arm
 
 
+@pytest.mark.slow
 def test_the_table_has_a_line_for_every_block():
     result = CliRunner().invoke(
         app, ["gap", "protocol", "--arm", "cdsm_lab"], env={"COLUMNS": "200"}
@@ -24,6 +25,7 @@ def test_the_table_has_a_line_for_every_block():
         assert block.does.split(" (")[0][:60] in result.output
 
 
+@pytest.mark.slow
 def test_rows_have_the_columns_of_a_recording_but_tensions(tmp_path):
     out = tmp_path / "protocol.csv"
     result = CliRunner().invoke(

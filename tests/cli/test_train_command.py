@@ -27,6 +27,7 @@ def _run(*words):
     return CliRunner().invoke(app, list(words), env={"COLUMNS": "200"})
 
 
+@pytest.mark.slow
 def test_writes_a_model_and_prints_its_figures(tmp_path):
     out = tmp_path / "model.onnx"
     result = _run(*SMALL, "--out", str(out))
@@ -57,6 +58,7 @@ def test_nothing_is_written_when_a_network_is_unknown(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_amended_arm_is_trained_for_as_any_other(tmp_path):
     listed = [
         {"effect": "payload", "at": "segment_4", "parameters": {"mass_kg": 0.3}},
@@ -75,6 +77,7 @@ def test_an_amended_arm_is_trained_for_as_any_other(tmp_path):
     assert Estimator.load(out, arm).metadata.arm_identity == arm.identity
 
 
+@pytest.mark.slow
 def test_samples_on_arms_drawn_at_random_stand_in_the_command(tmp_path):
     out = tmp_path / "model.onnx"
     result = _run(*SMALL, "--randomise", "payload,sensor_gain", "--json", "--out", str(out))

@@ -16,6 +16,9 @@ from cablesense_gap.diagnosis.probability import Ranked, bundled_calibration, po
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
 
+pytestmark = pytest.mark.slow
+
+
 FRICTION = Term("pulley_friction", "pulley", "coefficient")
 SHARE, TIME_S = (Term("cable_creep", "cable", name) for name in ("share", "time_s"))
 WINCH_GAIN, WEIGHT_GAIN = (Term("sensor_gain", force, "gain") for force in FORCES)

@@ -243,6 +243,7 @@ def test_numbers_beyond_their_range_are_put_at_its_end(beyond, tmp_path):
     assert abs(amended.effects[1].parameters["start_cable_4"]) == 1.0
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     mass_kg=st.floats(-0.5, 10.0),

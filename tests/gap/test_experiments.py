@@ -41,15 +41,18 @@ def asked(*rivals: int) -> Experiment:
     return next_experiment(LAB, [every[k] for k in rivals], FLOOR_N, FEW)
 
 
+@pytest.mark.slow
 def test_a_spring_in_a_joint_shows_when_that_joint_moves():
     assert asked(2).block == SWEEP.does
     assert asked(2).text.startswith(f"To confirm it: {SWEEP.does} There joint elasticity must")
 
 
+@pytest.mark.slow
 def test_a_contact_that_is_off_shows_under_loads_on_that_segment():
     assert asked(3).block == LOADED[0].does
 
 
+@pytest.mark.slow
 def test_what_confirms_either_tells_them_apart():
     found = asked(2, 3)
     assert found.block in (SWEEP.does, LOADED[0].does)
@@ -63,6 +66,7 @@ def test_sizes_are_said_as_they_are():
     assert f"{found.over_floor:.0f} times the noise floor, most at cable" in found.text
 
 
+@pytest.mark.slow
 def test_the_nearest_of_several_rivals_counts():
     found = next_experiment(LAB, [SPRING, CONTACT, PAYLOAD], FLOOR_N, [SWEEP])
     alone = [next_experiment(LAB, [SPRING, r], FLOOR_N, [SWEEP]) for r in (CONTACT, PAYLOAD)]
@@ -70,6 +74,7 @@ def test_the_nearest_of_several_rivals_counts():
     assert "from contact offset or payload" in found.text
 
 
+@pytest.mark.slow
 def test_a_constant_is_not_told_by_what_every_recording_is_fitted_to():
     """An offset shows at rest already; a gain is told from it by loads alone."""
     assert asked(5).block == REST.does
@@ -77,17 +82,20 @@ def test_a_constant_is_not_told_by_what_every_recording_is_fitted_to():
     assert asked(4, 5).text.endswith("most at cable 5.")
 
 
+@pytest.mark.slow
 def test_creep_shows_in_a_long_hold():
     found = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
     assert found.block == HOLD.does
 
 
+@pytest.mark.slow
 def test_an_effect_with_itself_is_told_by_nothing():
     found = next_experiment(LAB, [PAYLOAD, PAYLOAD], FLOOR_N, LOADED)
     assert found.text.startswith("No block of the protocol distinguishes payload from payload")
     assert found.separation_n == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_hides_below_the_floor_is_said_and_how_often_to_repeat():
     slight = {Term("contact_offset", "segment_3", "offset_m"): 0.002}
     found = next_experiment(LAB, [{}, slight], FLOOR_N, LOADED)

@@ -284,6 +284,7 @@ def coverage(effects, truth, tolerances, seeds=100):
     return np.mean(inside, axis=0)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth():
     truth = {GAIN: 0.3, amount("gain", "b"): -0.2}
     assert (coverage(linear("gain", ["a", "b"]), truth, scatter(0.05)) >= COVERED).all()

@@ -62,6 +62,7 @@ COMMAND = ("command", LAB.joint_names, [0.01 * i for i in range(8)])
 TENSIONS = ("tensions", LAB.cable_names, [50.0 + i for i in range(12)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [LAB, NINE], ids=lambda arm: arm.name)
 @given(rows=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
@@ -164,6 +165,7 @@ def test_a_bag_that_cannot_be_used_is_refused_in_one_line(calls, said, tmp_path)
     assert "a.mcap" in str(caught.value)
 
 
+@pytest.mark.slow
 @given(cut=st.floats(0.0, 0.99), flip=st.integers(0, 2000))
 @settings(max_examples=40, deadline=None)
 def test_a_broken_file_is_refused_or_read(cut, flip, tmp_path_factory):

@@ -121,6 +121,7 @@ def places(found):
     return {block.place for block in found.chosen}
 
 
+@pytest.mark.slow
 @given(
     st.dictionaries(st.sampled_from(PLACES), st.sampled_from([-1.5, -0.4, 0.3, 2.0]), min_size=1,
                     max_size=4),

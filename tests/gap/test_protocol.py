@@ -40,6 +40,7 @@ def in_kind(arm, kind):
     return rows, np.isin(rows.trial, [i for i, block in enumerate(blocks) if block.kind is kind])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
     rows, slackening = in_kind(arm, BlockKind.SLACKENING)
@@ -51,6 +52,7 @@ def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
     assert np.linalg.norm(rows.load_n, axis=1).max() <= STRONGEST_N + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_an_arm_somewhat_weaker_than_nominal_rests_as_well(arm):
     rows, _ = in_kind(arm, BlockKind.SLACKENING)
@@ -64,6 +66,7 @@ def test_an_arm_somewhat_weaker_than_nominal_rests_as_well(arm):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_every_segment_is_loaded_and_every_joint_turns_back_in_several_trials(arm):
     rows = rows_of(standard_protocol(arm), arm.sensors.rate_hz)
@@ -151,6 +154,7 @@ def test_where_slack_cannot_be_avoided_the_load_still_shows():
     assert np.abs(moved - solve_equilibrium(mechanism, straight).tensions_n).max() > 1.0
 
 
+@pytest.mark.slow
 def test_the_sensors_range_bounds_the_load():
     sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 110.0)})
     short = LAB.model_copy(update={"sensors": sensors})
@@ -220,6 +224,7 @@ def separation(found, name):
     return np.linalg.norm(left)
 
 
+@pytest.mark.slow
 def test_static_effects_can_be_told_apart_by_it_and_not_by_rest_alone():
     rows = rows_of(BLOCKS, 1.0)
     found = sensitivities(rows)
@@ -232,6 +237,7 @@ def test_static_effects_can_be_told_apart_by_it_and_not_by_rest_alone():
     assert separation(still, "payload_3") < 1e-6
 
 
+@pytest.mark.slow
 def test_slackening_cycles_tell_a_tilted_base_from_zeros_and_pretension():
     rows = rows_of(BLOCKS, 1.0)
     slackening = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.SLACKENING]

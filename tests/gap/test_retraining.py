@@ -164,6 +164,7 @@ def errors_n(arm: Arm) -> tuple[float, float]:
     return before["force_mae_n"], after["force_mae_n"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [LAG, GAIN, RUBBING], ids=lambda e: e.effect)
 def test_what_no_sample_tells_is_at_least_halved(effect: ListedEffect):
     before_n, after_n = errors_n(having(effect))
@@ -176,6 +177,7 @@ def test_an_arm_whose_effects_are_statics_needs_no_past():
     assert np.array_equal(answers_with_past(recording, having(PAYLOAD), answer), expected)
 
 
+@pytest.mark.slow
 def test_what_comes_later_changes_nothing_earlier():
     """An estimate uses its own reading and those before it."""
     arm, recording = having(LAG), recorded(having(LAG))
@@ -213,6 +215,7 @@ def test_found_is_what_the_nominal_arm_does_not_list_and_no_workshop_leaves():
     assert found_values(amended, amended_arm(amended, {}, {ZERO: 0.03})) == {}
 
 
+@pytest.mark.slow
 def test_the_refit_finds_the_number_that_is_true():
     fitted = without_fold(problem(), 1, LAB, amended_arm(LAB, {MASS: 0.3}, {}))
     assert found_values(LAB, fitted) == {MASS: pytest.approx(TRUE_KG, rel=0.05)}
@@ -246,6 +249,7 @@ def trained_before(monkeypatch: pytest.MonkeyPatch) -> list[Arm]:
     return asked
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_is_taken_off(trained_before: list[Arm]):
     amended = amended_arm(LAB, {GAIN_TERM: 0.3}, {})
     errors = estimator_errors(recorded(amended), LAB, amended)

@@ -236,6 +236,7 @@ def test_of_a_single_effect_too_places_that_do_nothing_are_left_out():
     assert set(rethought({A: 1.0}, [C, A, D])[1].values) == {A}
 
 
+@pytest.mark.slow
 @given(
     st.dictionaries(st.sampled_from([A, B, C, D]), EACH, min_size=1),
     st.dictionaries(st.sampled_from([ZERO_A, ZERO_B, ZERO_C]), EACH, min_size=1),

@@ -33,6 +33,7 @@ def test_a_recording_by_the_protocol_is_used_whole():
     np.testing.assert_array_equal(rows_to_use(whole), np.arange(len(whole)))
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.integers(0, 40), st.integers(1, 200)), min_size=1, max_size=60),
     st.integers(0, 2**32 - 1),

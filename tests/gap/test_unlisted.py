@@ -42,6 +42,7 @@ def bowed():
     return described(gap_n)
 
 
+@pytest.mark.slow
 def test_reasons_experiment_and_prediction_fit_the_gap(bowed):
     reasons, experiment, held_out_n = bowed
     assert "Tolerances alone leave" in reasons[0]

@@ -52,6 +52,7 @@ def test_the_contact_point_moves_with_the_force(command, segment, angle, magnitu
     assert np.all(step[2 * segment :] == 0.0)  # joints beyond the contact cannot help
 
 
+@pytest.mark.slow
 @given(poses, poses, segments, angles, st.floats(0.0, 500.0), st.floats(0.05, 5.0))
 def test_limits_hold_whatever_the_contact(command, home, segment, angle, magnitude, elapsed):
     for contact in (None, contact_force(command, segment, angle, magnitude)):
@@ -61,6 +62,7 @@ def test_limits_hold_whatever_the_contact(command, home, segment, angle, magnitu
         assert REACH.holds(target)
 
 
+@pytest.mark.slow
 @given(poses, poses, segments, angles, st.floats(0.0, 100.0), st.floats(0.05, 1.0))
 def test_it_takes_no_more_energy_from_the_contact_than_it_stores(
     command, home, segment, angle, magnitude, elapsed
@@ -127,6 +129,7 @@ def test_the_way_home_never_meets_a_wall_with_more_than_the_touch(command, home)
     assert (command - home) @ step <= 0.0
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(poses)
 def test_it_comes_home_when_nothing_touches(home):

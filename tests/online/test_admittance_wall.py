@@ -200,6 +200,7 @@ def test_up_to_twice_the_assumed_stiffness_it_may_overshoot_but_comes_to_rest(
     assert np.ptp(forces[-10:]) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", [1, 2, 3, 4])
 def test_far_beyond_the_bound_it_chatters(segment):
     """Off the wall at once, and back onto it harder than the deadband: a gain of six."""
@@ -209,6 +210,7 @@ def test_far_beyond_the_bound_it_chatters(segment):
     assert forces[1:].max() > 10.0
 
 
+@pytest.mark.slow
 def test_an_arm_softer_than_the_wall_makes_the_loop_calm_again():
     """Arm and wall are springs in series: the loop sees k / (1 + k c)."""
     forces, _ = run(COMPLIANT, AdmittanceSettings(), np.zeros(8), 4, 90.0, 120_000.0, 30.0, 40)

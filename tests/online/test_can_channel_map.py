@@ -153,6 +153,7 @@ def test_a_broken_map_is_refused_with_what_is_wrong_and_where(text, refusal):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @given(
     st.recursive(
         st.none() | st.booleans() | st.floats() | st.text(max_size=20),
@@ -200,6 +201,7 @@ def test_one_line_cannot_ask_for_all_memory(was, becomes, refusal):
     assert len(str(caught.value)) < 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ['"', '"' * 400_001, "//:\n:" * 200_000, '\\"' * 400_000, ":|"])
 def test_any_text_is_looked_through_at_once(text):
     with pytest.raises(ChannelMapError):

@@ -199,6 +199,7 @@ def test_a_stuck_channel_is_found_while_the_others_move(packed):
     assert packed.ledger.report().places == {FaultKind.STUCK_VALUE: {"cable_6": 2500 - given}}
 
 
+@pytest.mark.slow
 def test_a_flood_is_named_and_costs_no_sample(packed):
     packed.request("flooded")
     assert len(packed.cycles(2000)) == 2000

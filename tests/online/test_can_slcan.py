@@ -284,6 +284,7 @@ def test_a_host_that_does_not_read_holds_nobody_up_and_leaves_nothing_to_the_nex
         assert [frame.arbitration_id for frame in receive(host, 1)] == [0x7FF]
 
 
+@pytest.mark.slow
 def test_a_host_that_falls_behind_loses_whole_frames_and_no_line_is_cut(port):
     frames = [
         can.Message(arbitration_id=number % 0x7FF, is_extended_id=False, data=bytes(number % 9))

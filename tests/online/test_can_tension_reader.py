@@ -99,6 +99,7 @@ def test_a_reading_beyond_the_range_withholds_samples_while_it_lasts(bench):
     assert report.places == {FaultKind.OVER_RANGE: {"cable_4": 10}}
 
 
+@pytest.mark.slow
 def test_a_stuck_channel_withholds_samples(bench):
     samples = 0
     for number in range(3000):
@@ -116,6 +117,7 @@ def test_unknown_frames_between_do_no_harm(bench):
     assert bench.faults == {FaultKind.UNKNOWN_ID}
 
 
+@pytest.mark.slow
 def test_a_flood_of_the_amplifiers_own_frames_is_held_to_twice_its_rate(bench):
     samples = []
     for number in range(6_000):

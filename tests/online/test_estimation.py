@@ -178,6 +178,7 @@ def test_slack_cables_are_noted_and_estimated_with():
     assert feed.estimation.check.slack == (5,)
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=300))
 def test_no_bytes_bring_it_down(raw):
     assert Feed().sample(raw=raw).contact == NO_CONTACT

@@ -60,6 +60,7 @@ def _through(answers, tare, ticks=120):
         answers.estimate(predicted_n(STRAIGHT).tolist(), 10**18 + 10_000_000 * tick)
 
 
+@pytest.mark.slow
 def test_set_points_are_those_of_the_joints_on_their_way(tare):
     model = Listener()
     _through(HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S), tare)
@@ -73,6 +74,7 @@ def test_set_points_are_those_of_the_joints_on_their_way(tare):
     assert (model.asked[-1][2] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_tare_is_carried_along_the_way(tare):
     model = Listener()
     answers = HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
@@ -139,6 +141,7 @@ def _run(estimation, samples, command_at, answers, states):
             states[tick] = answers[tick].state
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states():
     rng = np.random.default_rng(0)

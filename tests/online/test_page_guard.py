@@ -20,6 +20,9 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
 
+pytestmark = pytest.mark.slow
+
+
 ARM = open_arm("cdsm")
 
 

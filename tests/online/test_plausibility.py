@@ -101,6 +101,7 @@ def dead(reading, _):
     reading[:] = 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 @pytest.mark.parametrize(
     "fault",
@@ -148,6 +149,7 @@ def test_a_drift_is_noticed_before_it_makes_a_force_of_5_n(cable):
     assert arm.misfits(reading)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 @pytest.mark.parametrize("command", [STRAIGHT, BENT], ids=["straight", "bent"])
 def test_contacts_pass_slack_cables_or_not(name, command):
@@ -194,6 +196,7 @@ def test_forces_return_once_readings_have_fitted_for_a_while():
     assert arm.sample(arm.reading(forces)).contact.segment == 2
 
 
+@pytest.mark.slow
 def test_the_last_state_is_enough_also_after_a_misfit():
     arm = Arm()
     run = []

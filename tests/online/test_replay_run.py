@@ -21,7 +21,7 @@ from cablesense_online.replay import RebuiltEstimation, replay_in_process
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 
 made_run = functools.cache(MadeRun)

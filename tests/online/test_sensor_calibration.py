@@ -42,6 +42,7 @@ def test_planted_scale_and_zero_come_back():
     assert found.largest_force_n == 80.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raw_u", [0.0, 0.3 / SCALE])
 def test_the_stated_uncertainty_covers_the_truth_in_95_of_100_draws(raw_u):
     draw = np.random.default_rng(4)
@@ -60,6 +61,7 @@ def test_the_stated_uncertainty_covers_the_truth_in_95_of_100_draws(raw_u):
     assert (share[:2] <= most).all(), share
 
 
+@pytest.mark.slow
 def test_what_all_loads_share_is_covered_as_well():
     draw = np.random.default_rng(5)
     common_u = 0.01

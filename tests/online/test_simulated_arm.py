@@ -166,6 +166,7 @@ def put_through(arm) -> tuple[list[np.ndarray], ...]:
     return sequence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(known_effects()))
 def test_at_rest_the_node_reads_what_the_replay_reads(name: str) -> None:
     arm = variant({"effects": [listed(name)], "segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")

@@ -90,6 +90,7 @@ def message_of(state):
     return message
 
 
+@pytest.mark.slow
 @given(STATES)
 def test_a_message_reads_back_bit_for_bit(state):
     raw = serialization.serialize_message(message_of(state))

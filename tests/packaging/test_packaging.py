@@ -55,6 +55,7 @@ def test_the_training_library_is_exact(direct: list[Requirement]) -> None:
     assert str(torch.specifier) == "==2.13.0"
 
 
+@pytest.mark.slow
 def test_the_notice_names_every_copyleft_or_unstated_licence_of_what_is_installed() -> None:
     done = subprocess.run(
         [sys.executable, CHECKOUT / ".ci/notice"], check=True, capture_output=True, text=True
@@ -90,6 +91,7 @@ def test_every_program_exists() -> None:
         assert callable(program.load()), program
 
 
+@pytest.mark.slow
 def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()

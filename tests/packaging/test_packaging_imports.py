@@ -53,6 +53,7 @@ def ros_modules() -> set[str]:
     return {depend.name for depend in (*package.exec_depends, *package.test_depends)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("folders", "extras"),
     [
@@ -76,6 +77,7 @@ def test_every_import_is_declared(
         assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
 
 
+@pytest.mark.slow
 def test_every_declared_distribution_is_imported() -> None:
     used = {name for module in imported(*PACKAGES) for name in distributions_of(module)}
     by_others = {"onnxscript", "ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}

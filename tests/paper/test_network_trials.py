@@ -38,6 +38,9 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.fit import FitSettings
 
+pytestmark = pytest.mark.slow
+
+
 ARM = open_arm("cdsm")
 FULL, QUICK = (Plan(**read_study_text("networks")["sizes"][mode]) for mode in ("full", "quick"))
 
@@ -137,7 +140,6 @@ def test_the_quick_plan_is_a_small_part_of_the_full_one():
     assert QUICK.samples * QUICK.epochs < 0.1 * FULL.samples * FULL.epochs
 
 
-@pytest.mark.slow
 def test_a_seed_gives_the_same_metrics():
     samples = [draw_dataset(ARM, SingleContact(samples=64), seed) for seed in (0, 1)]
     settings = FitSettings(epochs=1, batch_size=64)
@@ -148,7 +150,6 @@ def test_a_seed_gives_the_same_metrics():
     assert one[FORCE] != other[FORCE]
 
 
-@pytest.mark.slow
 def test_an_untrained_network_is_timed_in_onnx_runtime(monkeypatch):
     monkeypatch.setattr(network_trials, "_BLOCKS", 1)
     monkeypatch.setattr(network_trials, "_RUNS", 1)
@@ -193,14 +194,12 @@ def explored():
         return plan, network_trials.explore(plan, shares.append), shares
 
 
-@pytest.mark.slow
 def test_every_shape_is_tried_with_every_seed(explored):
     plan, results, _ = explored
     tried = [*zip(results.trials.index, results.trials["seed"], strict=True)]
     assert tried == [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
 
 
-@pytest.mark.slow
 def test_compared_shapes_are_timed_and_a_network_learns_from_little_data_at_every_pose(explored):
     plan, results, _ = explored
     assert tuple(results.cost_us) == plan.compared
@@ -209,7 +208,6 @@ def test_compared_shapes_are_timed_and_a_network_learns_from_little_data_at_ever
         assert one.items() >= network_trials.PAPER_SHAPE._asdict().items()
 
 
-@pytest.mark.slow
 def test_progress_only_grows(explored):
     _, _, shares = explored
     assert shares == sorted(shares)

@@ -80,6 +80,7 @@ def test_a_scene_has_the_same_tensions_and_its_middle_in_view(name):
     assert np.abs(camera(name).lookat - middle).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_rendered_scene_shows_a_cable_on_white():
     pictures, backend = rendered_scenes(SCENES[:1], 160, 96)
     if not pictures:

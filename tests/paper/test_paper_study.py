@@ -60,6 +60,7 @@ def test_those_that_are_named_are_chosen_and_others_refused():
         chosen_studies(["displacement", "fig99"])
 
 
+@pytest.mark.slow
 def test_listing_the_studies_loads_nothing_heavy():
     code = (
         "import sys; from cablesense_paper.study import chosen_studies; chosen_studies();"

@@ -20,6 +20,8 @@ from cablesense_training.evaluation.comparison import SHIPPED
 from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.session import read_model
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def straight():
@@ -76,7 +78,6 @@ def result():
     )
 
 
-@pytest.mark.slow
 def test_the_two_stage_network_meets_all_the_papers_errors(result):
     found = compared(result)
     for what in (
@@ -88,14 +89,12 @@ def test_the_two_stage_network_meets_all_the_papers_errors(result):
         assert found[f"two-stage network: {what}", PAPER][2] is Agreement.YES, what
 
 
-@pytest.mark.slow
 def test_every_table_ends_with_what_it_is_measured_against(result):
     like_paper, *settings = result.tables
     assert like_paper.rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
     assert [table.rows[-1][0] for table in settings] == ["noise bound"] * 2
 
 
-@pytest.mark.slow
 def test_all_four_estimators_are_in_the_first_setting(result):
     assert len(result.tables[1].rows) == 5
     assert len(result.pictures) == 5

@@ -22,6 +22,8 @@ from cablesense_gap.plant.withhold import (
     size_for,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_recording_has_its_25_trials(seed: int) -> None:
@@ -95,7 +97,6 @@ def test_forms_differ_from_one_case_to_the_next(name: str) -> None:
     assert len({(change.form, change.where) for change in drawn}) > 1
 
 
-@pytest.mark.slow
 def test_the_size_meets_the_gap_that_is_wanted() -> None:
     for name in ("payload", "sensor_gain"):
         change = LISTED[name](np.random.default_rng(2), NOMINAL)
@@ -110,7 +111,6 @@ def test_nothing_hidden_leaves_the_manufacturing_tolerances() -> None:
     assert 0.05 < answer.scatter_gap_n < 0.5
 
 
-@pytest.mark.slow
 def test_two_hidden_changes_are_visible_and_in_the_answer() -> None:
     kind = "payload+sensor_gain"
     recorded = record_case(np.random.default_rng(4), 1, NOMINAL, kind)

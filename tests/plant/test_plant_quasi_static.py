@@ -139,6 +139,7 @@ def test_stretch_is_shared_out_whole() -> None:
     assert (pieces[5:, 0] == 0.0).all()  # nothing of cable 1 lies beyond the first joint
 
 
+@pytest.mark.slow
 def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([5.0]), 1.0)
     shares = np.concatenate([np.zeros(10), np.ones(150), np.zeros(250)])
@@ -162,6 +163,7 @@ def test_new_cables_lose_tension() -> None:
     assert tension[-1].sum() < 0.95 * tension[0].sum()
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10_000), spread=st.booleans(), rounded=st.booleans())
 def test_rough_arms_find_rest_too(seed: int, spread: bool, rounded: bool) -> None:

@@ -119,6 +119,7 @@ def test_a_load_beyond_all_bearing_is_refused() -> None:
         find_rest(BODY, STRAIGHT, np.zeros((1, 12)), load)
 
 
+@pytest.mark.slow
 def test_following_a_recording_meets_each_rest() -> None:
     schedule = draw_schedule(NOMINAL, np.random.default_rng(3))
     command, loads = schedule.command_rad, schedule.forces_n

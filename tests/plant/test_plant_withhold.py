@@ -14,6 +14,9 @@ from cablesense_gap.plant.withhold import make_case, withhold
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_sim.arm import open_arm
 
+pytestmark = pytest.mark.slow
+
+
 QUICK = ("load_scale", "none")
 
 
@@ -57,7 +60,6 @@ def test_answers_stand_apart_and_no_recording_contains_them(folder: Path) -> Non
         assert "scale" not in path.read_text()
 
 
-@pytest.mark.slow
 def test_the_verb_makes_the_same_files_in_more_processes(folder: Path, tmp_path: Path) -> None:
     arguments = ["gap", "withhold", "--count", "2", "--seed", "7", "--out", str(tmp_path / "out")]
     arguments += ["--answers", str(tmp_path / "kept.csv"), "--workers", "2"]

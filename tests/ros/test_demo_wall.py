@@ -41,6 +41,7 @@ def test_the_picture_is_written_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_the_wall_of_the_play_moves_as_the_obstacles(monkeypatch):
     monkeypatch.setattr("cablesense_ros.demo.wall.PRESS_AT_S", 0.2)
 

@@ -65,6 +65,7 @@ def test_a_child_that_is_killed_is_named_with_the_signal(tmp_path):
             processes.run_until_one_ends()
 
 
+@pytest.mark.slow
 def test_what_ignores_the_request_to_end_is_killed(tmp_path):
     with Processes({"page": python(STUBBORN)}, tmp_path, grace_s=0.5) as processes:
         processes.wait_for_line("page", "up", 10.0)
@@ -90,6 +91,7 @@ def test_a_command_that_does_not_exist_ends_those_that_started(tmp_path):
     assert gone(processes["a"].pid)
 
 
+@pytest.mark.slow
 def test_a_line_that_does_not_come_is_an_error_that_says_where_the_logs_are(tmp_path):
     with (
         Processes({"page": python(SLEEPER)}, tmp_path) as processes,

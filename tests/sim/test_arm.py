@@ -255,6 +255,7 @@ def test_text_that_is_no_arm_is_refused_at_once(text: str) -> None:
     assert time.monotonic() - start < 5.0
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     key=st.sampled_from(ALL),
@@ -274,6 +275,7 @@ def test_any_value_under_any_key_loads_or_is_refused(key: str, value: Any) -> No
     loads_or_is_refused_in_one_line(text)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_a_file_with_characters_lost_or_changed_loads_or_is_refused(data: st.DataObject) -> None:

@@ -82,6 +82,7 @@ def test_it_creeps_where_it_sits() -> None:
     np.testing.assert_array_equal(grown, MECHANISM.cable_segment == 2)
 
 
+@pytest.mark.slow
 def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     """Weightless and straight nothing turns: T = T0 (1 + s exp(-(1 + s) t / tau)) / (1 + s)."""
     weightless = replace(MECHANISM, gravity_m_s2=np.zeros(3))
@@ -95,6 +96,7 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_long_hold_forgets_how_it_was_loaded() -> None:
     loads = up_and_down(rows=6)
     for hold in (loads[-1], push(3, [0.0, 10.0, 0.0])):

@@ -142,6 +142,7 @@ def test_how_fast_it_goes_does_not_matter() -> None:
     np.testing.assert_array_equal(readings(slow, FRICTION), readings(fast, FRICTION))
 
 
+@pytest.mark.slow
 def test_finer_steps_lead_to_the_same_rest() -> None:
     ends = [
         readings(course(BENT, up_and_down(rows=rows)), FRICTION)[[rows, -1]]

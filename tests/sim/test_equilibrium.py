@@ -50,6 +50,7 @@ def test_tensions_balance_loads_by_virtual_work(hard: Equilibrium) -> None:
     np.testing.assert_allclose(cables, weight + loads, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_arm_never_balances_on_a_saddle() -> None:
     """A joint with a taut cable too few may balance like a pencil; there no arm stays."""
     cases = random_cases(SOFT, 6000, degrees=8, contacts=1, largest_n=190)
@@ -283,6 +284,7 @@ def left_over_torques_n_m(mechanism: Mechanism, cases: Cases, rest: Equilibrium)
     return np.array(left)
 
 
+@pytest.mark.slow
 def test_mujoco_finds_nothing_unbalanced() -> None:
     left = left_over_torques_n_m(STIFF, HARD, solve_equilibrium(STIFF, *HARD))
     assert left.shape == (2000, 20)
@@ -339,6 +341,7 @@ def test_the_arm_rests_where_its_energy_is_least() -> None:
             assert energy_j(q + size * rng.normal(size=8), forces) > least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "degrees", "newtons"), [("cdsm", 15, 200), ("cdsm_lab", 8, 80)])
 def test_time_stepping_comes_to_rest_in_the_same_place(
     name: str, degrees: float, newtons: float

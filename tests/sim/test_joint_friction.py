@@ -51,6 +51,7 @@ def test_it_gives_before_it_breaks_away_and_then_stays() -> None:
     np.testing.assert_allclose(course_of(dry(), turns), 0.15 * shares, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-0.01, 0.01), min_size=1, max_size=12), st.floats(-1.0, 1.0))
 @settings(max_examples=25, deadline=None)
 def test_never_more_than_the_limit_and_never_a_gift_of_energy(

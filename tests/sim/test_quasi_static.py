@@ -33,6 +33,7 @@ def tensions(
     return np.stack(rows, axis=1)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000))
 @settings(max_examples=15, deadline=None)
 def test_memoryless_it_is_the_static_solver(seed: int) -> None:

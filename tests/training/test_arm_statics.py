@@ -91,6 +91,7 @@ def test_the_fast_form_is_for_arms_that_it_can_carry() -> None:
         assert isinstance(statics(listing(effect, name="cdsm"), 50), ClosedForm)
 
 
+@pytest.mark.slow
 def test_what_statics_cannot_carry_counts_as_spread() -> None:
     arm = open_arm("cdsm_lab")
     noise = difference_variance_n2(arm.sensors, 50)

@@ -26,6 +26,7 @@ def data():
     return samples.select(slice(0, 3000)), samples.select(slice(3000, 4000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose_aware", [False, True])
 def test_finds_most_contacts_and_roughly_their_force(data, pose_aware):
     training, test = data
@@ -53,6 +54,7 @@ def test_refuses_data_without_contacts(data):
 QUICK = BoostingSettings(rounds=15, leaves=15)
 
 
+@pytest.mark.slow
 def test_it_learns_which_segments_are_touched_and_how_hard():
     baseline = MultiBoostingBaseline(draw_dataset(ARM, MultiContact(samples=3000), seed=1), QUICK)
     test = draw_dataset(ARM, MultiContact(samples=500), seed=2)

@@ -93,6 +93,7 @@ def test_without_noise_segment_and_force_are_recovered_slack_or_not(arm, reach_d
     assert error[known & (slack == 0)].max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
 def test_covariance_is_that_of_the_estimates_over_many_readings(arm):
     mechanism = _mechanism(arm)
@@ -109,6 +110,7 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(arm):
         np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
 def test_without_contact_the_misfit_is_chi_squared(arm):
     mechanism = _mechanism(arm)
@@ -158,6 +160,7 @@ def test_at_the_commanded_pose_it_is_generalised_least_squares():
             np.testing.assert_allclose(found.explained[row, segment], explained, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
 def test_the_error_is_close_to_the_noise_bound(arm):
     description = open_arm(arm)

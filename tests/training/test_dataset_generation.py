@@ -38,6 +38,7 @@ def one_worker(arm, tmp_path_factory):
     return digest(path)
 
 
+@pytest.mark.slow
 def test_worker_processes_write_the_same_bytes(arm, one_worker, tmp_path):
     path = tmp_path / "more.parquet"
     summary = produce_dataset(path, arm, PROTOCOL, 7, command="", workers=2)
@@ -45,6 +46,7 @@ def test_worker_processes_write_the_same_bytes(arm, one_worker, tmp_path):
     assert digest(path) == one_worker
 
 
+@pytest.mark.slow
 def test_another_seed_writes_other_bytes(arm, one_worker, tmp_path):
     path = tmp_path / "other.parquet"
     produce_dataset(path, arm, PROTOCOL, 8, command="")
@@ -120,6 +122,7 @@ def test_a_dask_cluster_writes_the_same_bytes(arm, one_worker, tmp_path, monkeyp
     assert digest(path) == one_worker
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "127.0.0.1:port", ""])
 def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
     monkeypatch.setattr(generation, "DASK_PATIENCE_S", 0.5)

@@ -65,6 +65,7 @@ def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name
         assert np.isfinite(there).all()
 
 
+@pytest.mark.slow
 def test_the_same_network_makes_the_same_bytes_and_its_metadata_travel(tmp_path):
     metadata = _metadata(command="cablesense train --seed 5", seed=5)
     paths = [tmp_path / name for name in ("first.onnx", "second.onnx")]
@@ -74,6 +75,7 @@ def test_the_same_network_makes_the_same_bytes_and_its_metadata_travel(tmp_path)
     assert Estimator.load(paths[0]).metadata == metadata
 
 
+@pytest.mark.slow
 def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("cablesense_training.export.AGREEMENT", -1.0)
     kept = tmp_path / "model.onnx"
@@ -84,6 +86,7 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
     assert kept.read_text() == "what was there"
 
 
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_named_and_stays_clean(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(TrainingError, match="cannot be written"):

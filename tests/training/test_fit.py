@@ -39,6 +39,7 @@ def _two_stage(seed=0):
     return TwoStageNetwork(12, 4, contact_widths=(32,), widths=(32, 32))
 
 
+@pytest.mark.slow
 def test_same_seed_same_weights(single):
     first, second, third = _two_stage(), _two_stage(), _two_stage()
     fit(first, single, QUICK)
@@ -50,6 +51,7 @@ def test_same_seed_same_weights(single):
     assert not all(torch.equal(weights[0][key], weights[2][key]) for key in weights[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [DecoupledNetwork, SharedBackboneNetwork, TwoStageNetwork, ScaleAwareNetwork]
 )
@@ -67,6 +69,7 @@ def test_a_tiny_set_is_learnt_by_heart(kind, single):
     assert last.magnitude < 0.2
 
 
+@pytest.mark.slow
 def test_the_paper_is_within_reach_of_a_few_seconds(single):
     network = _two_stage()
     history = fit(network, single, dataclasses.replace(QUICK, epochs=40, learning_rate=5e-3))
@@ -108,6 +111,7 @@ def test_the_best_weights_are_kept(single):
     assert not network.training
 
 
+@pytest.mark.slow
 def test_stated_deviations_cover_the_held_out_errors(single):
     network = _two_stage()
     fit(network, single, dataclasses.replace(QUICK, epochs=15))

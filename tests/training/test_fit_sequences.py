@@ -12,6 +12,9 @@ from cablesense_training.evaluation.metrics import sequence_metrics
 from cablesense_training.fit_sequences import SequenceFitSettings, SequenceSamples, fit_sequences
 from cablesense_training.networks.temporal import TemporalNetwork
 
+pytestmark = pytest.mark.slow
+
+
 ARM = open_arm("cdsm_friction")
 SETTINGS = SequenceFitSettings(epochs=8, batch_size=8, part_ticks=50, threads=1)
 

@@ -36,6 +36,7 @@ def test_it_is_described(arm_file):
     ]
 
 
+@pytest.mark.slow
 def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
     data, model = tmp_path / "data.parquet", tmp_path / "model.onnx"
     run("dataset", "--arm", arm_file, "--samples", 600, "--pose", "random", "--out", data)
@@ -51,6 +52,7 @@ def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
     assert found["single"]["magnitude_mae_n"] < 2.0 * found["bound"]["magnitude_mae_n"]
 
 
+@pytest.mark.slow
 def test_several_contacts_are_told_apart(arm_file, tmp_path):
     model = tmp_path / "model.onnx"
     small = ["--samples", 400, "--threads", 1, "--epochs", 2, "--json", "--out", model]

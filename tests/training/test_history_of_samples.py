@@ -58,6 +58,7 @@ def test_an_offset_vanishes_in_the_tare_and_slack_is_still_seen() -> None:
     assert plain.slack_cables.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "place", "values"),
     [
@@ -89,6 +90,7 @@ def test_half_the_samples_come_from_above_their_force() -> None:
     assert commands[0].min() < -0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("randomise", ["payload,sensor_gain", "joint_friction"])
 def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
     arm = open_arm("cdsm_lab")

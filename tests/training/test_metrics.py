@@ -31,6 +31,7 @@ def _answer(segment, angle_deg, magnitude_n, std=1.0):
     return ContactAnswer(np.array(segment), np.array(angle_deg), np.array(magnitude_n), wide, wide)
 
 
+@pytest.mark.slow
 @given(true=CLASSES, answered=CLASSES)
 def test_macro_f1_agrees_with_scikit_learn(true, answered):
     expected = f1_score(true, answered, average="macro", zero_division=0.0)

@@ -190,6 +190,7 @@ def test_a_model_that_answers_for_two_samples_alone_is_refused(tmp_path):
         Estimator.load(path)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     st.lists(
@@ -209,6 +210,7 @@ def test_damaged_bytes_are_refused_or_still_answer(tmp_path_factory, damage):
     _refused_or_finite(path)
 
 
+@pytest.mark.slow
 def test_a_damaged_model_file_is_refused_or_still_answers(tmp_path):
     whole = find_model("cdsm").read_bytes()
     rng = np.random.default_rng(0)
@@ -232,6 +234,7 @@ def _refused_or_finite(path):
     assert np.isfinite([*numbers, said.magnitude_std_n, said.angle_std_deg]).all()
 
 
+@pytest.mark.slow
 def test_nothing_in_here_imports_torch():
     code = (
         "import sys, pkgutil, importlib, cablesense_training.inference as room\n"

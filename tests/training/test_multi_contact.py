@@ -15,6 +15,8 @@ from cablesense_training.networks.multi_contact import (
     TwoStageMultiContactNetwork,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def test_stage_two_sees_which_segments_stage_one_found():
     torch.manual_seed(0)

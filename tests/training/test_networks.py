@@ -26,6 +26,7 @@ def _inputs(rows):
     return tension, 0.1 * torch.randn(rows, 8, generator=generator)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLE_NETWORKS)
 def test_answers_have_the_contract_shapes_and_positive_deviations(name):
     network = build_network(name, ARM)
@@ -39,6 +40,7 @@ def test_answers_have_the_contract_shapes_and_positive_deviations(name):
     assert all(bool(torch.isfinite(part).all()) for part in output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLE_NETWORKS)
 def test_rows_do_not_influence_each_other(name):
     network = build_network(name, ARM).double().eval()

@@ -74,6 +74,7 @@ def test_contacts_are_counted_and_weak_ones_left_out():
     assert len(force_covariance_n2(dataset)) == (dataset.segment > 0).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 def test_statics_attain_the_bound_while_all_cables_are_taut(name):
     from test_closed_form import _candidates, _closed_form
@@ -96,6 +97,7 @@ def test_statics_attain_the_bound_while_all_cables_are_taut(name):
     assert np.abs(error[taut]).mean() == pytest.approx(bound.magnitude_mae_n, rel=0.06)
 
 
+@pytest.mark.slow
 def test_one_contact_at_most_has_the_bound_of_a_single_contact():
     protocol = MultiContact(samples=600, max_contacts=1, no_contact_fraction=0.0, force_low_n=20.0)
     several = draw_dataset(CDSM, protocol, seed=4)

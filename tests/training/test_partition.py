@@ -12,6 +12,9 @@ from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import COMMAND, TAUT, TENSION
 from cablesense_training.inference.single_run import split_graph
 
+pytestmark = pytest.mark.slow
+
+
 CHANGING, STEADY = TENSION, COMMAND
 
 

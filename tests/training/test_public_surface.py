@@ -13,6 +13,7 @@ def test_every_name_is_there(name):
     assert getattr(cablesense_training, name).__doc__
 
 
+@pytest.mark.slow
 def test_an_estimator_needs_no_torch_and_no_parquet():
     program = (
         "import sys; from cablesense_training import Dataset, draw_dataset, find_model, "

@@ -12,6 +12,9 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.second_order import SecondOrderClosedForm
 
+pytestmark = pytest.mark.slow
+
+
 VARIANCE_N2 = 0.005
 BARELY_TAUT_N = 0.3
 """Tensions below this pass for none, at that variance."""

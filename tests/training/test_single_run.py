@@ -80,6 +80,7 @@ def test_an_answer_does_not_depend_on_which_cables_were_slack_before(
             np.testing.assert_allclose(said, whole[push], rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_very_first_answer_is_right(session, readings, expected):
     commands, differences = readings
     for push in range(PUSHES):

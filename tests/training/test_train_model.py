@@ -44,6 +44,7 @@ def single():
     return draw_training_data(ARM, "two-stage", FEW, seed=0)
 
 
+@pytest.mark.slow
 def test_the_model_file_answers_as_the_report_says(single, tmp_path):
     name = "two-stage"
     path = tmp_path / "model.onnx"
@@ -71,6 +72,7 @@ def test_the_model_file_answers_as_the_report_says(single, tmp_path):
     assert found.errors.direction_mae_deg == pytest.approx(report.single.errors.direction_mae_deg)
 
 
+@pytest.mark.slow
 def test_a_multi_contact_model_opens_and_answers(tmp_path):
     dataset = draw_training_data(ARM, "multi-contact", {"samples": 400}, seed=0)
     path = tmp_path / "model.onnx"
