@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from estimation_settings import estimation_settings
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
@@ -16,20 +17,11 @@ from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import EstimationSettings, put_state
+from cablesense_online.state import put_state
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=10,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=0.35,
-    settle_s=0.05,
-)
+SETTINGS = estimation_settings(tare_samples=10, settle_s=0.05)
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
 

@@ -1,103 +1,35 @@
-"""From serialized samples to contacts: a force only from samples that can be trusted.
-
-States and samples alone give the answers again: whatever happened when, from any state on.
-"""
+"""From serialized samples to contacts: a force only from samples that can be trusted."""
 
 import math
 from contextlib import suppress
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sample_feed import (
+    ARM,
+    MECHANISM,
+    PUSHED,
+    SETTINGS,
+    UNLOADED,
+    AnyDifference,
+    Feed,
+    message_bytes,
+)
 
 from cablesense_base.errors import CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Load
-from cablesense_msgs_py.topics import ContractError
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.simulated_arm import SimulatedArm
-from cablesense_online.state import EstimationSettings, Event, EventKind
-from cablesense_online.tare import UnloadedTensions
-from cablesense_sim.arm import open_arm
-from cablesense_sim.build import mechanism_of
+from cablesense_online.state import EventKind
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
 
-serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
-
-ARM = open_arm("cdsm")
-MECHANISM = mechanism_of(ARM)
-UNLOADED = solve_equilibrium(MECHANISM, np.zeros(8)).tensions_n
-PUSHED = UNLOADED + np.linspace(-5.0, 5.0, 12)
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=5,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=0.35,
-    settle_s=0.5,
-)
-
-
-class AnyDifference:
-    """A stand-in that finds a contact on segment 3 in any difference from the unloaded state."""
-
-    pose_aware = True
-
-    def __init__(self, probability=0.9, magnitude_n=40.0):
-        self.probability, self.magnitude_n = probability, magnitude_n
-        self.asked = []
-
-    def estimate(self, tension_difference_n, joint_command_rad):
-        self.asked.append((tension_difference_n, joint_command_rad))
-        touched = self.probability if np.abs(tension_difference_n).max() > 1.0 else 0.0
-        return SimpleNamespace(
-            probabilities=np.array([1.0 - touched, 0.0, 0.0, touched, 0.0]),
-            angle_deg=70.0,
-            magnitude_n=self.magnitude_n,
-        )
-
-
-def message_bytes(tensions, stamp_ns, names=ARM.cable_names):
-    message = sensor_msgs.JointState(name=list(names), effort=list(map(float, tensions)))
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    return serialization.serialize_message(message)
-
-
-class Feed:
-    """Samples one after the other, 10 ms apart."""
-
-    def __init__(self, estimator=None, **changes):
-        self.estimator = estimator or AnyDifference()
-        self.estimation = Estimation(ARM, self.estimator, SETTINGS.model_copy(update=changes), 0.0)
-        self.now_ns, self.stepped_ns = 10**18, 0
-
-    @property
-    def now_s(self):
-        return (self.now_ns - self.stepped_ns - 10**18) * 1e-9
-
-    def sample(self, tensions=UNLOADED, names=ARM.cable_names, age_ns=0, raw=None, step_ns=0):
-        self.now_ns += 10_000_000 + step_ns
-        self.stepped_ns += step_ns
-        if raw is None:
-            raw = message_bytes(tensions, self.now_ns - age_ns, names)
-        return self.estimation.sample(raw, self.now_ns, self.now_s)
-
-    def tared(self):
-        for _ in range(SETTINGS.tare_samples):
-            answer = self.sample()
-        assert answer.new_tare is not None
-        return self
-
-    def command(self, angles_rad):
-        self.estimation.command(SimpleNamespace(name=ARM.joint_names, position=angles_rad))
 
 
 def test_a_push_after_the_tare_is_a_contact():
@@ -315,142 +247,6 @@ def test_the_automatic_tare_of_an_assumed_pose_is_dropped_and_taken_anew():
     np.testing.assert_array_equal(tare.command_rad, BENT)
     feed.command(np.zeros(8))
     assert feed.estimation.tares.present is tare
-
-
-class EveryBit:
-    """An answer in which every bit of the difference and of the command shows."""
-
-    pose_aware = True
-
-    def estimate(self, tension_difference_n, joint_command_rad):
-        weights = np.arange(1.0, 13.0)
-        return SimpleNamespace(
-            probabilities=np.array([0.25, 0.0, 0.75, 0.0, 0.0]),
-            angle_deg=float(weights[:8] @ joint_command_rad),
-            magnitude_n=100.0 + float(weights @ tension_difference_n),
-        )
-
-
-def every_bit():
-    return Feed(EveryBit(), tare_samples=4, settle_s=0.05)
-
-
-def live_run(seed, count=120):
-    """Samples in order with their answers, while commands and tares come between them."""
-    rng = np.random.default_rng(seed)
-    feed, run = every_bit(), []
-    live, stamp = feed.estimation, 10**18
-    for step in range(count):
-        chance = rng.random()
-        if chance < 0.05:
-            feed.command(rng.uniform(-0.004, 0.004, 8))
-        elif chance < 0.15:
-            with suppress(CableSenseError):
-                live.take_tare(stamp, forced=True) if chance < 0.12 else live.undo_tare()
-        elif chance < 0.17:
-            live.adjust(float(rng.uniform(0.0, 1.0)), 0.2, 1.0)
-        elif chance < 0.18:
-            live.publisher.matched(0)  # its publisher leaves; the next sample is of another
-        stamp += 10_000_000 if rng.random() < 0.98 else int(rng.choice([-1, 3])) * 1_000_000_000
-        tensions = 100.0 + rng.uniform(-0.5, 0.5, 12)
-        if rng.random() < 0.05:
-            tensions[3] = np.nan
-        raw = message_bytes(tensions, stamp)
-        live.follow(step, 0.01 * step)
-        run.append((raw, stamp, live.sample(raw, stamp + 3_000_000, 0.01 * step)))
-    return run
-
-
-@pytest.mark.slow
-@given(seed=st.integers(0, 2**32 - 1), begin=st.integers(0, 119))
-@settings(max_examples=8, deadline=None)
-def test_the_last_state_and_the_samples_are_enough_from_anywhere(seed, begin):
-    run = live_run(seed)
-    states = [answer.state for *_, answer in run[: begin + 1] if answer.state is not None]
-    other = every_bit().estimation
-
-    def go_on(state):
-        other.adjust(state.settings.contact_threshold, 0.2, 1.0)
-        other.restore(state)
-
-    go_on(states[-1])
-    for raw, stamp, answer in run[begin:]:
-        if answer.state is not None:
-            go_on(answer.state)
-        again = other.sample(raw, stamp, stamp * 1e-9)
-        assert again[:3] == answer[:3]
-
-
-def test_a_state_comes_with_the_first_sample_after_a_change():
-    feed, events = every_bit(), []
-    feed.estimation.start(0.0)  # again, before the first sample
-    for i in range(12):
-        if i == 8:
-            feed.estimation.take_tare(feed.now_ns, forced=True)
-            feed.estimation.undo_tare()
-        if i == 10:
-            for angle in (0.001, 0.002, 0.002):
-                feed.command([angle] * 8)
-        if i == 11:
-            feed.estimation.adjust(0.7, 0.2, 1.0)
-        state = feed.sample().state
-        if state is not None:
-            assert state.before_ns == feed.now_ns
-            events.append((i, list(state.events)))
-    assert events == [
-        (0, [Event(EventKind.START, (0.0,) * 8)]),
-        (4, [Event(EventKind.AUTO_TARE)]),
-        (8, [Event(EventKind.TARE), Event(EventKind.TARE_UNDO)]),
-        (10, [Event(EventKind.COMMAND, (angle,) * 8) for angle in (0.001, 0.002)]),
-        (11, [Event(EventKind.SETTINGS)]),
-    ]
-    assert state.settings.contact_threshold == 0.7
-    assert state.origin["joints"].split() == list(ARM.joint_names)
-    assert feed.estimation.gate.rest_from_ns > feed.now_ns
-
-
-def test_a_state_has_the_tare_once_there_is_one():
-    feed = Feed()
-    first = feed.sample().state
-    assert (first.unloaded_n, first.tared_n, first.tare_command_rad) == ((), (), ())
-    for _ in range(SETTINGS.tare_samples):
-        state = feed.sample().state
-    np.testing.assert_allclose(state.tared_n, UNLOADED)
-    assert state.tared_n == state.unloaded_n
-    assert state.tare_command_rad == (0.0,) * 8
-
-
-def test_a_sample_refused_for_its_content_is_answered_with_its_stamp():
-    feed = Feed()
-    answer = feed.sample(np.full(12, np.nan))
-    assert answer.problem is not None
-    assert answer.stamp_ns == feed.now_ns
-    refused = feed.sample(age_ns=20_000_000)
-    assert refused.problem is not None
-    assert refused.stamp_ns == 0
-
-
-def test_another_arm_carries_the_tare_over_by_its_own_model():
-    feed = every_bit()
-    for _ in range(5):
-        state = feed.sample(np.full(12, 100.0)).state
-    moved = state.model_copy(update={"command_rad": (0.01,) * 8})
-    same, other = every_bit().estimation, every_bit().estimation
-    same.restore(moved)
-    other.restore(moved.model_copy(update={"arm": "another"}))
-    np.testing.assert_array_equal(same.tares.unloaded_n, state.unloaded_n)
-    gone = other.tares.unloaded_n - np.array(state.tared_n)
-    predict_n = UnloadedTensions(ARM).predict_n
-    np.testing.assert_allclose(
-        gone, predict_n(np.full(8, 0.01)) - predict_n(np.zeros(8)), atol=1e-9
-    )
-
-
-def test_a_state_of_an_arm_with_other_joints_is_refused():
-    feed = Feed()
-    state = feed.sample().state
-    with pytest.raises(ContractError, match="7 joint angles"):
-        feed.estimation.restore(state.model_copy(update={"command_rad": (0.0,) * 7}))
 
 
 AWAY = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0])

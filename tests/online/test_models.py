@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from estimation_settings import estimation_settings
 
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide, load_model
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
-from cablesense_online.state import EstimationSettings
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -109,16 +109,7 @@ def test_without_a_tare_there_is_no_estimate_but_the_trajectory_is_followed():
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
 
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=5,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=SPEED_RAD_S,
-    settle_s=0.2,
-)
+SETTINGS = estimation_settings(joint_speed_rad_s=SPEED_RAD_S, settle_s=0.2)
 
 
 def _raw(tensions_n, stamp_ns):

@@ -5,13 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from estimation_settings import estimation_settings
 
 from cablesense_msgs_py.messages import NO_CONTACT, Level
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.plausibility import WITHHELD_S
 from cablesense_online.samples import ProblemKind
-from cablesense_online.state import EstimationSettings, EventKind
+from cablesense_online.state import EventKind
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -21,17 +22,7 @@ serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=50,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=0.35,
-    settle_s=0.5,
-    largest_misfit=2.3,
-)
+SETTINGS = estimation_settings(tare_samples=50, largest_misfit=2.3)
 BENT = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0])
 STRAIGHT = np.zeros(8)
 PERIOD_NS = 10_000_000

@@ -7,6 +7,7 @@ import resource
 from contextlib import contextmanager
 
 import pytest
+from estimation_settings import estimation_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,16 +29,7 @@ diagnostic_msgs = pytest.importorskip("diagnostic_msgs.msg")
 serialization = pytest.importorskip("rclpy.serialization")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=4,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=1 / 3,
-    settle_s=0.05,
-)
+SETTINGS = estimation_settings(tare_samples=4, joint_speed_rad_s=1 / 3, settle_s=0.05)
 STATE = EstimatorState(
     before_ns=7,
     arm="cdsm-1",

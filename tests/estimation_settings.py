@@ -1,0 +1,20 @@
+"""The estimator's settings that tests share: the node's by default, but for short waits."""
+
+from typing import Any
+
+from cablesense_online.state import EstimationSettings
+
+
+def estimation_settings(**changes: Any) -> EstimationSettings:
+    """Without checks of deviation and misfit, which a test adds where it is about them."""
+    plain = {
+        "contact_threshold": 0.5,
+        "stale_after_s": 0.2,
+        "slack_below_n": 1.0,
+        "tare_samples": 5,
+        "tare_steady_n": 1.0,
+        "auto_tare": True,
+        "joint_speed_rad_s": 0.35,
+        "settle_s": 0.5,
+    }
+    return EstimationSettings(**plain | changes)
