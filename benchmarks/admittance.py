@@ -21,7 +21,7 @@ from typing import Any
 import harness
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce, Reach
 from cablesense_online.admittance.wall import (
     ElasticWall,

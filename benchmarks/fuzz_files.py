@@ -29,7 +29,7 @@ from fuzz_watched import (
     require_one_line,
 )
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_file import write_mcap

@@ -17,7 +17,7 @@ from live_run import LiveRun, SpunNode
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py import topics
 from cablesense_ros.processes import node_command
 

@@ -20,8 +20,7 @@ from fuzz_mutation import mutated_bytes
 from fuzz_watched import FalseAnswerError, Outcome, Run, item_random, require_one_line
 from rosbags.typesys import Stores, get_typestore
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_online.state import EstimationSettings

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from harness import cpu_s, rss_mb
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 LONGEST_LINE = 1_200
 WAITS = 6.0

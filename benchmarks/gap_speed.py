@@ -27,7 +27,7 @@ import mujoco
 import numpy as np
 from gap_blind import ARM, drawn
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.arm_simulator import has_one_equilibrium
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.recording import Recording

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
 
 RESULTS = Path(__file__).parent / "results"

@@ -38,7 +38,7 @@ from kill_trials import (
 from live_run import LiveRun
 from numpy.typing import NDArray
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics

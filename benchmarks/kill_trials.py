@@ -18,7 +18,7 @@ from live_run import LiveRun, SpunNode, load_message
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.node_process import qos_profile
 from cablesense_ros.processes import Process, node_command

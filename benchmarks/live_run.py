@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Process
 

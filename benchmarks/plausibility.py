@@ -19,7 +19,7 @@ import harness
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_msgs_py.messages import Contact
 from cablesense_online.models import decide, load_model

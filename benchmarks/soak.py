@@ -35,7 +35,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 from soak_sequence import answers, delivery, line_limits, marked_sequence, memory, play
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.qos import Qos
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_ros.node_process import qos_profile

@@ -23,7 +23,7 @@ from harness import percentiles
 from live_run import Arrivals, Integers
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.can.channel_map import ChannelMap, open_channel_map, signal_conversion
 from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort

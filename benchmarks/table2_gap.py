@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
 from cablesense_gap.report.style import image_bytes, listed, newtons, percent, style
 from cablesense_gap.verdict import write_verdict

@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.motion_protocol import MotionProtocol

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 
 class OutputError(CableSenseError):

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 MAX_SCALAR_CHARACTERS = 1_000
 """Whole numbers are longer in other bases: one of 5,000 digits takes PyYAML seconds."""

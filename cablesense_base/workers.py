@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import wait
 from typing import Any, Self, TypeVar
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 Result = TypeVar("Result")
 

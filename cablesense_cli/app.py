@@ -18,7 +18,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import OutputError
 from cablesense_cli.dataset import dataset
 from cablesense_cli.evaluate import evaluate

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.files import write_atomically
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Term

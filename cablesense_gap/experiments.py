@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator, entries_from, has_one_equilibrium
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.simulator import Term, parameters_of

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
 from cablesense_gap.diagnosis.probability import (
     ambiguity,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Discrepancy
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import CABLE, LEVEL, LOOP, MODES, SET, Decomposition, decompose

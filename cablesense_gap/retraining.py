@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
 from cablesense_gap.diagnosis.gauss_newton import refit

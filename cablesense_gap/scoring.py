@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, read_verdict
 

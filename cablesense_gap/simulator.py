@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.effects.effect import Parameter
 
 

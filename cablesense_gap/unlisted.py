@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.recordings.protocol import DIRECTIONS

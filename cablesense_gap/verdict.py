@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import FilePart, describe_problem
 

@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import some_of
+from cablesense_base import Array, some_of
 from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)

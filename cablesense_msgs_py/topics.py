@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 CABLE_TENSIONS: Final = "cable_tensions"
 """`sensor_msgs/JointState`: cable names, `effort` in N, stamped with the time of the sample."""

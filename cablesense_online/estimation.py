@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide

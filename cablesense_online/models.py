@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level, Status
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import UnloadedTensions

@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 
 import numpy as np
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Level, Status
 
 

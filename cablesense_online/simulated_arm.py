@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Load
 from cablesense_sim.arm import Sensors
 from cablesense_sim.dynamics import ArmDynamics, RestToRestArm

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import Count, Number, describe_problem
 from cablesense_msgs_py.messages import Level, Status

@@ -23,8 +23,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of

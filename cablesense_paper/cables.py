@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.model import ACTUATOR_MASS_KG
 
 LENGTH_M = 1.0

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_paper.cables import STIFFNESS_N_M, driven_at_both_ends
 from cablesense_sim.model import ACTUATOR_MASS_KG
 

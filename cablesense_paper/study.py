@@ -32,7 +32,7 @@ from importlib import resources
 from string import Formatter
 from typing import Any
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_gap.report.style import image_bytes, style
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search

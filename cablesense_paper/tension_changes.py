@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term

@@ -14,8 +14,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm

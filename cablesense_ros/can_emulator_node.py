@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, NamedOrder, Status, put_joint_angles
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR

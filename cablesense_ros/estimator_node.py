@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, SENSOR

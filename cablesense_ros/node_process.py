@@ -44,7 +44,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC, TimeSource
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos

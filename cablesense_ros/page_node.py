@@ -12,7 +12,7 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 Found = TypeVar("Found")
 

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from rich.console import Console
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_gap.recordings.mcap_file import BagRows
 from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError

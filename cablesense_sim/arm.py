@@ -16,8 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain

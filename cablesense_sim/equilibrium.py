@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_search import hessian_n_m, rounding_n_m, search_rest

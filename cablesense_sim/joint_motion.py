@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 
 SHORTEST_MOVE_S = 0.1
 _PEAK_TO_MEAN_SPEED = 1.875

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import Kept, Rest
 from cablesense_sim.effects.registry import Variants, transmissions

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Actuation, Sensing

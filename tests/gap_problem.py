@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.gauss_newton import refine
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term

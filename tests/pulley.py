@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter

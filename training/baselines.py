@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import NORMAL_95, ContactAnswer, angle_difference_deg

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 
 class TrainingError(CableSenseError):

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.files import output_file
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 
 _WIDTHS = (0.5, 1.5)
 """Of the bumps, in standard deviations of each feature."""

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
     Hypothesis,

@@ -12,7 +12,7 @@ from itertools import chain, combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
     Problem,

@@ -33,7 +33,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import weight
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
 

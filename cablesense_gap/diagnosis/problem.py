@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.simulator import Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 

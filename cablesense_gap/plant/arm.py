@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import NONE, Body, Creep, Friction, Nominal, rigid_body
 from cablesense_gap.plant.geometry import cable_lengths_m
 from cablesense_gap.plant.protocol import Schedule

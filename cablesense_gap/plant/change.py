@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.arm import RealArm
 from cablesense_gap.plant.body import Nominal
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import Body, CableContact, TipSpring
 
 _LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]

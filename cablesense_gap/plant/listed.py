@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.arm import RealArm, turned
 from cablesense_gap.plant.body import Creep
 from cablesense_gap.plant.change import (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import Ints, Nominal
 
 _UP = np.linspace(0.0, 1.0, 12)[1:-1]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import Body, Creep, Friction, PlantError
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, torques, turns
 from cablesense_gap.plant.rest import (

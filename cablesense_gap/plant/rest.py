@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import Body, Ints, PlantError
 from cablesense_gap.plant.geometry import Spans, cable_lengths_m, spans, torques, turns
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.body import NONE
 
 DriftShape = Literal["linear", "slow sine", "random walk", "warm-up"]

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.plant.arm import RealArm
 from cablesense_gap.plant.body import Body, CableContact, TipSpring
 from cablesense_gap.plant.change import (

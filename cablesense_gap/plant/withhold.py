@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.files import written_whole
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.plant.arm import RealArm, ideal_arm, with_tolerances

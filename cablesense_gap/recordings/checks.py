@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.recordings.csv_file import (
     LOAD,
     LOAD_SEGMENT,

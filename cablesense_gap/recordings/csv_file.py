@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import some_of
+from cablesense_base import Array, some_of
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import MAX_NUMBERS, Recording, RecordingError
 from cablesense_sim.arm import Arm

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage, TopicFile
 from cablesense_gap.recordings.recording import (
     MAX_NUMBERS,

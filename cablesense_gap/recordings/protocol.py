@@ -26,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 
 _STILL_S = 1.0
 """A command that has not changed for this long stands still."""

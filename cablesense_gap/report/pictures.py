@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.style import (
     AFTER,

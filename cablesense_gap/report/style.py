@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from importlib import resources
 from typing import Any
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_gap.verdict import Estimate
 from cablesense_gap.verdict import listed as listed
 

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch
 from cablesense_online.admittance.law import (

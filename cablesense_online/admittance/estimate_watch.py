@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import MAX_LOAD_N, Level
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.admittance.law import AdmittanceSettings

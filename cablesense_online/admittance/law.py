@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 

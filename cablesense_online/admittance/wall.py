@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.equilibrium import solve_equilibrium, stiffness_matrix_n_m
 from cablesense_sim.loads import normal_force_n

@@ -19,7 +19,7 @@ from typing import Any
 
 import can
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_online.can.slcan import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")

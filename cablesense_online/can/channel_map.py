@@ -17,7 +17,7 @@ import cantools
 from cantools.database.can import Database, Message, Signal
 from pydantic import AfterValidator, Field, model_validator
 
-from cablesense_base.errors import CableSenseError, some_of
+from cablesense_base import CableSenseError, some_of
 from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain

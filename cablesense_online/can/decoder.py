@@ -15,7 +15,7 @@ import can
 import numpy as np
 from cantools.database.can import Database, Message
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.can.bus import FaultKind, FaultLedger
 from cablesense_online.can.channel_map import Channel, ChannelMap
 

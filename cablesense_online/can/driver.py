@@ -16,7 +16,7 @@ import can
 import numpy as np
 from cantools.database.can import Database
 
-from cablesense_base.errors import CableSenseError, some_of
+from cablesense_base import CableSenseError, some_of
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.bus import (
     BusCondition,

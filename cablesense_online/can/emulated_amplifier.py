@@ -13,7 +13,7 @@ from typing import NamedTuple
 import can
 from cantools.database.can import Database, Signal
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_online.can.bus import (
     BUS_ERROR_CLASS,
     BUS_OFF_CLASS,

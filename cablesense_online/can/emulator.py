@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import can
 from cantools.database.can import Database
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.can.bus import FaultKind
 from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, PlannedFrame

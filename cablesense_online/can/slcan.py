@@ -27,7 +27,7 @@ import can
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 FRAME_COMMANDS = b"tTrR"
 MAX_LINE_BYTES = 64

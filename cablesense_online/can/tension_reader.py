@@ -10,7 +10,7 @@ import can
 import numpy as np
 from cantools.database.can import Database
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.can.bus import (
     BusClock,
     BusCondition,

@@ -28,7 +28,7 @@ from cantools.database.can import Database
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import CalibratedSensor, Calibration
 from cablesense_online.can.channel_map import ChannelMap, signal_conversion

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import linregress
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.commissioning.tables import CommissioningError, Pull
 

@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.mechanism import Mechanism
 
 ARROW_METRES_PER_NEWTON = 0.002

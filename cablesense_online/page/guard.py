@@ -32,7 +32,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 MOST_CLIENTS = 10
 """Browsers that are served at a time, the one that commands among them."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Load, NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.arm import Arm

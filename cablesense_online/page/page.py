@@ -19,7 +19,7 @@ import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_online.page import drawing, panel
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
 from cablesense_online.page.guard import PageError, guarded_server

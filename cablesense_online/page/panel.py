@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.drawing import (
     ESTIMATE_RGB,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR, GRID
 from cablesense_paper.drawing import (
     BLACK,

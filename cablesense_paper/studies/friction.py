@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import brentq
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR
 from cablesense_paper.cables import (
     AXIAL_RIGIDITY_N,

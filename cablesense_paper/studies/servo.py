@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.stats import linregress
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR, plain_log_ticks
 from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
 from cablesense_paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.report.style import plain_log_ticks
 from cablesense_paper.drawing import (
     BLACK,

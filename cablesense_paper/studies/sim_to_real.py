@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_gap.report.pictures import drawn_candidates
 from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
 from cablesense_gap.verdict import NONE, UNKNOWN, listed

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binned_statistic
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_paper.drawing import (
     BLACK,
     BLUE,

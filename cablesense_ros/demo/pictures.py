@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_online.page.drawing import (

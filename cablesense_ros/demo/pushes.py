@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot, angle_error_deg
 from cablesense_ros.arm_client import ArmClient, record

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from rich.console import Console
 from rich.table import Table
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, end_signals, node_command

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
 from cablesense_msgs_py.topics import Frames

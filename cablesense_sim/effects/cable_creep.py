@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.effects.effect import (
     Effect,
     Parameter,

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_sim import effects
 from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Transmission, Values
 from cablesense_sim.mechanism import Mechanism

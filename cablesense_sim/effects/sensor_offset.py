@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.effects.effect import Effect, Instant, Parameter, Sensing, Values, chosen
 
 

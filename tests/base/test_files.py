@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.files import (
     OutputError,
     output_file,

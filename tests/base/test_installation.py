@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_base import installation
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError, installation
 from cablesense_base.installation import config_path
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_base.workers import WorkerPool
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -10,7 +10,7 @@ from gap_recordings import LAB, small_recording
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import amended_arm, write_arm
 from cablesense_gap.recordings.csv_file import read_csv, write_csv

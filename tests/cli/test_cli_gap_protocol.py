@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_cli.app import app
 from cablesense_gap.recordings.protocol import standard_protocol
 from cablesense_sim.arm import open_arm

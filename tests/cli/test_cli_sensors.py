@@ -9,7 +9,7 @@ from rich.console import Console
 from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
 from typer.testing import CliRunner
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_cli.app import app
 from cablesense_cli.sensors import check_table
 from cablesense_gap.recordings.csv_file import write_csv

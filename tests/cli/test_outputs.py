@@ -5,7 +5,7 @@ import os
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_cli.app import app
 
 

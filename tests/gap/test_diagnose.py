@@ -10,7 +10,7 @@ import pytest
 from gap_problem import CHANNELS, TRIAL, explanation, rate, size
 from gap_recordings import LAB, RATE_HZ, small_recording
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.pipeline import (
     FOLDS,

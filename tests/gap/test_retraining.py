@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gap_recordings import CYCLE, LAB, small_recording
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.installation import config_path
 from cablesense_gap import retraining
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm

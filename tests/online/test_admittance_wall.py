@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, Reach
 from cablesense_online.admittance.wall import (
     Approach,

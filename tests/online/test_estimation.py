@@ -18,7 +18,7 @@ from sample_feed import (
     message_bytes,
 )
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Load
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model

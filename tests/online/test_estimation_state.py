@@ -15,7 +15,7 @@ from sample_feed import (
     message_bytes,
 )
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import Event, EventKind
 from cablesense_online.tare import UnloadedTensions

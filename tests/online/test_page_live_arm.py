@@ -7,7 +7,7 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import (
     STALE_S,

@@ -10,7 +10,7 @@ import pytest
 from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
 from typer.testing import CliRunner
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_cli.app import app
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_online.commissioning.sensor_statistics import (
     SETTLING_S,
     PullVerdict,

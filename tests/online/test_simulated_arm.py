@@ -14,7 +14,7 @@ from effect_arms import bent
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Load
 from cablesense_online.simulated_arm import RealTimePacer, SimulatedArm
 from cablesense_sim.arm import open_arm

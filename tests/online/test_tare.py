@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Contact, Level
 from cablesense_online.tare import (
     TareError,

@@ -7,7 +7,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import LIVE_SETTINGS
 from cablesense_ros.node_process import RefusalLog

@@ -12,7 +12,7 @@ from arm_variants import changed, described, variant, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_sim.arm import (
     MAX_FILE_BYTES,
     Arm,

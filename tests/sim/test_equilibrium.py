@@ -9,7 +9,7 @@ from arm_variants import variant
 from joint_torques import gravity_torques_n_m, load_torques_n_m
 from random_cases import HARD, SOFT, STIFF, STRAIGHT, Cases, random_cases
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of

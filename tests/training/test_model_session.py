@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 from small_models import CDSM, DOUBLE, FLOAT, refused, small_model, value, weights, written
 
-from cablesense_base.errors import CableSenseError
+from cablesense_base import CableSenseError
 from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import MULTI_OUTPUTS as MULTI_OUTPUTS
 from cablesense_training.inference.estimator import OUTPUTS, Estimator

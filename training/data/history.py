@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.effects.registry import (
     EffectEntry,
     actuations,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_training.data.protocols import Options, PoseRange, Readings
 from cablesense_training.errors import DatasetError

@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 from scipy.stats import qmc
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.plain_yaml import describe_problem
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of

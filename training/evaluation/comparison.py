@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset

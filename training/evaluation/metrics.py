@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator

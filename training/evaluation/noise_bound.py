@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_training.evaluation.metrics import angle_difference_deg
 from cablesense_training.inference.estimator import Estimator

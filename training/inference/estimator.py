@@ -14,8 +14,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_base.arrays import Array
-from cablesense_base.errors import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.session import COMMAND, TENSION, ModelSession

@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import onnxruntime
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_base.files import read_bounded_bytes
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelFileError, ModelMetadata

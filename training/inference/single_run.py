@@ -19,7 +19,7 @@ import onnx.utils
 import onnxruntime
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_training.inference.session import (
     COMMAND,
     TAUT,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablesense_base.arrays import Array
+from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import (
     OUTPUTS,
