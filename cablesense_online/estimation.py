@@ -39,7 +39,11 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
+MOST_EVENTS = 256
+"""Between two samples; of more, the oldest that has a later one of its kind is left out."""
+
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
+_NOTHING = np.zeros(0)
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
 
@@ -124,7 +128,7 @@ class Estimation:
         self.command_received = False
         self.largest_force_n = 0.0
         self._events: list[Event] = []
-        self._note_start()
+        self._note(EventKind.START, self.gate.command_rad)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this number of its own on.
@@ -142,7 +146,7 @@ class Estimation:
         if another:
             self.gate.wait_anew()
             self.tares.forget_readings()
-            self._events.append(Event(EventKind.PUBLISHER))
+            self._note(EventKind.PUBLISHER)
         return another
 
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Answer:
@@ -158,7 +162,7 @@ class Estimation:
             stamp_ns = message.stamp_ns or now_ns
             moving = self.gate.moving(stamp_ns, now_ns, now_s)
             if self.gate.step:
-                self._events.append(Event(_STEPS[self.gate.step]))
+                self._note(_STEPS[self.gate.step])
             if self._events:
                 state = self._changed_state(stamp_ns)
             stage = ProblemKind.NAMES
@@ -211,7 +215,9 @@ class Estimation:
             dropped = self.tares.command(command, first=not self.command_received)
             self.gate.command(command)
             self._model.command(command)
-            self._events.append(Event(EventKind.COMMAND, tuple(command.tolist())))
+            self._note(EventKind.COMMAND, command)
+        elif self._pose_assumed:
+            self._note(EventKind.POSE_CONFIRMED)
         self.command_received = True
         return dropped
 
@@ -228,7 +234,7 @@ class Estimation:
         command = self.gate.command_rad
         tare = self.tares.take(command, now_ns, by_itself=by_itself, forced=forced)
         self._model.tared()
-        self._events.append(Event(how))
+        self._note(how)
         return tare
 
     def undo_tare(self) -> Tare | None:
@@ -239,7 +245,7 @@ class Estimation:
         """
         earlier = self.tares.undo()
         self._model.tared()
-        self._events.append(Event(EventKind.TARE_UNDO))
+        self._note(EventKind.TARE_UNDO)
         return earlier
 
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
@@ -249,7 +255,7 @@ class Estimation:
         self._settings = self._settings.model_copy(update=update)
         self.clock.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
-        self._events.append(Event(EventKind.SETTINGS))
+        self._note(EventKind.SETTINGS)
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
@@ -257,7 +263,7 @@ class Estimation:
         self.publisher = FollowedPublisher(self.clock)
         self.tares.forget_readings()
         self._model.restart(self.gate.command_rad)
-        self._note_start()
+        self._note(EventKind.START, self.gate.command_rad)
 
     def restore(self, state: EstimatorState) -> None:
         """Answer from the next sample on as the object that made the state did.
@@ -276,6 +282,7 @@ class Estimation:
             np.array(state.unloaded_n) if same_arm else None,
             np.array(state.tared_n),
             np.array(state.tare_command_rad),
+            by_itself=state.pose_assumed,
         )
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
@@ -319,13 +326,21 @@ class Estimation:
             check.check(tensions - unloaded, self.gate.command_rad, contact, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
-                self._events.append(Event(EventKind.MISFIT))
+                self._note(EventKind.MISFIT)
 
-    def _note_start(self) -> None:
-        """Once, however often it is started before the first sample."""
-        event = Event(EventKind.START, tuple(self.gate.command_rad.tolist()))
-        if event not in self._events:
-            self._events.append(event)
+    @property
+    def _pose_assumed(self) -> bool:
+        return self.tares.taken_by_itself and not self.command_received
+
+    def _note(self, kind: EventKind, command_rad: Array = _NOTHING) -> None:
+        """For the next state; a start once, however often it is started before a sample."""
+        event, events = Event(kind, tuple(command_rad.tolist())), self._events
+        if kind is EventKind.START and event in events:
+            return
+        events.append(event)
+        if len(events) > MOST_EVENTS:
+            later = {other.kind: i for i, other in enumerate(events)}
+            del events[next(i for i, other in enumerate(events) if later[other.kind] > i)]
 
     def _repeat(self, events: Sequence[Event], command_rad: Array) -> None:
         """Bring the model to where the events brought it when the state was made."""
@@ -357,5 +372,6 @@ class Estimation:
             unloaded_n=() if unloaded is None else unloaded.tolist(),
             tared_n=() if tare is None else tare.measured_n.tolist(),
             tare_command_rad=() if tare is None else tare.command_rad.tolist(),
+            pose_assumed=self._pose_assumed,
             withheld_until_ns=self.plausibility.withheld_until_ns,
         )

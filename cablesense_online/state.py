@@ -74,6 +74,7 @@ class EventKind(Enum):
 
     START = "start"
     COMMAND = "command"
+    POSE_CONFIRMED = "command to the assumed pose"
     AUTO_TARE = "tare by itself"
     TARE = "tare on request"
     TARE_UNDO = "tare undone"
@@ -107,6 +108,7 @@ class EstimatorState(BaseModel):
         unloaded_n: (M,) unloaded tensions at this command; empty without a tare.
         tared_n: (M,) as they were measured at the tare.
         tare_command_rad: (2N,) the command at which it was taken.
+        pose_assumed: whether it was taken by itself, and no command has come yet.
         withheld_until_ns: samples stamped earlier give no force, as readings did not fit.
     """
 
@@ -124,6 +126,7 @@ class EstimatorState(BaseModel):
     unloaded_n: Numbers = ()
     tared_n: Numbers = ()
     tare_command_rad: Numbers = ()
+    pose_assumed: bool = False
     withheld_until_ns: WholeNumber = 0
 
     def require_fitting(self, arm: Arm) -> None:
@@ -173,7 +176,7 @@ def _validated(values: Mapping[str, Any]) -> EstimatorState:
         raise ContractError(describe_problem(error, EstimatorState)) from error
 
 
-_EVENT, _SETTINGS, _COMMAND = "event: ", "settings", "command (rad)"
+_EVENT, _SETTINGS, _COMMAND, _MISFIT = "event: ", "settings", "command (rad)", "misfit"
 _PARTS: Final = {
     "motion": {
         _COMMAND: "command_rad",
@@ -185,10 +188,13 @@ _PARTS: Final = {
         "unloaded (N)": "unloaded_n",
         "measured at the tare (N)": "tared_n",
         "command at the tare (rad)": "tare_command_rad",
+        "pose assumed": "pose_assumed",
     },
+    _MISFIT: {"no force before stamp (ns)": "withheld_until_ns"},
 }
 """Statuses of a journal message, with the state's field for each of their keys."""
-_MISFIT, _WITHHELD = "misfit", "no force before stamp (ns)"
+_LATER: Final = ("pose_assumed", "withheld_until_ns")
+"""Fields that journals of earlier versions lack."""
 
 
 def put_state(
@@ -204,7 +210,6 @@ def put_state(
     parts.append((_SETTINGS, state.settings_text()))
     for name, keys in _PARTS.items():
         parts.append((name, {key: _text(getattr(state, field)) for key, field in keys.items()}))
-    parts.append((_MISFIT, {_WITHHELD: _text(state.withheld_until_ns)}))
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)
     message.status = [
@@ -225,11 +230,13 @@ def state_of(message: Any) -> EstimatorState:
         ContractError: a part is missing, or a value is none that a state can have.
     """
     statuses = {status.name: status for status in message.status}
-    missing = [name for name in (_SETTINGS, *_PARTS) if name not in statuses]
+    wanted = [_SETTINGS, *_PARTS]
+    wanted.remove(_MISFIT)
+    missing = [name for name in wanted if name not in statuses]
     if missing:
         raise ContractError(
             f"status: no {' and no '.join(missing)}; a journal message of the estimator has "
-            f"{_SETTINGS}, {' and '.join(_PARTS)}"
+            f"{', '.join(wanted)}"
         )
     stamp, settings = message.header.stamp, statuses[_SETTINGS]
     values: dict[str, Any] = {
@@ -246,12 +253,11 @@ def state_of(message: Any) -> EstimatorState:
         "settings": _values(settings),
     }
     for name, keys in _PARTS.items():
-        given = _values(statuses[name])
+        given = _values(statuses[name]) if name in statuses else {}
         for key, field in keys.items():
-            text = given.get(key, "")
-            values[field] = text if field.endswith("_ns") else text.split()
-    if _MISFIT in statuses:
-        values["withheld_until_ns"] = _values(statuses[_MISFIT]).get(_WITHHELD, "")
+            if key in given or field not in _LATER:
+                text = given.get(key, "")
+                values[field] = text.split() if field.endswith(("_rad", "_n")) else text
     return _validated(values)
 
 

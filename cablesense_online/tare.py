@@ -170,6 +170,11 @@ class Tares:
         """How many times `undo` can be called."""
         return len(self._earlier) + (self.present is not None)
 
+    @property
+    def taken_by_itself(self) -> bool:
+        """Whether the tare in use was."""
+        return self.present is not None and self.present is self._by_itself
+
     def command(self, command_rad: Array, *, first: bool = False) -> bool:
         """The arm goes to another command (2N,): readings begin anew, the tare is carried over.
 
@@ -185,7 +190,7 @@ class Tares:
         if first and np.abs(self._predicted_n - before_n).max() > self._deviation_n:
             kept = [tare for tare in self._earlier if tare is not dropped]
             self._earlier = deque(kept, maxlen=self._earlier.maxlen)
-            if present is not None and present is dropped:
+            if self.taken_by_itself:
                 present, self.automatic = None, True
         lost = present is not self.present
         self._use(present)
@@ -252,7 +257,13 @@ class Tares:
         return self.present
 
     def restore(
-        self, command_rad: Array, unloaded_n: Array | None, tared_n: Array, tare_command_rad: Array
+        self,
+        command_rad: Array,
+        unloaded_n: Array | None,
+        tared_n: Array,
+        tare_command_rad: Array,
+        *,
+        by_itself: bool,
     ) -> None:
         """Be at a command (2N,) with the tare `tared_n` (M,) of another; readings begin anew.
 
@@ -268,7 +279,9 @@ class Tares:
         self.command(command_rad)
         if tared_n.size:
             predicted_n = self._predict_n(tare_command_rad)
-            self._use(Tare(tared_n, predicted_n, tare_command_rad, 0, 0))
+            tare = Tare(tared_n, predicted_n, tare_command_rad, 0, 0)
+            self._by_itself = tare if by_itself else None
+            self._use(tare)
             if unloaded_n is not None:
                 self.unloaded_n = unloaded_n
 

@@ -16,7 +16,9 @@ from sample_feed import (
 )
 
 from cablesense_base import CableSenseError
+from cablesense_msgs_py.messages import NO_CONTACT
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.estimation import MOST_EVENTS
 from cablesense_online.state import Event, EventKind
 from cablesense_online.tare import UnloadedTensions
 
@@ -113,6 +115,34 @@ def test_a_state_comes_with_the_first_sample_after_a_change():
     assert state.settings.contact_threshold == 0.7
     assert state.origin["joints"].split() == list(ARM.joint_names)
     assert feed.estimation.gate.rest_from_ns > feed.now_ns
+
+
+def test_changes_without_samples_stay_bounded_and_the_last_of_each_kind_is_kept():
+    feed = every_bit()
+    feed.sample()
+    for i in range(3 * MOST_EVENTS):
+        feed.command([1e-6 * i] * 8)
+        if i == 10:
+            feed.estimation.adjust(0.7, 0.2, 1.0)
+    state = feed.sample().state
+    assert len(state.events) == MOST_EVENTS
+    assert state.events[-1] == Event(EventKind.COMMAND, state.command_rad)
+    assert Event(EventKind.SETTINGS) in state.events
+
+
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_a_tare_before_any_command_is_dropped_after_a_restart_too(confirmed):
+    feed = Feed(tare_deviation_n=2.0).tared()
+    state = feed.sample().state
+    if confirmed:
+        feed.command(np.zeros(8))
+        state = feed.sample().state
+    again = Feed(tare_deviation_n=2.0)
+    again.estimation.restore(state)
+    assert again.sample().contact == NO_CONTACT
+    again.command(np.deg2rad([0.0, 0.0, 8.0, 0.0, 6.0, 0.0, 0.0, 0.0]))
+    assert (again.estimation.tares.present is not None) is confirmed
+    assert again.estimation.tares.automatic is not confirmed
 
 
 def test_a_state_has_the_tare_once_there_is_one():
