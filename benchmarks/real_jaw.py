@@ -1,0 +1,118 @@
+"""The torque of a real cable-driven jaw, told from the drive's signals alone.
+
+    python benchmarks/real_jaw.py --train DIR --test DIR [--adapt 4] [--json] [--write]
+
+A folder's form is described in `real_jaw_recordings.py`. With one and the same folder for both,
+the tool with most levels of the brake is trained on every other level and tested on those between;
+of every other tool a few recordings are for adapting and the rest for testing. With two folders
+all of the first is trained on, and tools of the second that the first has too need no adapting.
+Estimators see the drive's angle and torque and its motor's current up to the sample that they
+answer for: neither the jaw's angle nor the level of the brake.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import harness
+import numpy as np
+import real_jaw_baselines as baselines
+from real_jaw_baselines import BoostedTrees, Regression, TorqueEstimator
+from real_jaw_recordings import JawRecording, Part, read_recordings, split
+
+from cablesense_base import Array, CableSenseError
+
+ESTIMATORS: dict[str, Callable[[Sequence[JawRecording]], TorqueEstimator]] = {
+    "gain and offset": partial(Regression, baselines.gain_and_offset),
+    "Coulomb friction by direction": partial(Regression, baselines.coulomb),
+    "load-proportional friction by direction": partial(Regression, baselines.load_proportional),
+    "regression on play operators": partial(Regression, baselines.play),
+    "boosted trees, half a second": BoostedTrees,
+}
+
+
+def main() -> None:
+    """Trains, adapts and tests every estimator."""
+    parser = harness.parser(__doc__, "real_jaw.json")
+    parser.add_argument("--train", required=True, help="folder of recordings to train on")
+    parser.add_argument("--test", required=True, help="folder to test on, may be the same")
+    parser.add_argument("--adapt", type=int, default=4, help="recordings to adapt to, by tool")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    options = parser.parse_args()
+    try:
+        recordings = read_recordings(options.train)
+        same = Path(options.train).resolve() == Path(options.test).resolve()
+        other = None if same else read_recordings(options.test)
+        train, parts = split(recordings, other, options.adapt)
+    except CableSenseError as error:
+        raise SystemExit(str(error)) from None
+    result = {
+        **harness.origin("numpy", "scikit-learn", "torch"),
+        "trained on": [r.name for r in train],
+        "estimators": {name: measured(made(train), parts) for name, made in ESTIMATORS.items()},
+    }
+    print(json.dumps(result, indent=1) if options.json else "\n".join(table(result)))
+    if options.write:
+        harness.write_result("real_jaw.json", result)
+
+
+def measured(estimator: TorqueEstimator, parts: Sequence[Part]) -> dict[str, Any]:
+    """Errors by tool, with and without adapting, and by recording."""
+    tools, recordings = {}, {}
+    for part in parts:
+        unadapted = errors_nm(estimator, part.test)
+        found = unadapted
+        if part.adapt:
+            found = errors_nm(estimator.adapted(part.adapt), part.test)
+        tools[part.tool] = sizes(np.concatenate(found)) | (
+            {
+                "adapted to": [r.name for r in part.adapt],
+                "unadapted": sizes(np.concatenate(unadapted)),
+            }
+            if part.adapt
+            else {}
+        )
+        for recording, error in zip(part.test, found, strict=True):
+            recordings[recording.name] = sizes(error)
+    return {"tools": tools, "recordings": recordings}
+
+
+def errors_nm(estimator: TorqueEstimator, recordings: Sequence[JawRecording]) -> list[Array]:
+    """(T,) errors of the jaw's torque in each recording."""
+    return [estimator.torque_nm(r) - r.jaw_torque_nm for r in recordings]
+
+
+def sizes(error_nm: Array) -> dict[str, float]:
+    """Root mean square and mean magnitude, in mN·m."""
+    return {
+        "rmse_mnm": round(float(np.sqrt((error_nm**2).mean())) * 1e3, 2),
+        "mae_mnm": round(float(np.abs(error_nm).mean()) * 1e3, 2),
+    }
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """Markdown: RMSE and MAE of each estimator by tool, then by recording."""
+    estimators = result["estimators"]
+    lines = []
+    for kind in ("tools", "recordings"):
+        heading = f"{kind[:-1]}, RMSE / MAE in mN·m | " + " | ".join(estimators)
+        rows = [
+            " | ".join([name, *(_cell(found[kind][name]) for found in estimators.values())])
+            for name in next(iter(estimators.values()))[kind]
+        ]
+        lines += [*harness.markdown_table(heading, rows), ""]
+    return lines
+
+
+def _cell(found: dict[str, Any]) -> str:
+    text = f"{found['rmse_mnm']:.2f} / {found['mae_mnm']:.2f}"
+    unadapted = found.get("unadapted")
+    return text if unadapted is None else f"{text} (unadapted {unadapted['rmse_mnm']:.1f})"
+
+
+if __name__ == "__main__":
+    main()
