@@ -57,7 +57,7 @@ def test_the_planted_friction_is_inverted(tmp_path):
     estimator = Regression(load_proportional, train)
     for recording in part.test:
         told = estimator.torque_nm(recording)[1:]  # at first it has not moved
-        np.testing.assert_allclose(told, recording.jaw_torque_nm[1:], atol=1e-3)
+        np.testing.assert_allclose(told, recording.jaw_torque_nm[1:], atol=2e-3)
 
 
 def test_levels_alternate_and_what_is_tested_is_neither_trained_on_nor_adapted_to(tmp_path):
