@@ -243,34 +243,38 @@ def rigid_body(nominal: Nominal) -> Body:
 class Friction:
     """Friction of M cables and J joints, by default none.
 
-    It is sharp or `rounded`, see `quasi_static.friction_state`.
-
     Attributes:
-        coefficient: (M,) of each cable on its guides.
-        joint_nm: (J, 2) torque of the joints' friction while they turn.
+        coefficient: (M,) of each cable on its guides, while it slides.
+        breakaway: the same of a cable that sticks, by that of one that slides.
         pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
-        reach_m: sliding over which the cables' friction builds up.
-        spread: whether cables stretch all along, or at their run alone.
+        reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
+        rounded: whether bristles give way little by little, see `chains.friction_state`.
+        actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
+        joint_nm: (J, 2) torque of the joints' friction while they turn.
         joint_reach_rad: angle over which the joints' friction builds up.
-        breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
+        joint_rounded: whether it does so little by little.
+        joint_breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
         speed_rad_s: over which that decays.
     """
 
     coefficient: Array = NONE
-    joint_nm: Array = NONE
-    pulley_rad: float = 0.0
-    rounded: bool = False
-    reach_m: float = 5e-6
-    spread: bool = False
-    joint_rounded: bool = False
-    joint_reach_rad: float = 2e-4
     breakaway: float = 1.0
+    pulley_rad: float = 0.0
+    reach_m: float = 0.0
+    rounded: bool = False
+    actuator_share: float = 0.3
+    joint_nm: Array = NONE
+    joint_reach_rad: float = 2e-4
+    joint_rounded: bool = False
+    joint_breakaway: float = 1.0
     speed_rad_s: float = 0.02
 
 
 @dataclass(frozen=True)
 class Creep:
     """Kelvin-Voigt elements in series with the cables, K of them; by default one that is rigid.
+
+    Each piece of a cable creeps by its own tension and its share of the compliance.
 
     Attributes:
         compliance_m_n: (K, M) each one's lengthening when it has settled.

@@ -97,20 +97,28 @@ def cable_stiffness(draw: Draw) -> Change:
 
 @_DRAWS.of_size("1", 0.003, 0.4)
 def capstan_friction(draw: Draw) -> Change:
-    """T2 <= T1 exp(mu theta) at every guide: sharp or rounded, with or without a pulley."""
-    onset = "sharp" if draw.chance(0.5) else "rounded"
-    spread, pulley = draw.chance(0.5), draw.chance(0.4)
-    reach_m = draw.log_uniform(2e-5, 2e-4) if onset == "rounded" else 5e-6
-    wrap = draw.uniform(0.3, 1.6) if pulley else 0.0
-    stretch = "stretch all along" if spread else "stretch in the run"
+    """Cables that stick and slide at every guide, with or without a pulley at the actuator.
+
+    They stick rigidly, break away above the friction of sliding, or have bristles that give way
+    at once or little by little; all alike, or each cable by up to a fifth more or less.
+    """
+    onset = draw.one_of(["rigid", "breakaway", "bristles", "rounded bristles"])
+    uneven, pulley = draw.chance(0.4), draw.chance(0.5)
+    count = draw.nominal.cable_count
+    share = draw.rng.uniform(0.8, 1.2, count) if uneven else np.ones(count)
+    numbers = {
+        "breakaway": draw.uniform(1.15, 1.5) if onset == "breakaway" else 1.0,
+        "pulley_rad": draw.uniform(0.3, 1.6) if pulley else 0.0,
+        "reach_m": draw.log_uniform(1e-5, 1e-4) if "bristles" in onset else 0.0,
+        "actuator_share": draw.uniform(0.1, 0.4),
+    }
     return Change(
         sets(
-            "friction", coefficient=(scaled, np.ones(draw.nominal.cable_count)),
-            pulley_rad=wrap, rounded=onset == "rounded", reach_m=reach_m, spread=spread,
+            "friction", coefficient=(scaled, share), rounded=onset == "rounded bristles", **numbers
         ),
-        f"{onset} onset, {stretch}, {'with' if pulley else 'no'} pulley",
-        details={"reach_m": reach_m, "pulley_rad": wrap},
-    )  # fmt: skip
+        f"{onset}, {'uneven' if uneven else 'even'}, {'with' if pulley else 'no'} pulley",
+        details=numbers,
+    )
 
 
 @_DRAWS.of_size("m", 0.0005, 0.05)
@@ -152,7 +160,7 @@ def joint_friction(draw: Draw) -> Change:
     breakaway = draw.uniform(1.2, 1.8) if form == "Stribeck" else 1.0
     rough = sets(
         "friction", joint_nm=(scaled, share), joint_rounded=rounded, joint_reach_rad=reach_rad,
-        breakaway=breakaway,
+        joint_breakaway=breakaway,
     )  # fmt: skip
     return Change(rough, form, places("joint", share[:, 0]))
 
