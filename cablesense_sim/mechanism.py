@@ -108,6 +108,21 @@ class Mechanism:
         joint_m = self.joint_position_straight_m[self.cable_segment - 1]
         return self.run_m + joint_m + self.plate_offset_m
 
+    @property
+    def piece_length_m(self) -> Array:
+        """(M, 1 + N) straight lengths of each cable's pieces between the guides that hold it.
+
+        They are the run to the base plate and a span for each joint that the cable passes; what
+        lies inside a segment counts half to the span before it and half to that behind.
+        """
+        inside = self.segment_length_m - 2.0 * self.plate_offset_m
+        joints = np.arange(1, self.segment_count + 1)
+        beyond = self.cable_segment[:, None] > joints
+        half = 0.5 * np.where(beyond, inside, 0.0)
+        spans = 2.0 * self.plate_offset_m * self.passes_joint + half
+        spans[:, 1:] += half[:, :-1]
+        return np.concatenate([np.full((self.cable_count, 1), self.run_m), spans], axis=-1)
+
 
 _STACKED = (
     "gravity_m_s2", "mass_kg", "centre_of_mass_m", "contact_m", "hole_y_m", "hole_z_m",

@@ -5,11 +5,8 @@ that sticks on its guide keeps what it carried, a cable that creeps is longer th
 arms of the same kind, with other numbers, go side by side, which is what a fit needs.
 
 Each rest is found by Newton's method on the balance of joint torques, which with friction is no
-longer the slope of a potential. With e_j of the actuator's tension kept in span j,
-
-    T_j = e_j T_0,    T_0 = k max(0, s) / e,
-
-where s is the stretch of the whole cable and e the mean of what is kept where it stretches.
+longer the slope of a potential. Without friction a cable has one tension k max(0, s), with the
+stretch s of the whole; with it, every span has its own (`cablesense_sim.cable_chain`).
 """
 
 from __future__ import annotations
@@ -21,13 +18,14 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
-from cablesense_sim.effects.effect import Kept, Rest
+from cablesense_sim.cable_chain import Pull
+from cablesense_sim.effects.effect import Rest
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest_search import descent_step, load_hessian
 
-_ENOUGH_N_M = 2e-6
+_ENOUGH_N_M = 1e-6
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
 _SHORTEST = 1e-3
@@ -43,7 +41,7 @@ class _Pose(NamedTuple):
     chain: kinematics.Chain
     bends_rad: Array
     tensions_n: Array
-    tension_by_m: Array
+    tensions_by_run_n_m: Array
     torque_n_m: Array
     slope_n_m: Array
 
@@ -76,15 +74,18 @@ class QuasiStaticArm:
         Raises:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
-        rest_m = self._straight_m + held_m
+        rest_m, longer_m = self._straight_m + held_m, np.zeros_like(held_m)
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         if not self._begun:
+            self._longer_m = longer_m
             self._hold(rest_m)
             self._begin(time_s, held_m, forces)
         for transmission in self._transmissions:
             longer = transmission.lengthening_m(time_s)
             if longer is not None:
-                rest_m = rest_m + longer
+                longer_m = longer_m + longer
+        self._longer_m = longer_m
+        rest_m = rest_m + longer_m
         self._hold(rest_m)
         pose = self._next(rest_m, kinematics.load_arms(self._mechanism, forces))
         self._require_room(pose.angles_rad)
@@ -96,7 +97,7 @@ class QuasiStaticArm:
 
     def _hold(self, rest_m: Array) -> None:
         for transmission in self._transmissions:
-            transmission.hold(rest_m)
+            transmission.hold(rest_m - self._longer_m, self._longer_m)
 
     def _next(self, rest_m: Array, arms: Array) -> _Pose:
         """The next rest, which is the last one where nothing has changed."""
@@ -139,7 +140,7 @@ class QuasiStaticArm:
         if self._last is None or start is not self._angles_rad:
             return start
         last_m, last_arms, pose = self._last
-        along = pose.tension_by_m * (last_m - rest_m)[..., None]
+        along = pose.tensions_by_run_n_m * (last_m - rest_m)[..., None]
         torque = _cable_torques_n_m(pose.span, along)
         torque -= kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
         return pose.angles_rad + _step_rad(pose._replace(torque_n_m=torque))
@@ -218,21 +219,10 @@ class QuasiStaticArm:
         mechanism = self._mechanism
         span, chain = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
         bends = _bends_rad(mechanism, angles, span.length_m)
-        kept = Kept.all_of(span.length_m)
-        for transmission in self._transmissions:
-            other = transmission.kept_tension(span.length_m, bends)
-            if other is not None:
-                kept = kept.and_then(other)
-        stretch = np.maximum(span.length_m.sum(-1) - rest_m, 0.0)
-        stiffness = mechanism.stiffness_n_m * (stretch > 0.0) / kept.mean
-        tension = stiffness * stretch
-        along = kept.spans * tension[..., None]
+        pull = self._pull(span.length_m, bends, rest_m)
+        tension, along = pull.tensions_n[..., 0], pull.tensions_n[..., 1:]
         torque = _cable_torques_n_m(span, along) - kinematics.axis_torques_n_m(chain, arms)
-        tension_by_m = stiffness[..., None] - (tension / kept.mean)[..., None] * kept.mean_by_m
-        by_span = (
-            kept.spans[..., None] * tension_by_m[..., None, :]
-            + tension[..., None, None] * kept.spans_by_m
-        )
+        by_span = pull.by_length_n_m[..., 1:, 1:]
         slope = _cable_slopes_n_m(span, along, by_span) - load_hessian(chain, arms)
         spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
         torque += spring * angles
@@ -243,8 +233,21 @@ class QuasiStaticArm:
             if resisted is not None:
                 torque += resisted[0]
                 slope[..., diagonal, diagonal] += resisted[1]
-        along_by_m = kept.spans * stiffness[..., None]
-        return _Pose(angles, span, chain, bends, tension, along_by_m, torque, slope)
+        by_run = pull.by_length_n_m[..., 1:, 0]
+        return _Pose(angles, span, chain, bends, tension, by_run, torque, slope)
+
+    def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> Pull:
+        for transmission in self._transmissions:
+            pull = transmission.pull(spans_m, bends_rad)
+            if pull is not None:
+                return pull
+        stretch = spans_m.sum(-1) - rest_m
+        stiffness = self._mechanism.stiffness_n_m * (stretch > 0.0)
+        count = 1 + spans_m.shape[-1]
+        return Pull(
+            np.broadcast_to((stiffness * stretch)[..., None], (*stretch.shape, count)),
+            np.broadcast_to(stiffness[..., None, None], (*stretch.shape, count, count)),
+        )
 
 
 def _cable_torques_n_m(span: kinematics.Spans, along_n: Array) -> Array:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_sim.cable_chain import CableChains, Pull
 from cablesense_sim.effects.effect import (
-    ROUNDED,
-    DryContact,
     Effect,
-    Kept,
     Parameter,
     Rest,
     Transmission,
@@ -21,17 +19,16 @@ from cablesense_sim.mechanism import Mechanism
 
 
 class CapstanFriction(Effect):
-    """Stick and slip over each guide, with tensions apart by at most exp(μ θ).
+    """Cables that stick and slip at their guides, with tensions apart by at most exp(μ θ).
 
-    Each guide carries a share of what it could hold, between -1 and 1. It grows evenly with the
-    cable that is drawn past until the cable slips, and it lasts at rest. The wrap angle θ is what
-    the cable turns by at a guide, and at the actuator's pulley that of the drawing.
+    The wrap angle θ is what a cable turns by at the guides around each joint, and at the pulley
+    between its run and the base plate that of the drawing.
     """
 
     name = "capstan_friction"
     acts_on = "transmission"
     about = "friction of the cables over guides and pulleys"
-    source = "equation (2) of the paper: T_out = T_in exp(-μ θ); presliding after Dahl, 1968"
+    source = "equation (2) of the paper: T_out = T_in exp(-μ θ); see cablesense_sim.cable_chain"
     advice = (
         "Look for worn, dry or misaligned guides. The estimator is blind to loads within the "
         "loop that friction opens; train it on the amended arm."
@@ -40,89 +37,72 @@ class CapstanFriction(Effect):
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
         shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
               starts=(0.5,), trials=(0.0, 1.0)),
-        shape("give_m", "m", 1e-6, 2e-3, 5e-5, "of cable drawn past from rest to slip", 2e-5,
-              starts=(2e-5,), trials=(1e-5, 1e-4)),
-        shape("run_share", "1", 0.0, 1.0, 0.5,
-              "share of the cable's give that lies beyond the actuator's pulley",
-              trials=(0.0, 1.0)),
-        ROUNDED,
+        shape("run_compliance", "1", 0.01, 100.0, 1.0,
+              "compliance of the run before the pulley, over that by its length", 1.0,
+              starts=(1.0,), trials=(0.3, 3.0)),
+        shape("give_m", "m", 0.0, 2e-3, 2e-5,
+              "of cable that passes a guide from rest to slip; zero sticks rigidly",
+              trials=(1e-5, 1e-4)),
     )  # fmt: skip
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
-        about = "share of what its guides hold that the past left on"
+        share = "share of what its guides hold that the past left on"
         return tuple(
-            shape(f"start_{cable}", "1", -1.0, 1.0, 0.5, f"{about} {cable}")
+            shape(f"start_{cable}", "1", -1.0, 1.0, 0.5, f"{share} {cable}")
             for cable in cables(cable_count)
         )
 
     def transmission(self, place: str, values: Values) -> Transmission:
-        return _Capstan(values)
+        return _Guides(values)
 
 
-class _Capstan(Transmission):
-    """Guides 0 (the actuator's pulley), 1 to N before the joints, and N + 1 to 2N after them."""
+class _Guides(Transmission):
+    """A node before each joint, with the guide behind the joint before it; the first's pulley."""
 
     def __init__(self, values: Values) -> None:
-        self._coefficient = values["coefficient"][:, None, None]
-        self._pulley_rad = values["pulley_wrap_rad"][:, None, None]
-        self._give_m = values["give_m"][:, None, None]
-        self._rounded = values["rounded"][:, None, None]
-        self._run = values["run_share"][:, None, None]
-        self._before = 1.0 - values["run_share"][:, None]
         self._values = values
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
         none = np.zeros_like(self._values["coefficient"])
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
         start = np.stack([self._values.get(name, none) for name in names], axis=-1)
-        drawn = self._drawn_m(rest.spans_m)
-        self._contact = DryContact(self._give_m, self._rounded, start[..., None], drawn)
-
-    def hold(self, rest_m: Array) -> None:
-        self._rest_m = rest_m
-
-    def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept:
-        share, by_drawn = self._contact.share(self._drawn_m(spans_m))
-        kept = np.exp(-self._up_to_span(share, bends_rad))
-        # a span's length draws at the guides on its actuator's side, and a loss counts those
-        at_pulley, at_guides = by_drawn.copy(), by_drawn.copy()
-        at_pulley[..., 1:], at_guides[..., 0] = 0.0, 0.0
-        count = spans_m.shape[-1]
-        nearer = np.minimum.outer(np.arange(count), np.arange(count))
-        loss_by_m = -self._up_to_span(at_guides, bends_rad)[..., nearer]
-        by_pulley_m = self._up_to_span(at_pulley, bends_rad)[..., nearer]
-        loss_by_m -= self._before[..., None, None] * by_pulley_m
-        pulley = (self._coefficient * self._pulley_rad)[..., 0]
-        run = self._run[..., 0] * np.exp(-pulley * share[..., 0])
-        by_pulley = (run * pulley * by_drawn[..., 0])[..., None] * self._before[..., None]
-        return Kept(
-            kept,
-            -kept[..., None] * loss_by_m,
-            self._before + run,
-            np.broadcast_to(by_pulley, spans_m.shape),
+        limit = self._limit(rest.bends_rad)
+        self._compliance_m_n = self._pieces_m_n(mechanism)
+        self._longer = self._compliance_m_n / self._compliance_m_n.sum(-1, keepdims=True)
+        self._chains = CableChains(
+            self._compliance_m_n,
+            self._lengths_m(rest.spans_m),
+            limit,
+            np.broadcast_to(start[..., None], limit.shape),
+            self._values["give_m"][:, None, None],
         )
 
+    def hold(self, rest_m: Array, longer_m: Array) -> None:
+        self._rest_m, self._longer_m = rest_m, longer_m
+
+    def pull(self, spans_m: Array, bends_rad: Array) -> Pull:
+        return self._chains.pull(self._lengths_m(spans_m), self._limit(bends_rad))
+
     def settle(self, rest: Rest) -> None:
-        self._contact.settle(self._drawn_m(rest.spans_m))
+        self._chains.settle(self._lengths_m(rest.spans_m), self._limit(rest.bends_rad))
 
-    def _up_to_span(self, of_guide: Array, bends_rad: Array) -> Array:
-        """(P, M, N) sum over the guides on each span's actuator's side, of wrap times a number."""
-        count = bends_rad.shape[-2]
-        before = np.cumsum(bends_rad[..., 0] * of_guide[..., 1 : count + 1], axis=-1)
-        after = bends_rad[..., 1] * of_guide[..., count + 1 :]
-        passed = np.cumsum(after, axis=-1) - after
-        pulley = self._pulley_rad * of_guide[..., :1]
-        return np.asarray(self._coefficient * (pulley + before + passed))
+    def _pieces_m_n(self, mechanism: Mechanism) -> Array:
+        """(P, M, 1 + N) compliances, which add up to that of the cable and its actuator."""
+        whole = 1.0 / mechanism.stiffness_n_m
+        actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
+        length = mechanism.piece_length_m
+        pieces = (whole - actuator)[..., None] * length / length.sum(-1, keepdims=True)
+        pieces[..., 0] = (pieces[..., 0] + actuator) * self._values["run_compliance"][:, None]
+        return np.asarray(pieces * (whole / pieces.sum(-1))[..., None])
 
-    def _drawn_m(self, spans_m: Array) -> Array:
-        """(P, M, 1 + 2N) how far each cable lies drawn towards its actuator at every guide.
+    def _lengths_m(self, spans_m: Array) -> Array:
+        """(P, M, 1 + N), from where the whole cable is just slack; what creeps does so evenly."""
+        lengths = np.concatenate([-self._rest_m[..., None], spans_m], axis=-1)
+        return np.asarray(lengths - self._longer * self._longer_m[..., None])
 
-        The far end is fixed, so what has shrunk beyond a guide has passed it; at the pulley so
-        has what the run is stretched by.
-        """
-        with_own = np.flip(np.cumsum(np.flip(spans_m, -1), -1), -1)
-        beyond = with_own - spans_m
-        whole = with_own[..., :1]
-        slackness = np.minimum(self._rest_m[..., None] - whole, 0.0)
-        passed = whole + self._run * slackness
-        return -np.concatenate([passed, with_own, beyond], axis=-1)
+    def _limit(self, bends_rad: Array) -> Array:
+        """(P, M, N) μ θ of the nodes."""
+        wraps = bends_rad[..., 0].copy()
+        wraps[..., 1:] += bends_rad[..., :-1, 1]
+        wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
+        return np.asarray(self._values["coefficient"][:, None, None] * wraps)

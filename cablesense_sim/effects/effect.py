@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_sim.cable_chain import Pull
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
@@ -185,41 +186,6 @@ class Rest(NamedTuple):
     tensions_n: Array
 
 
-class Kept(NamedTuple):
-    """Tension in each span of a cable, and its mean over the cable's stretch, by the actuator's.
-
-    Attributes:
-        spans: (P, M, N).
-        spans_by_m: (P, M, N, N) derivative by the lengths of the cable's spans.
-        mean: (P, M).
-        mean_by_m: (P, M, N).
-    """
-
-    spans: Array
-    spans_by_m: Array
-    mean: Array
-    mean_by_m: Array
-
-    @classmethod
-    def all_of(cls, spans_m: Array) -> Kept:
-        """Without friction, of cables with spans (P, M, N)."""
-        return cls(
-            np.ones_like(spans_m),
-            np.zeros((*spans_m.shape, spans_m.shape[-1])),
-            np.ones(spans_m.shape[:-1]),
-            np.zeros_like(spans_m),
-        )
-
-    def and_then(self, other: Kept) -> Kept:
-        """One friction after another: what they leave multiplies."""
-        return Kept(
-            self.spans * other.spans,
-            self.spans_by_m * other.spans[..., None] + self.spans[..., None] * other.spans_by_m,
-            self.mean * other.mean,
-            self.mean_by_m * other.mean[..., None] + self.mean[..., None] * other.mean_by_m,
-        )
-
-
 class Transmission:
     """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
 
@@ -234,11 +200,15 @@ class Transmission:
         """(P, M) by which the cables are longer than when they were tensioned."""
         return None
 
-    def hold(self, rest_m: Array) -> None:
-        """Take the spans' lengths (P, M) at which the cables are just slack, before a search."""
+    def hold(self, rest_m: Array, longer_m: Array) -> None:
+        """Take what holds the cables, before a search; each (P, M).
 
-    def kept_tension(self, spans_m: Array, bends_rad: Array) -> Kept | None:
-        """What friction leaves of the tension along the cables."""
+        A cable is just slack where its spans add up to `rest_m`, which the actuators set, and
+        to the length `longer_m` that it has gained since it was tensioned.
+        """
+
+    def pull(self, spans_m: Array, bends_rad: Array) -> Pull | None:
+        """Tensions (P, M, 1 + N) at the actuator and in each span, if not all alike."""
         return None
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array] | None:

@@ -129,9 +129,7 @@ def test_another_segment_is_not_right():
 
 LAG = ListedEffect(effect="sensor_lag", at="cable_3", parameters={"time_constant_s": 0.6})
 GAIN = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.15})
-RUBBING = ListedEffect(
-    effect="capstan_friction", parameters={"coefficient": 0.25, "give_m": 5e-6, "run_share": 1.0}
-)
+RUBBING = ListedEffect(effect="capstan_friction", parameters={"coefficient": 0.25})
 PAYLOAD = ListedEffect(effect="payload", at="segment_2", parameters={"mass_kg": 0.4})
 
 
