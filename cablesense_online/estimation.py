@@ -105,7 +105,7 @@ class Estimation:
         unloaded = UnloadedTensions(arm)
         self._contact_m = unloaded.mechanism.contact_m.tolist()
         self.clock = SampleClock(settings.stale_after_s)
-        self.publisher = FollowedPublisher(self.clock)
+        self.publisher = FollowedPublisher(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
         self.health = InputHealth(self.clock, now_s)
         self.gate = MotionGate(straight, speed_rad_s, settings.settle_s)
@@ -253,14 +253,14 @@ class Estimation:
         values = (contact_threshold, stale_after_s, slack_below_n)
         update = dict(zip(LIVE_SETTINGS, values, strict=True))
         self._settings = self._settings.model_copy(update=update)
-        self.clock.stale_after_s = stale_after_s
+        self.clock.stale_after_s = self.publisher.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
         self._note(EventKind.SETTINGS)
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
         self.health = InputHealth(self.clock, now_s)
-        self.publisher = FollowedPublisher(self.clock)
+        self.publisher = FollowedPublisher(self.clock.stale_after_s)
         self.tares.forget_readings()
         self._model.restart(self.gate.command_rad)
         self._note(EventKind.START, self.gate.command_rad)

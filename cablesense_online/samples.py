@@ -201,12 +201,16 @@ class FollowedPublisher:
     would have that number too, nobody can tell and none is used. One that begins at just the next
     number is mistaken for it until the followed one's own next comes.
 
-    Another is followed once that one has left, or only others have published for the clock's
-    `stale_after_s`.
+    Another is followed once that one has left, or only others have published for `stale_after_s`.
+
+    Attributes:
+        stale_after_s: may be changed.
+        refused_s: when a sample of another came last, monotonic.
     """
 
-    def __init__(self, clock: SampleClock) -> None:
-        self._clock = clock
+    def __init__(self, stale_after_s: float = 0.2) -> None:
+        self.stale_after_s = stale_after_s
+        self.refused_s = float("-inf")
         self._publishers = 0
         self._last: int | None = None
         self._others: deque[int] = deque(maxlen=_OTHERS_KEPT)
@@ -247,7 +251,7 @@ class FollowedPublisher:
         """As `accept`, for a sample that is not the next after the followed publisher's `last`."""
         if self._others_since_s is None:
             self._others_since_s = now_s
-        elif now_s - self._others_since_s >= self._clock.stale_after_s:
+        elif now_s - self._others_since_s >= self.stale_after_s:
             return self._follow(number)
         if number - 1 != last:  # else it may be the followed one's
             if number - 1 in self._others:
@@ -255,11 +259,12 @@ class FollowedPublisher:
             elif abs(number - last) < _MOST_LOST:
                 self._in_doubt = True  # which of the two was followed before
             self._others.append(number)
+        self.refused_s = now_s
         raise SampleError(
             ProblemKind.PUBLISHER,
             f"its publisher's number {number}, where the followed publisher's last was {last}; "
             "another is followed when that has been silent for "
-            f"{self._clock.stale_after_s:g} s: let one alone publish",
+            f"{self.stale_after_s:g} s: let one alone publish",
         )
 
     def _follow(self, number: int) -> bool:
@@ -331,11 +336,14 @@ class InputHealth:
             return Level.STALE, "no sample received yet"
         if silence > self._clock.stale_after_s:
             return Level.STALE, f"no sample for {silence:.1f} s"
-        if publisher_count > 1:
-            return Level.ERROR, f"{publisher_count} publishers; one arm has one, and one is used"
+        others = f"{publisher_count} publishers; one arm has one, and one is used"
+        if publisher_count > 1 and self._refused[ProblemKind.PUBLISHER]:
+            return Level.ERROR, others
         if self._refused:
             kinds = ", ".join(f"{count} {kind.value}" for kind, count in self._refused.items())
             return Level.ERROR, f"samples refused: {kinds}"
+        if publisher_count > 1:
+            return Level.WARN, f"{others}; the others are silent (who was killed counts for 5 s)"
         if missing:
             return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
         return Level.OK, "receiving"

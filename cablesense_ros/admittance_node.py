@@ -23,7 +23,7 @@ from cablesense_msgs_py.messages import (
     joint_command_rad,
     put_joint_angles,
 )
-from cablesense_msgs_py.qos import COMMAND, PUBLISHER
+from cablesense_msgs_py.qos import COMMAND, PUBLISHER, SENSOR, Qos
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import AdmittanceController
 from cablesense_online.admittance.estimate_watch import (
@@ -33,6 +33,7 @@ from cablesense_online.admittance.estimate_watch import (
     read_wrench,
 )
 from cablesense_online.admittance.law import AdmittanceSettings
+from cablesense_online.samples import FollowedPublisher
 from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
@@ -73,22 +74,20 @@ class AdmittanceNode(ConfiguredNode):
             JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
         )
         self._entities.callback(self.destroy_publisher, self._commands_out)
-        inputs: tuple[tuple[type, str, Callable[[Any], None], str], ...] = (
-            (WrenchStamped, topics.WRENCH, self._on_wrench, "a wrench was refused"),
-            (
-                Float64MultiArray,
-                topics.CONTACT_PROBABILITIES,
-                self._on_probabilities,
-                "probabilities were refused",
-            ),
+        inputs: tuple[tuple[type, str, Qos, Callable[[Any], None]], ...] = (
+            (WrenchStamped, topics.WRENCH, SENSOR, self._on_wrench),
+            (Float64MultiArray, topics.CONTACT_PROBABILITIES, SENSOR, self._on_probabilities),
             # these two stop nothing: arm and estimator refuse a command as well
-            (JointState, topics.JOINT_COMMANDS, self._on_command, ""),
-            (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, ""),
+            (JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command),
+            (DiagnosticArray, topics.DIAGNOSTICS, COMMAND, self._on_diagnostics),
         )
-        for kind, topic, handle, stops in inputs:
-            name = of_node(self._estimator, topic)
-            take = partial(self._stopping, stops, handle) if stops else handle
-            subscription = self._refuse.subscribe(kind, name, COMMAND, take)
+        for kind, topic, quality, handle in inputs:
+            name, publisher, accept = of_node(self._estimator, topic), None, None
+            if quality is SENSOR:
+                publisher = FollowedPublisher(settings.stale_after_s)
+                accept = partial(self._stopping, name, publisher.accept)
+                handle = partial(self._stopping, name, handle)
+            subscription = self._refuse.subscribe(kind, name, quality, handle, publisher, accept)
             self._entities.callback(self.destroy_subscription, subscription)
         timer = self.create_timer(SILENCE_CHECK_S, self._check_silence)
         self._entities.callback(self.destroy_timer, timer)
@@ -96,12 +95,12 @@ class AdmittanceNode(ConfiguredNode):
         self._identity = arm.identity
         self.get_logger().info(f"arm {arm.identity}: configured")
 
-    def _stopping(self, what: str, handle: Callable[[Any], None], message: Any) -> None:
-        """Handle a message; one that breaks the contract stops the controller."""
+    def _stopping(self, topic: str, handle: Callable[..., Any], *given: Any) -> Any:
+        """Handle a message; one that is refused, as of another estimator, stops the controller."""
         try:
-            handle(message)
+            return handle(*given)
         except CableSenseError as error:
-            self._controller.watch.refused(f"{what}: {error}")
+            self._controller.watch.refused(f"{topic}: a message was refused: {error}")
             raise
 
     def _on_wrench(self, message: WrenchStamped) -> None:

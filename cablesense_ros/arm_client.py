@@ -17,6 +17,7 @@ from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.samples import FollowedPublisher
 from cablesense_ros.node_process import RefusalLog, of_node, overridable
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command
@@ -47,7 +48,10 @@ class ArmClient:
         )
         refuse = RefusalLog(node)
         for kind, topic, quality, handle in inputs:
-            refuse.subscribe(kind, of_node(estimator, topic), quality, handle)
+            publisher = live.tension_publisher if topic == topics.CABLE_TENSIONS else None
+            if publisher is None and quality is qos.SENSOR:
+                publisher = FollowedPublisher()
+            refuse.subscribe(kind, of_node(estimator, topic), quality, handle, publisher)
         self._loads, self._commands = (
             node.create_publisher(kind, topic, **overridable(qos.COMMAND))
             for kind, topic in (

@@ -53,11 +53,6 @@ class CanDriverNode(ConfiguredNode):
         self._driver.stop()
         return super().on_deactivate(state)
 
-    def destroy_node(self) -> None:
-        """Close the interface first: its thread publishes."""
-        self._release()
-        super().destroy_node()
-
     def _configure(self, given: dict[str, Any]) -> None:
         arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])

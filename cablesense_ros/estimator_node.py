@@ -9,11 +9,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
-from rclpy.event_handler import (
-    QoSMessageLostInfo,
-    QoSSubscriptionMatchedInfo,
-    SubscriptionEventCallbacks,
-)
+from rclpy.event_handler import QoSMessageLostInfo
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -26,7 +22,6 @@ from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.models import load_model
-from cablesense_online.samples import SampleError
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
 from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.estimator_outputs import EstimatorOutputs
@@ -34,9 +29,8 @@ from cablesense_ros.node_process import (
     WARN_EVERY_S,
     ConfiguredNode,
     RefusalLog,
-    numbered,
-    overridable,
     run_node,
+    subscribe_to_one,
 )
 from cablesense_ros.parameters import parameter_values
 
@@ -60,15 +54,16 @@ class EstimatorNode(ConfiguredNode):
         """Subscribe to tensions and commands."""
         result = super().on_activate(state)
         self._estimation.start(time.monotonic())
-        samples = self.create_subscription(
+        samples = subscribe_to_one(
+            self,
             JointState,
             topics.CABLE_TENSIONS,
-            numbered(self._on_sample),
-            **overridable(SENSOR),
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=self._on_lost, matched=self._on_matched
-            ),
+            SENSOR,
+            self._estimation.publisher,
+            self._on_sample,
+            partial(self._refuse_sample, topics.CABLE_TENSIONS),
+            self._estimation.follow,
+            message_lost=self._on_lost,
         )
         commands = self._refuse_command.subscribe(
             JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command
@@ -97,6 +92,7 @@ class EstimatorNode(ConfiguredNode):
         for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
             service = self.create_service(Trigger, name, partial(self._on_request, answer))
             self._entities.callback(self.destroy_service, service)
+        self._entities.callback(self._keep_state)
         self._identity = arm.identity
         self.get_logger().info(f"arm {arm.identity}, model {self._loaded.model}: configured")
 
@@ -129,19 +125,8 @@ class EstimatorNode(ConfiguredNode):
         self._inputs.close()
         super()._release()
 
-    def _on_sample(self, raw: bytes, number: int) -> None:
+    def _on_sample(self, raw: bytes) -> None:
         now_ns, now_s = self._now_ns(), time.monotonic()
-        try:
-            if self._estimation.follow(number, now_s):
-                self.get_logger().warning(
-                    f"{topics.CABLE_TENSIONS}: samples of another publisher, or of one of "
-                    "several, are used from now on; no estimate until the arm must have come to "
-                    "rest",
-                    throttle_duration_sec=WARN_EVERY_S,
-                )
-        except SampleError as problem:
-            self._refuse_sample(topics.CABLE_TENSIONS, problem)
-            return
         answer = self._estimation.sample(raw, now_ns, now_s)
         self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
         if answer.problem is not None:
@@ -194,14 +179,17 @@ class EstimatorNode(ConfiguredNode):
         """Time of the clock that sets stamps; the system's is read directly, as that is faster."""
         return self.get_clock().now().nanoseconds if self._simulated_time else time.time_ns()
 
-    def _check_stale(self) -> None:
-        self._simulated_time = self.get_clock().ros_time_is_active
+    def _keep_state(self) -> None:
         try:
             self._state.flush()
         except CableSenseError as error:
             self.get_logger().error(
                 f"the state is not kept: {error}", throttle_duration_sec=WARN_EVERY_S
             )
+
+    def _check_stale(self) -> None:
+        self._simulated_time = self.get_clock().ros_time_is_active
+        self._keep_state()
         if awaited := self._estimation.tares.awaited:
             self.get_logger().warning(
                 f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
@@ -220,9 +208,6 @@ class EstimatorNode(ConfiguredNode):
 
     def _on_lost(self, event: QoSMessageLostInfo) -> None:
         self._lost += event.total_count_change
-
-    def _on_matched(self, event: QoSSubscriptionMatchedInfo) -> None:
-        self._estimation.publisher.matched(event.current_count)
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         if self._identity and any(p.name in LIVE_SETTINGS for p in parameters):

@@ -15,7 +15,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from inspect import Parameter, Signature
 from typing import Any
@@ -24,6 +24,7 @@ import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -50,8 +51,10 @@ from cablesense_msgs_py.messages import Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.samples import FollowedPublisher, SampleError
 from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
+from cablesense_ros.processes import handle_end_signals
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
@@ -79,22 +82,62 @@ def overridable(qos: Qos) -> dict[str, Any]:
     return {"qos_profile": qos_profile(qos), "qos_overriding_options": overriding}
 
 
-def numbered(handle: Callable[[bytes, int], object]) -> Callable[..., None]:
-    """A subscription's callback: `handle` gets each message with its publisher's number of it.
+def subscribe_to_one(
+    node: Node,
+    kind: type,
+    topic: str,
+    qos: Qos,
+    publisher: FollowedPublisher,
+    take: Callable[[bytes], object],
+    refuse: Callable[[SampleError], object],
+    accept: Callable[[int, float], bool] | None = None,
+    **events: Callable[[Any], None],
+) -> Subscription:
+    """A raw subscription of which `take` gets the messages of one publisher, never of two in turn.
 
-    rclpy documents two arguments, message and information, and looks at the signature for that;
-    the events executor of rclpy 7.1 gives both as one tuple.
+    Args:
+        node: subscribes.
+        kind: of the messages.
+        topic: of theirs.
+        qos: asked for.
+        publisher: who is followed.
+        take: takes a serialized message of that publisher.
+        refuse: takes why a message of another is not used.
+        accept: in place of `publisher.accept`, which it calls.
+        events: callbacks of other events, by the names of rclpy.
     """
+    accept = accept or publisher.accept
 
-    def take(message: Any, information: Any = None) -> None:
-        if information is None:
+    def receive(message: Any, information: Any = None) -> None:
+        if information is None:  # the events executor of rclpy 7.1 gives both as one tuple
             message, information = message
-        handle(message, information["publication_sequence_number"])
+        try:
+            another = accept(information["publication_sequence_number"], time.monotonic())
+        except SampleError as problem:
+            refuse(problem)
+            return
+        if another:
+            node.get_logger().warning(
+                f"{topic}: messages of another publisher, or of one of several, are used from "
+                "now on",
+                throttle_duration_sec=WARN_EVERY_S,
+            )
+        take(message)
 
-    take.__signature__ = Signature(  # type: ignore[attr-defined]
+    # rclpy looks at the signature for whether information is wanted
+    receive.__signature__ = Signature(  # type: ignore[attr-defined]
         [Parameter(name, Parameter.POSITIONAL_ONLY) for name in ("message", "information")]
     )
-    return take
+    return node.create_subscription(
+        kind,
+        topic,
+        receive,
+        **overridable(qos),
+        raw=True,
+        event_callbacks=SubscriptionEventCallbacks(
+            matched=lambda event: publisher.matched(event.current_count), **events
+        ),
+    )
 
 
 def of_node(node_name: str, topic: str) -> str:
@@ -146,9 +189,18 @@ class RefusalLog:
         return take
 
     def subscribe(
-        self, kind: type, topic: str, qos: Qos, handle: Callable[[Any], object]
+        self,
+        kind: type,
+        topic: str,
+        qos: Qos,
+        handle: Callable[[Any], object],
+        publisher: FollowedPublisher | None = None,
+        accept: Callable[[int, float], bool] | None = None,
     ) -> Subscription:
-        """A subscription of the node, guarded so; what is too long is refused unread."""
+        """A subscription of the node, guarded so; what is too long is refused unread.
+
+        With a `publisher` to follow, messages of others are refused (`subscribe_to_one`).
+        """
 
         def take(raw: bytes) -> None:
             require_bounded(raw)
@@ -158,9 +210,13 @@ class RefusalLog:
                 raise ContractError(f"no message of its type ({error})") from error
             handle(message)
 
-        return self._node.create_subscription(
-            kind, topic, self.guarded(topic, take), **overridable(qos), raw=True
-        )
+        guarded = self.guarded(topic, take)
+        if publisher is None:
+            return self._node.create_subscription(
+                kind, topic, guarded, **overridable(qos), raw=True
+            )
+        refuse = partial(self, topic)
+        return subscribe_to_one(self._node, kind, topic, qos, publisher, guarded, refuse, accept)
 
 
 @cache
@@ -185,7 +241,7 @@ _RCLError = rclpy_implementation.RCLError
 
 
 def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or shutdown; give the process's exit code.
+    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown; give the process's exit code.
 
     0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
     cannot start. A `ConfiguredNode` is configured and activated where its `autostart` asks for it.
@@ -198,7 +254,7 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except (_RCLError, ValueError) as error:
         return _cannot_start(error)
-    _on_end_signals(lambda *_: wanted_end.set_result(None))
+    handle_end_signals(lambda *_: wanted_end.set_result(None))
     node: Node | None = None
     code = 0
     try:
@@ -212,7 +268,7 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
         code = _cannot_start(error)
     except ExternalShutdownException:
         pass
-    _on_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
+    handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     if node is not None:
         with suppress(_RCLError):
             node.destroy_node()
@@ -234,11 +290,6 @@ def _spin(node: Node, wanted_end: Future) -> None:
             executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
     finally:
         executor.shutdown()
-
-
-def _on_end_signals(action: Any) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, action)
 
 
 def _cannot_start(error: Exception) -> int:
@@ -331,6 +382,11 @@ class ConfiguredNode(LifecycleNode, ABC):
         """Stop from any state."""
         self._release()
         return super().on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        """Undo what configuring made first: threads may publish, and a state may not be kept."""
+        self._release()
+        super().destroy_node()
 
     def autostart(self) -> None:
         """Configure and activate, unless `autostart` leaves it to a lifecycle manager."""

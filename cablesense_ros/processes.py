@@ -208,7 +208,7 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with end_signals(signal.SIG_IGN, signal.SIG_IGN):  # the end is carried through
+        with end_signals(signal.SIG_IGN):  # the end is carried through
             for child in reversed(self._children.values()):
                 child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
             deadline_s = time.monotonic() + self._grace_s
@@ -260,16 +260,26 @@ class Processes:
             time.sleep(_POLL_S)
 
 
+def handle_end_signals(handler: Any) -> dict[signal.Signals, Any]:
+    """One handler of SIGINT, SIGTERM and SIGHUP, but where nohup has this ignored.
+
+    Gives the handlers before, by signal.
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    return {number: signal.signal(number, handler) for number in numbers}
+
+
 @contextlib.contextmanager
-def end_signals(interrupt: Any, terminate: Any) -> Iterator[None]:
-    """Handlers of SIGINT and SIGTERM inside the block."""
-    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+def end_signals(handler: Any) -> Iterator[None]:
+    """As `handle_end_signals`, inside the block."""
+    before = handle_end_signals(handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, one_before in before.items():
+            signal.signal(number, one_before)
 
 
 def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:

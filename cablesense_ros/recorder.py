@@ -20,7 +20,14 @@ from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
-from cablesense_ros.node_process import RefusalLog, message_class, overridable, spun_node
+from cablesense_online.samples import FollowedPublisher
+from cablesense_ros.node_process import (
+    RefusalLog,
+    message_class,
+    overridable,
+    spun_node,
+    subscribe_to_one,
+)
 from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
 
@@ -43,7 +50,8 @@ class Recorder:
     """Subscribes a node to topics of the contract, and writes what comes until it is closed.
 
     The file grows chunk by chunk; a recorder that is killed leaves all but its last one. With an
-    arm, inputs that break its contract are logged and left out.
+    arm, inputs that break its contract are logged and left out; tensions of a second publisher are
+    always.
     """
 
     def __init__(
@@ -82,13 +90,18 @@ class Recorder:
         self._log = RefusalLog(node, "left out")
         for topic, of in wanted.items():
             if kind := message_class(of.kind):
-                node.create_subscription(
-                    kind,
+                name, take = (
                     resolved(topic, node.get_namespace()),
                     partial(self._take, topic, kind),
-                    **overridable(of.requested),
-                    raw=True,
                 )
+                if topic == topics.CABLE_TENSIONS:
+                    refuse = partial(self._leave_out, topic)
+                    publisher = FollowedPublisher()
+                    subscribe_to_one(node, kind, name, of.requested, publisher, take, refuse)
+                else:
+                    node.create_subscription(
+                        kind, name, take, **overridable(of.requested), raw=True
+                    )
 
     @property
     def status(self) -> str:
@@ -146,8 +159,7 @@ class Recorder:
             if self._contract is not None and topic in INPUTS:
                 self._contract.take(topic, now_ns, deserialize_message(raw, kind))
         except CableSenseError as error:
-            self._left_out[topic] += 1
-            self._log(topic, error)
+            self._leave_out(topic, error)
             return
         try:
             if topic not in self._channels:
@@ -157,6 +169,10 @@ class Recorder:
         except RecordingError as error:  # an executor would print where it comes from
             self._failure = error
         self.counts[topic] += 1
+
+    def _leave_out(self, topic: str, error: CableSenseError) -> None:
+        self._left_out[topic] += 1
+        self._log(topic, error)
 
 
 _WAKE_S = 0.25
@@ -171,7 +187,7 @@ def record_topics(
     namespace: str = "",
     force: bool = False,
 ) -> None:
-    """Record until `duration_s` have passed, SIGINT or SIGTERM; the file is whole then.
+    """Record until `duration_s` have passed, or a signal to end; the file is whole then.
 
     Args:
         path: of the file.
@@ -191,7 +207,7 @@ def record_topics(
     def end(*_: object) -> None:
         wanted_end.set_result(None)
 
-    with end_signals(end, end), spun_node("recorder", namespace) as (node, executor):
+    with end_signals(end), spun_node("recorder", namespace) as (node, executor):
         recorder = Recorder(node, path, wanted, arm, say, force)
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:

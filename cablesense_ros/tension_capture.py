@@ -14,7 +14,8 @@ from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.sensor_statistics import TensionSeries
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
-from cablesense_ros.node_process import qos_profile, spun_node
+from cablesense_online.samples import FollowedPublisher, SampleError
+from cablesense_ros.node_process import spun_node, subscribe_to_one
 
 _FIRST_SAMPLE_S = 5.0
 _JOINING_S = 0.5
@@ -36,7 +37,7 @@ def capture_tensions(
         say: takes a line for the person.
 
     Raises:
-        CommissioningError: nothing comes.
+        CommissioningError: nothing comes, or two publish.
         ContractError: messages break the contract.
     """
     samples, never = _Samples(cable_names), Future()
@@ -49,8 +50,14 @@ def capture_tensions(
                 if samples.error is not None:
                     raise samples.error
 
-        node.create_subscription(
-            JointState, topics.CABLE_TENSIONS, samples.take, qos_profile(qos.SENSOR), raw=True
+        subscribe_to_one(
+            node,
+            JointState,
+            topics.CABLE_TENSIONS,
+            qos.SENSOR,
+            FollowedPublisher(),
+            samples.take,
+            samples.refuse,
         )
         end_s = time.monotonic() + _FIRST_SAMPLE_S
         while not samples.times_s and time.monotonic() < end_s:
@@ -97,6 +104,9 @@ class _Samples:
                 f"{topics.CABLE_TENSIONS} stopped; its driver's diagnostics give the reason"
             )
         return self.times_s[-1]
+
+    def refuse(self, problem: SampleError) -> None:
+        self.error = CommissioningError(f"{topics.CABLE_TENSIONS} has two publishers: {problem}")
 
     def take(self, raw: bytes) -> None:
         """In the executor, which would drop an exception: it is kept for the caller."""

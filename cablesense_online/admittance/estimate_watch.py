@@ -54,7 +54,7 @@ class EstimateWatch:
         self._probabilities_s: deque[float] = deque(maxlen=PROBABILITIES_KEPT)
         self._moved_until_s = now_s
         self._estimating_since_s: float | None = None
-        self._fault = ""
+        self._fault, self._last_fault = "", "none had come"
         self.state = ContactState.STOPPED
         self.reason = "no estimate yet"
 
@@ -104,12 +104,13 @@ class EstimateWatch:
             self._estimating_since_s = now_s
         since_s, resume_after_s = self._estimating_since_s, self._settings.resume_after_s
         if fault:
-            self.state, self.reason = ContactState.STOPPED, fault
+            self.state, self.reason, self._last_fault = ContactState.STOPPED, fault, fault
         elif self.state is ContactState.STOPPED:
             if since_s is None:
                 self.reason = "waiting for estimates"
             elif now_s - since_s < resume_after_s:
-                self.reason = f"estimates are back; trusted after {resume_after_s:g} s"
+                back = f"estimates are back; trusted after {resume_after_s:g} s"
+                self.reason = f"{self._last_fault}; {back}"
             else:
                 self.state, self.reason = ContactState.UNKNOWN, ""
         if self.state is not ContactState.STOPPED:

@@ -14,7 +14,8 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Load, NamedOrder, joint_command_rad, read_load
-from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.topics import CABLE_TENSIONS, Frames
+from cablesense_online.samples import FollowedPublisher
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
@@ -165,6 +166,10 @@ class LiveArm:
 
     Methods named `on_…` take a message and raise CableSenseError when it breaks the contract, or
     commands what the arm cannot do. Times are of one monotonic clock, s.
+
+    Attributes:
+        mechanism, frames: of the arm.
+        tension_publisher: the one whose tensions are shown; others are an error.
     """
 
     def __init__(
@@ -177,6 +182,7 @@ class LiveArm:
     ) -> None:
         self.mechanism = mechanism_of(arm)
         self.frames = Frames(arm.segment_count, frame_prefix)
+        self.tension_publisher = FollowedPublisher()
         self._estimator = estimator
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._joints = NamedOrder(arm.joint_names, "joints")
@@ -264,6 +270,10 @@ class LiveArm:
             command = self._motion.advance(elapsed_s)
             fresh = now_s - self._estimate_s <= STALE_S
             estimate = self._estimated(command) if fresh else None
+            status = self._status(estimate, now_s)
+            if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
+                note = f"{CABLE_TENSIONS} has two publishers; those of one are shown"
+                status = Status(Level.ERROR, status.headline, (note, *status.notes))
             measured = self._joint_angles_rad
             return Snapshot(
                 time_s=self._tensions_s if self._tensions_n is not None else now_s,
@@ -272,7 +282,7 @@ class LiveArm:
                 true=self._true(command),
                 estimate=estimate,
                 probabilities=self._probabilities if fresh else None,
-                status=self._status(estimate, now_s),
+                status=status,
             )
 
     def _true(self, command_rad: Array) -> Contact | None:

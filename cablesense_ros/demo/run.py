@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import time
 import webbrowser
@@ -22,7 +21,7 @@ from rich.table import Table
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Processes, end_signals, node_command
+from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
 
 _MAP = "twelve_channel_amplifier"
@@ -31,7 +30,6 @@ _BITRATE_BIT_S = 1_000_000
 _START_S = 60.0
 """Slow machines import for tens of seconds the first time."""
 _LIVE_WALL_DELAY_S = 15.0
-_EXIT_TERMINATED = 128 + signal.SIGTERM
 
 Commands = dict[str, list[str]]
 
@@ -83,16 +81,13 @@ class DemoOptions:
 
 
 def run_live(options: DemoOptions) -> None:
-    """Serve the page until Ctrl-C or SIGTERM; with a controller a wall comes by itself and stays.
+    """Serve the page until it is interrupted; with a controller a wall comes by itself and stays.
 
     Raises:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
     _check_files(options)
-    with (
-        end_signals(signal.default_int_handler, _terminate),
-        _nodes(options, live=True) as processes,
-    ):
+    with _nodes(options, live=True) as processes:
         *names, last = (process.name for process in processes)
         print(f"Starting {', '.join(names)} and {last} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
@@ -120,11 +115,10 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     pushed = options.controller is Controller.NONE
     picture = options.out / ("demo.png" if pushed else "admittance.png")
     console = Console(stderr=as_json)
-    with end_signals(signal.default_int_handler, _terminate):
-        play = _play_pushes if pushed else _play_wall
-        metrics, shown, draw = play(arm, options, duration_s, console)
-        with console.status("Drawing the picture …"):
-            draw(picture)
+    play = _play_pushes if pushed else _play_wall
+    metrics, shown, draw = play(arm, options, duration_s, console)
+    with console.status("Drawing the picture …"):
+        draw(picture)
     if as_json:
         found = {"arm": arm.identity, **metrics, "picture": str(picture)}
         print(json.dumps(found, indent=2))
@@ -274,8 +268,3 @@ def _open_in_browser(url: str) -> None:
     screens = (os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform != "linux" or any(screens):
         webbrowser.open(url)
-
-
-def _terminate(*_: object) -> None:
-    """SIGTERM leaves through the `with` statements, which end the children, as Ctrl-C does."""
-    raise SystemExit(_EXIT_TERMINATED)

@@ -215,16 +215,20 @@ def test_refused_samples_are_an_error_until_the_next_report():
     assert again.values["refused in all"] == "1"
 
 
-def test_losses_are_a_warning_and_a_second_publisher_an_error():
+def test_losses_and_a_silent_second_publisher_are_a_warning_and_one_that_publishes_an_error():
     assert status(fed(), 1.0, missing=3).message == "3 samples dropped"
-    second = status(fed(), 1.0, publishers=2)
+    health = fed()
+    silent = status(health, 1.0, publishers=2)
+    assert silent.level is Level.WARN
+    health.refused(SampleError(ProblemKind.PUBLISHER, "its publisher's number 3"))
+    second = status(health, 1.1, publishers=2)
     assert second.level is Level.ERROR
-    assert second.message.startswith("2 publishers")
+    assert {one.message.split(";")[0] for one in (silent, second)} == {"2 publishers"}
 
 
 def heard(samples, publishers=2, period_s=0.01):
     """What was accepted of (publisher, number), and with which one another was followed."""
-    watched = FollowedPublisher(SampleClock(0.2))
+    watched = FollowedPublisher(0.2)
     watched.matched(publishers)
     accepted, changes = [], []
     for at, sample in enumerate(samples):
@@ -278,7 +282,7 @@ def test_what_is_accepted_between_two_changes_is_of_one_publisher(turns):
 def test_one_that_begins_at_just_the_next_number_is_noticed_with_the_followed_ones_next():
     accepted, _ = heard([*numbered(1, 50), ("b", 51), *numbered(51, 1), ("b", 60)])
     assert accepted == [*numbered(1, 50), ("b", 51)]
-    watched = FollowedPublisher(SampleClock(0.2))
+    watched = FollowedPublisher(0.2)
     watched.matched(2)
     for number in (50, 51, 51):
         with suppress(SampleError):
@@ -295,7 +299,7 @@ def test_another_is_followed_once_only_it_has_published_for_a_time():
 
 
 def test_another_that_comes_alone_is_followed_at_once():
-    watched = FollowedPublisher(SampleClock(0.2))
+    watched = FollowedPublisher(0.2)
     watched.matched(1)
     assert not watched.accept(100, 0.0)
     watched.matched(0)

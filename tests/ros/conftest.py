@@ -6,10 +6,12 @@ from unittest import mock
 
 import pytest
 
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 @pytest.fixture(autouse=True)
 def surroundings_restored():
-    handlers = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {one: signal.getsignal(one) for one in ENDS}
     with mock.patch.dict(os.environ):
         yield
     for one, handler in handlers.items():

@@ -1,12 +1,24 @@
-"""Two publishers of tensions beside one estimator, and a state file that cannot be written."""
+"""Two publishers of tensions, or two estimators: one is used, and the other is an error."""
 
+import json
+import signal
 import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
+from cablesense_gap.recordings.checks import read_recording
+from cablesense_msgs_py.messages import Level
+from cablesense_msgs_py.qos import INPUTS
+from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.state import state_of
+from cablesense_ros.arm_client import ArmClient
+from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -40,6 +52,25 @@ class Source:
         self.publisher.publish(self.message)
 
 
+class Estimates:
+    """An estimator that says the same all the time."""
+
+    def __init__(self, graph, segment, force_n):
+        self.node = graph.node
+        advertise = self.node.create_publisher
+        self.wrenches = advertise(WrenchStamped, "/estimator/wrench", 10)
+        kind, topic = Float64MultiArray, "/estimator/contact_probabilities"
+        self.probabilities = advertise(kind, topic, 10)
+        self.wrench, self.likely = WrenchStamped(), Float64MultiArray(data=[0.0] * 5)
+        self.wrench.header.frame_id = f"segment_{segment}" if segment else "base_link"
+        self.wrench.wrench.force.y, self.likely.data[segment] = force_n, 1.0
+
+    def publish(self):
+        self.wrench.header.stamp = self.node.get_clock().now().to_msg()
+        self.probabilities.publish(self.likely)
+        self.wrenches.publish(self.wrench)
+
+
 def until(graph, sources, condition, what):
     """Let the sources publish in turn, at 100 Hz each, until something is true."""
 
@@ -57,6 +88,60 @@ def graph():
     talking = Graph()
     yield talking
     talking.close()
+
+
+def test_the_page_shows_one_and_says_that_there_is_another(graph):
+    live = LiveArm(ARM, joint_speed_rad_s=1.0)
+    ArmClient(graph.node, ARM, live, "estimator")
+    first, second = Source(graph, UNLOADED), Source(graph, PUSHED)
+    until(graph, [first], lambda: live.snapshot(0.0).tensions_n is not None, "tensions")
+    assert live.snapshot(time.monotonic()).status.level is Level.STALE  # no estimator
+    shown = set()
+
+    def another_is_reported():
+        snapshot = live.snapshot(time.monotonic())
+        shown.add(tuple(snapshot.tensions_n))
+        return snapshot.status.level is Level.ERROR and len(graph.tensions) > 100
+
+    until(graph, [first, second], another_is_reported, "an error")
+    assert "two publishers" in live.snapshot(time.monotonic()).status.notes[0]
+    assert shown == {tuple(UNLOADED)}
+
+
+def test_one_is_recorded(graph, tmp_path):
+    out = tmp_path / "made.mcap"
+    recorder = Recorder(graph.node, out, INPUTS, ARM, print)
+    first, second = Source(graph, UNLOADED), Source(graph, PUSHED)
+    graph.until(graph.command.get_subscription_count, "the recorder")
+    graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
+    until(graph, [first], lambda: recorder.counts["cable_tensions"], "a row")
+    until(graph, [first, second], lambda: recorder.counts["cable_tensions"] > 50, "rows")
+    assert "left out" in recorder.status
+    recorder.close()
+    recorded_n = read_recording(out, ARM).tensions_n
+    np.testing.assert_array_equal(recorded_n, np.tile(UNLOADED, (len(recorded_n), 1)))
+
+
+def test_a_controller_stops_while_two_estimate_and_then_follows_the_one_that_is_left(graph):
+    commands = []
+    graph.node.create_subscription(JointState, "/joint_commands", commands.append, 10)
+    controller = NodeProcess("cablesense_ros.admittance_node", resume_after_s=0.3)
+    nothing, contact = Estimates(graph, 0, 0.0), Estimates(graph, 3, 40.0)
+    trusted = "estimates are trusted"
+    until(graph, [nothing], lambda: trusted in controller.log, "the controller's trust")
+    until(graph, [nothing, contact], lambda: "stopped: " in controller.log, "a stop")
+    commands_before = len(commands)
+    ended_s = time.monotonic() + 1.0
+    until(graph, [nothing, contact], lambda: time.monotonic() > ended_s, "a second")
+    until(graph, [nothing, contact], lambda: "admittance: control" in graph.statuses, "a status")
+    status = graph.statuses["admittance: control"]
+    assert status.level == DiagnosticStatus.ERROR
+    assert "another is followed" in status.message
+    assert not commands_before
+    assert not commands
+    until(graph, [contact], lambda: commands, "a step away from the contact")
+    assert controller.log.count(trusted) == 2
+    assert controller.stop() == 0, controller.log
 
 
 def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
@@ -95,5 +180,14 @@ def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
     assert "cannot be written" in level("state file")[1] or "No such" in level("state file")[1]
     folder.mkdir()
     until(graph, [second], lambda: level("state file")[0] == 0, "the state to be kept again")
-    assert (folder / "state.json").exists()
-    assert estimator.stop() == 0, estimator.log
+    states = []
+    kind, topic = DiagnosticArray, "/estimator/journal"
+    graph.node.create_subscription(kind, topic, lambda m: states.append(state_of(m)), 10)
+    bent_rad = (0.0, 0.05, *[0.0] * 6)
+    graph.command.publish(JointState(name=list(ARM.joint_names), position=bent_rad))
+    until(graph, [second], lambda: states and states[-1].command_rad == bent_rad, "the command")
+    estimator.signal(signal.SIGHUP)
+    assert estimator.wait() == 0, estimator.log
+    assert "Traceback" not in estimator.log
+    kept = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    assert kept["command_rad"] == list(bent_rad)

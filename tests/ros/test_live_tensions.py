@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
@@ -34,6 +35,7 @@ HEARING = (
 )
 """A shell starts what runs in its background with Ctrl-C ignored, and tests may run there."""
 ROOT = Path(__file__).parents[2]
+CABLES = open_arm("cdsm").cable_names
 
 
 def check(*arguments, first_sample_s=5.0):
@@ -84,15 +86,23 @@ def test_silence_is_one_line_and_exit_code_2():
     assert "Traceback" not in result.stderr
 
 
-def test_messages_of_another_arm_are_one_line_and_exit_code_2():
+@pytest.mark.parametrize(
+    ("sources", "remedy"),
+    [([("left", "right")], "missing 'cable_1'"), ([CABLES, CABLES], "two publishers")],
+    ids=["another arm", "two publishers"],
+)
+def test_messages_that_cannot_be_used_are_one_line_and_exit_code_2(sources, remedy):
     graph = Graph()
-    source = graph.node.create_publisher(JointState, "/cable_tensions", 10)
+    publishers = [
+        (graph.node.create_publisher(JointState, "/cable_tensions", 10), names)
+        for names in sources
+    ]
     ended = threading.Event()
 
     def publish():
-        while not ended.is_set():
-            source.publish(JointState(name=["left", "right"], effort=[1.0, 2.0]))
-            time.sleep(0.02)
+        while not ended.wait(0.02):
+            for publisher, names in publishers:
+                publisher.publish(JointState(name=list(names), effort=[50.0] * len(names)))
 
     talking = threading.Thread(target=publish)
     talking.start()
@@ -103,5 +113,5 @@ def test_messages_of_another_arm_are_one_line_and_exit_code_2():
         talking.join()
         graph.close()
     assert result.returncode == 2
-    assert "missing 'cable_1'" in result.stderr
+    assert remedy in result.stderr
     assert "Traceback" not in result.stderr

@@ -69,8 +69,8 @@ def test_what_the_sim_node_publishes_becomes_a_recording(graph, tmp_path):
         graph.push(9, (0.0, 1.0, 0.0))  # breaks the contract, and is left out
         graph.spin(0.6)
     finally:
-        for _ in range(2):  # a second Ctrl-C does not cut the file short
-            recording.send_signal(signal.SIGINT)
+        for number in (signal.SIGHUP, signal.SIGINT):  # a second does not cut the file short
+            recording.send_signal(number)
         printed, _ = recording.communicate(timeout=30)
         assert sim.stop() == 0
     assert recording.returncode == 0, printed

@@ -285,10 +285,18 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
     assert "Traceback" not in process.log
 
 
-def test_an_interrupt_after_a_request_to_end_does_not_cut_the_end_short(graph):
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        (signal.SIGTERM, signal.SIGINT, signal.SIGINT),
+        (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM),
+    ],
+    ids=lambda numbers: numbers[0].name,
+)
+def test_a_signal_after_a_request_to_end_does_not_cut_the_end_short(graph, numbers):
     process = NodeProcess(SIM, namespace="/ending")
     graph.until(lambda: "cables at" in process.log, "the sim")
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGINT):
+    for number in numbers:
         process.signal(number)
         time.sleep(0.02)
     assert process.wait() == 0, process.log
