@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,8 @@ from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_JOINT_ANGLE_RAD = math.radians(60.0)
 """Commands beyond this are refused: no universal joint between guide plates reaches it."""
+MAX_CABLE_OFFSET_M = 0.005
+"""A larger offset of a cable is a wrong unit: it pulls a soft arm's cables with hundreds of N."""
 MAX_LOAD_N = 2_000.0
 """A larger force is a wrong unit or a slip, not a push."""
 ARROW_M_PER_N = 0.004
@@ -113,6 +116,53 @@ def joint_command_rad(message: Any, order: NamedOrder) -> Array:
                 f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (a third of pi)"
             )
     return angles
+
+
+def cable_offsets_m(message: Any, order: NamedOrder) -> Array:
+    """The (M,) lengths that a `JointState` adds to the cables' commanded ones, in the arm's order.
+
+    Raises:
+        ContractError: a cable is missing, unknown or repeated, or a length is not finite or too
+            large.
+    """
+    offsets = order.arrange(message.name, message.position, "position")
+    for name, offset in zip(order.names, offsets, strict=True):
+        if not abs(offset) <= MAX_CABLE_OFFSET_M:
+            raise ContractError(
+                f"position of {name} is {offset:g} m; an offset must be finite and within "
+                f"±{MAX_CABLE_OFFSET_M:g} m"
+            )
+    return offsets
+
+
+BREATH_END = -1
+"""Instead of a turn: the breath is over, and the arm back where it was commanded before."""
+
+
+def breath_turn(message: Any) -> int | None:
+    """The turn of a breath that a command or offset belongs to; none of one that does not.
+
+    `header.frame_id` is `breath N` in the N-th whole turn, from 1 on, `breath 0` on the way there
+    and back, `breath end` in the last message of a breath.
+
+    Raises:
+        ContractError: none of these.
+    """
+    frame = str(message.header.frame_id)
+    if not frame.startswith("breath"):
+        return None
+    match = re.fullmatch(r"breath (end|[0-9]{1,9})", frame)
+    if match is None:
+        raise ContractError(
+            f"header.frame_id is {frame[:40]!r}; of a breath it is 'breath 0', 'breath' and the "
+            "number of a whole turn, or 'breath end'"
+        )
+    return BREATH_END if match.group(1) == "end" else int(match.group(1))
+
+
+def breath_frame(turn: int) -> str:
+    """The `header.frame_id` that `breath_turn` reads."""
+    return "breath end" if turn == BREATH_END else f"breath {turn}"
 
 
 class Contact(NamedTuple):

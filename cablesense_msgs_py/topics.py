@@ -18,6 +18,10 @@ SIMULATED_TENSIONS: Final = "simulated_tensions"
 """As `cable_tensions`, from a sim whose output is played out as CAN frames by `can_emulator`."""
 JOINT_COMMANDS: Final = "joint_commands"
 """`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
+CABLE_OFFSETS: Final = "cable_offsets"
+"""`sensor_msgs/JointState`: cable names, `position` in m by which each cable is to be longer than
+its commanded length. This and `joint_commands` state in `header.frame_id` whether they belong to a
+breath (`messages.breath_turn`)."""
 JOINT_STATES: Final = "joint_states"
 """`sensor_msgs/JointState`: joint names, `position` in rad as they are in the simulation."""
 APPLIED_WRENCH: Final = "applied_wrench"
@@ -45,6 +49,8 @@ TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 TARE_UNDO: Final = "~/tare_undo"
 """`std_srvs/Trigger`: go back to the tare before the last one."""
+BREATHE: Final = "~/breathe"
+"""`std_srvs/Trigger` of the breather: one breath from now on; answered when it begins."""
 
 
 class ContractError(CableSenseError):

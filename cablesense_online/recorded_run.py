@@ -27,6 +27,7 @@ _WINDOW_NS = 2_000_000_000
 _STATE_AFTER_NS = 1_000_000_000
 """A state is published with the answer to its sample, so it is not recorded much later."""
 _WRENCH = Struct("<6d")
+_IN_JOURNAL = (topics.JOINT_COMMANDS, topics.CABLE_OFFSETS)
 
 
 class Step(NamedTuple):
@@ -59,8 +60,8 @@ class RecordedRun:
     Attributes:
         path: of the file.
         states: the journal, in the order it was recorded.
-        other_inputs: loads and trials, and commands where no journal has their place; the topic
-            is the contract's.
+        other_inputs: loads and trials, and commands and offsets where no journal has their place;
+            the topic is the contract's.
         has_answers: whether an estimator's answers are in it.
         cut: where the file breaks off, as text; empty if it is whole.
         unstamped: samples without a stamp, or that are no messages: no answer can be assigned.
@@ -110,7 +111,7 @@ class RecordedRun:
             )
         self.states = tuple(state for _, state in self._logged)
         self.other_inputs = [
-            raw for raw in others if not (self.states and raw.topic == topics.JOINT_COMMANDS)
+            raw for raw in others if not (self.states and raw.topic in _IN_JOURNAL)
         ]
         self.has_answers = topics.WRENCH in names
         self.cut = messages.cut

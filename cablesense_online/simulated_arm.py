@@ -48,6 +48,8 @@ class RealTimePacer:
         return simulated_s / real_s if real_s > 0.0 else 1.0
 
 
+_OFFSET_SPEED_M_S = 0.02
+"""At which cables approach an offset: more than a breath needs."""
 LONGEST_LAG_S = 0.1
 """A process that was held up longer than this goes on from there instead of catching up."""
 
@@ -79,6 +81,8 @@ class SimulatedArm:
         self._dynamics = dynamics
         self._timestep_s = timestep_s
         self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
+        still = np.zeros(dynamics.arm.cable_count)
+        self._offset_motion = JointMotion(still, _OFFSET_SPEED_M_S)
         self._load_timeout_s = load_timeout_s
         self._loads: dict[int, tuple[Array, float]] = {}
         self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
@@ -93,6 +97,10 @@ class SimulatedArm:
             CableSenseError: the arm cannot take such a command; it keeps the one it has.
         """
         self._motion.go_to(self._dynamics.checked_command(joint_angles_rad))
+
+    def offset(self, lengths_m: Array) -> None:
+        """Begin to make the cables longer by lengths (M,) than the command's."""
+        self._offset_motion.go_to(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
         """Put a load on its segment in place of the one before; a zero force takes it away."""
@@ -109,8 +117,11 @@ class SimulatedArm:
                 self._dynamics.load(segment, np.zeros(3))
                 del self._loads[segment]
         due = self.pacer.steps_due(now_s)
-        while due > 0 and self._motion.moving:
-            self._dynamics.command(self._motion.advance(self._timestep_s))
+        while due > 0 and (self._motion.moving or self._offset_motion.moving):
+            if self._offset_motion.moving:
+                self._dynamics.offset(self._offset_motion.advance(self._timestep_s))
+            if self._motion.moving:
+                self._dynamics.command(self._motion.advance(self._timestep_s))
             self._dynamics.advance(self._timestep_s)
             due -= 1
         if due > 0:

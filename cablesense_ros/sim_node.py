@@ -18,6 +18,7 @@ from cablesense_msgs_py.messages import (
     Level,
     NamedOrder,
     Status,
+    cable_offsets_m,
     joint_command_rad,
     put_joint_angles,
     put_tensions,
@@ -58,6 +59,7 @@ class SimNode(Node):
         self._arm = arm = open_arm(given["arm"])
         frames = Frames(arm.segment_count, given["frame_prefix"])
         joints = NamedOrder(arm.joint_names, "joints")
+        cables = NamedOrder(arm.cable_names, "cables")
         self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
         self._rate_hz = given["rate_hz"] or min(arm.sensors.rate_hz, 1000.0)
         self._simulated = SimulatedArm(
@@ -87,11 +89,17 @@ class SimNode(Node):
         def on_command(message: JointState) -> None:
             self._simulated.go_to(joint_command_rad(message, joints))
 
+        def on_offsets(message: JointState) -> None:
+            self._simulated.offset(cable_offsets_m(message, cables))
+
         def on_load(message: WrenchStamped) -> None:
             self._simulated.push(read_load(message, frames), time.monotonic())
 
-        self._refuse = RefusalLog(self, "message refused, commands and loads stay as they were")
+        self._refuse = RefusalLog(
+            self, "message refused, commands, offsets and loads stay as they were"
+        )
         self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, on_command)
+        self._refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, on_offsets)
         self._refuse.subscribe(WrenchStamped, topics.APPLIED_WRENCH, COMMAND, on_load)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
         self.create_timer(1.0 / self._rate_hz, self._tick)

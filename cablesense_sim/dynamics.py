@@ -63,6 +63,7 @@ class _CommandedArm(ABC):
         self.mechanism = amended(self._nominal, self._entries)
         self._forces_n = np.zeros((arm.segment_count, 3))
         self._command_rad = np.zeros(arm.joint_count)
+        self._offset_m = np.zeros(arm.cable_count)
         self._actuations = actuations([self._entries])
 
     @property
@@ -79,6 +80,14 @@ class _CommandedArm(ABC):
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
         """
         self._command_rad = self.checked_command(joint_angles_rad)
+        self._act()
+
+    def offset(self, lengths_m: Array) -> None:
+        """Let the actuators hold cables longer by lengths (M,) than the command's."""
+        self._offset_m = lengths_m
+        self._act()
+
+    def _act(self) -> None:
         self._hold(self._actuated_m(self._command_rad, self._actuations, self.time_s))
 
     @abstractmethod
@@ -88,7 +97,7 @@ class _CommandedArm(ABC):
     def _actuated_m(
         self, command_rad: Array, through: Sequence[Actuation], time_s: float
     ) -> Array:
-        held = held_lengths_m(self._nominal, command_rad)[None]
+        held = held_lengths_m(self._nominal, command_rad)[None] + self._offset_m
         for actuation in through:
             held = actuation.step(time_s, held)
         return np.asarray(held[0])
@@ -159,6 +168,7 @@ class ArmDynamics(_CommandedArm):
     def reset(self, command_rad: ArrayLike | None = None) -> None:
         """Rest, unloaded, at a command (2N,), straight by default; time starts again at zero."""
         command = self.checked_command(command_rad)
+        self._offset_m = np.zeros(self.arm.cable_count)
         fresh = actuations([self._entries])
         held = self._actuated_m(command, fresh, 0.0)
         rest = solve_equilibrium(self.mechanism, command, held_m=held)
@@ -245,6 +255,7 @@ class RestToRestArm(_CommandedArm):
             EquilibriumError: as `command`, or the arm finds no rest there.
         """
         command = self.checked_command(command_rad)
+        self._offset_m = np.zeros(self.arm.cable_count)
         actuating = actuations([self._entries])
         held = self._actuated_m(command, actuating, 0.0)
         resting = QuasiStaticArm([self.mechanism], [self._entries])

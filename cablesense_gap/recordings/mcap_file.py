@@ -24,7 +24,7 @@ from cablesense_gap.recordings.recording import (
     numbers_a_row,
 )
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
+from cablesense_msgs_py.messages import NamedOrder, cable_offsets_m, joint_command_rad, read_load
 from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import Frames
@@ -56,6 +56,7 @@ class BagRows:
         self._command: Array | None = None
         self._loads: dict[int, Array] = {}
         self._trial: int | None = None
+        self._offset = False
         self._most_rows = MAX_NUMBERS // numbers_a_row(arm.joint_count, arm.cable_count)
         # in plain arrays, as objects would take four times the memory
         self._times_ns, self._tensions_n = array("q"), array("d")
@@ -76,6 +77,8 @@ class BagRows:
         self._taken[topic] += 1
         if topic == topics.JOINT_COMMANDS:
             self._command = _same(self._command, joint_command_rad(message, self._joints))
+        elif topic == topics.CABLE_OFFSETS:
+            self._offset = bool(cable_offsets_m(message, self._cables).any())
         elif topic == topics.APPLIED_WRENCH:
             self._take_load(message)
         elif topic == topics.TRIAL:
@@ -130,7 +133,7 @@ class BagRows:
             )
         segment, force = next(iter(self._loads.items()), (0, _NO_LOAD))
         tensions = self._cables.pick(message.name, message.effort, "effort")
-        if not self._keep:
+        if not self._keep or self._offset:
             return
         if len(self._state_of_row) >= self._most_rows:
             raise RecordingError(
@@ -156,8 +159,9 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
     """Read a .mcap file, or a rosbag2 folder with its metadata.yaml.
 
     One row per `cable_tensions`; command and load are the latest that came before it. Rows before
-    the first command are left out: their pose is unknown. Without the topic `trial`, trials are
-    derived (`recording.derive_trials`).
+    the first command are left out: their pose is unknown; so are those with offset cables, which
+    no simulator here knows. Without the topic `trial`, trials are derived
+    (`recording.derive_trials`).
 
     Raises:
         RecordingError: no bag, a topic missing, twice or of another type, a message that breaks

@@ -44,6 +44,9 @@ def put(writer, what, log_ns, *arguments):
     elif what == "command":
         stamp_ns, names, position = arguments
         writer.joint_state(topics.JOINT_COMMANDS, log_ns, stamp_ns, names, position=position)
+    elif what == "offsets":
+        stamp_ns, names, position = arguments
+        writer.joint_state(topics.CABLE_OFFSETS, log_ns, stamp_ns, names, position=position)
     else:
         getattr(writer, what)(log_ns, *arguments)
 
@@ -106,6 +109,20 @@ def test_command_and_load_hold_until_the_next_and_rows_before_a_command_are_left
     assert got.load_n[1].tolist() == [1.0, 2.0, 3.0]
     np.testing.assert_allclose(got.time_s, [0.0, 0.2, 0.3, 0.5])
     assert got.trial.tolist() == [0, 1, 1, 1]
+
+
+def test_rows_with_offset_cables_are_left_out(tmp_path):
+    longer = [1e-5] * 12
+    path = bag(
+        tmp_path / "a.mcap",
+        COMMAND,
+        TENSIONS,
+        ("offsets", LAB.cable_names, longer),
+        TENSIONS,
+        ("offsets", LAB.cable_names, [0.0] * 12),
+        TENSIONS,
+    )
+    np.testing.assert_allclose(read_mcap(path, LAB).time_s, [0.0, 0.4])
 
 
 def test_without_stamps_the_time_of_arrival_counts(tmp_path):

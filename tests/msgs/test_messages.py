@@ -15,12 +15,16 @@ from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import (
     ARROW_M_PER_N,
+    BREATH_END,
     NO_CONTACT,
     Contact,
     ContactMarkers,
     Level,
     NamedOrder,
     Status,
+    breath_frame,
+    breath_turn,
+    cable_offsets_m,
     describe_probabilities,
     diagnostic_statuses,
     joint_command_rad,
@@ -52,6 +56,32 @@ def test_order_is_by_name():
 def test_angles_out_of_reach_are_refused_by_name(angle):
     with pytest.raises(ContractError, match="joint_1_yaw"):
         joint_command_rad(message(["joint_1_pitch", "joint_1_yaw"], [0.0, angle]), ORDER)
+
+
+@pytest.mark.parametrize("length", [math.nan, -math.inf, 0.1])
+def test_offsets_that_no_cable_takes_are_refused_by_name(length):
+    cables = NamedOrder(("cable_1", "cable_2"), "cables")
+    assert list(cable_offsets_m(message(["cable_2", "cable_1"], [0.0, 1e-4]), cables)) == [1e-4, 0]
+    with pytest.raises(ContractError, match=r"cable_2.* m; .*within"):
+        cable_offsets_m(message(["cable_1", "cable_2"], [0.0, length]), cables)
+    with pytest.raises(ContractError, match="unknown 'cable_3'"):
+        cable_offsets_m(message(["cable_1", "cable_3"], [0.0, 0.0]), cables)
+
+
+def framed(frame_id):
+    return SimpleNamespace(header=SimpleNamespace(frame_id=frame_id))
+
+
+@given(turn=st.integers(BREATH_END, 10**9 - 1))
+def test_a_message_states_the_turn_of_its_breath(turn):
+    assert breath_turn(framed(breath_frame(turn))) == turn
+    assert breath_turn(framed("base_link")) is None
+
+
+@pytest.mark.parametrize("frame", ["breath", "breath -1", "breath 1.5", "breath 1 2", "breathing"])
+def test_what_is_no_turn_of_a_breath_is_refused(frame):
+    with pytest.raises(ContractError, match="breath end"):
+        breath_turn(framed(frame))
 
 
 def test_messages_carry_tensions_as_efforts_and_angles_as_positions():

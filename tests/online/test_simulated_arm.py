@@ -21,11 +21,12 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.dynamics import ArmDynamics, moving_arm
 from cablesense_sim.effects.registry import known_effects, sensings
-from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import replay_arm
 
 ARM = open_arm("cdsm")
 MECHANISM = mechanism_of(ARM)
+FRICTION = {"effect": "capstan_friction", "at": "arm", "parameters": {"coefficient": 0.1}}
 PUSH = Load(3, np.array([0.0, 30.0, 0.0]))
 
 
@@ -78,6 +79,27 @@ def test_a_command_is_reached_without_a_jerk():
         tensions(arm), solve_equilibrium(MECHANISM, command).tensions_n, atol=1e-3
     )
     assert highest < 120.0  # pulled there at once, a cable would carry thousands
+
+
+@pytest.mark.parametrize("effects", [[], [FRICTION]])
+def test_offset_cables_are_longer_than_the_command_has_them(effects):
+    arm = variant({"effects": effects})
+    simulated_arm = SimulatedArm(moving_arm(arm, 1e-3), 1e-3, np.radians(20.0), 0.0, now_s=0.0)
+    # as far as cables go when joint 2 bends, so that the arm moves and none goes slack
+    bend = np.zeros(8)
+    bend[2] = np.radians(0.2)
+    offset = held_lengths_m(MECHANISM, bend)
+    simulated_arm.offset(offset)
+    run(simulated_arm, 0.0, 1.0)
+    there = simulated_arm.reading_n(ARM.sensors, None)
+    rest = solve_equilibrium(MECHANISM, np.zeros(8), held_m=offset)
+    np.testing.assert_allclose(simulated_arm.joint_angles_rad, rest.joint_angles_rad, atol=5e-5)
+    if not effects:
+        np.testing.assert_allclose(there, rest.tensions_n, atol=1e-3)
+    simulated_arm.offset(np.zeros(12))
+    run(simulated_arm, 1.0, 2.0)
+    back = solve_equilibrium(MECHANISM, np.zeros(8)).joint_angles_rad
+    np.testing.assert_allclose(simulated_arm.joint_angles_rad, back, atol=5e-5)
 
 
 def test_a_command_out_of_reach_is_refused_and_changes_nothing():
