@@ -1,6 +1,8 @@
 """The plant's history-dependent rests: chains that stick at their guides, joints, and creep."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,10 @@ from cablesense_gap.plant.chains import friction_state, piece_compliance_m_n
 from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
 from cablesense_gap.plant.quasi_static import QuasiStaticPath, State
 from cablesense_gap.plant.rest import follow_path
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from chain_reference import searched
 
 RUN_M = NOMINAL.run_m
 POSE = np.deg2rad([8.0, -4.0, 6.0, 5.0, -7.0, 3.0, 4.0, -6.0])
@@ -123,6 +129,29 @@ def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: Fricti
         np.testing.assert_allclose(ratio[slides], limit[slides], atol=1e-7)
         worst = max(worst, (ratio[limit > 1e-3] / limit[limit > 1e-3]).max())
     assert worst > (0.75 if law.rounded else 0.95)
+
+
+@pytest.mark.slow
+def test_cables_do_what_a_search_over_all_patterns_finds() -> None:
+    """With the wraps and the lengths of the pieces of the arm's first two segments."""
+    law = friction(pulley_rad=1.0)
+    shares = np.concatenate([4.0 * UP_DOWN, 2.0 * UP_DOWN[1:], -3.0 * UP_DOWN[1:]])
+    states = states_along(law, Creep(), shares)
+    angles = np.concatenate([state.angles_rad for state in states])
+    across = spans(BODY, angles, turns(BODY, angles), with_bends=True)
+    bends = across.bend_rad.reshape(len(shares), -1, 12)
+    compliance = piece_compliance_m_n(BODY, RUN_M, law.actuator_share)
+    for cable in range(6):
+        pieces = 3 if cable < 3 else 5
+        grip = 0.15 * np.column_stack([np.ones(len(shares)), bends[:, : pieces - 2, cable]])
+        longer = np.zeros((len(shares), pieces))
+        longer[:, 2::2] = across.length_m[:, : pieces // 2, cable]
+        stretch = states[0].tension_n[0, cable, 0] * compliance[cable, :pieces]
+        stretch = stretch + longer - longer[0]
+        found = searched(1.0 / compliance[cable, :pieces], grip, stretch)
+        tension = np.array([state.tension_n[0, cable, :pieces] for state in states]).clip(0.0)
+        np.testing.assert_allclose(tension, found.tension_n, atol=1e-4)
+        assert np.ptp(tension) > 1.0
 
 
 def test_a_run_that_sticks_keeps_its_tension_while_the_load_comes_off() -> None:
