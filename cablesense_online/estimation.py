@@ -15,6 +15,7 @@ import numpy as np
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
+from cablesense_online.drift import DriftWatch
 from cablesense_online.models import ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
@@ -35,7 +36,7 @@ from cablesense_online.state import (
 )
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
-from cablesense_sim.replay import difference_variance_n2
+from cablesense_sim.replay import difference_variance_n2, reading_variance_n2
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
@@ -43,6 +44,7 @@ MOST_EVENTS = 256
 """Between two samples; of more, the oldest that has a later one of its kind is left out."""
 
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
+_INCOMPLETE = "the arm file lists effects of actuators, friction or sensors"
 _NOTHING = np.zeros(0)
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
@@ -80,6 +82,7 @@ class Estimation:
         publisher, clock, check, health: of the input.
         gate: the command in force, and whether the arm moves.
         tares: the unloaded state.
+        drift: of it, over the time without contact.
         plausibility: whether readings fit the estimates.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
@@ -122,6 +125,13 @@ class Estimation:
             HistoryDependentModel(estimator, self.tares, unloaded.predict_n, straight, speed_rad_s)
             if isinstance(estimator, TemporalEstimator)
             else ContactModel(estimator, self.tares, self.gate)
+        )
+        self.drift = DriftWatch(
+            settings.tare_drift_n,
+            reading_variance_n2(arm.sensors) ** 0.5,
+            settings.tare_samples,
+            arm.cable_names,
+            "" if unloaded.complete else _INCOMPLETE,
         )
         self.plausibility = self._plausibility_check(unloaded, estimator)
         self.reproducible = not self._model.in_motion
@@ -168,6 +178,8 @@ class Estimation:
             stage = ProblemKind.NAMES
             tensions = self._cable_order.pick(message.names, message.values, "effort")
             self.check.check(tensions)
+            if moving:
+                self.drift.interrupt()
             if moving and not self._model.in_motion:
                 return Answer(stamp_ns=stamp_ns, state=state)
             stage = ProblemKind.ESTIMATE
@@ -187,8 +199,8 @@ class Estimation:
                 self._settings.contact_threshold,
                 self._contact_m,
             )
-            if not self.plausibility.unchecked:
-                self._require_plausible(tensions, contact, stamp_ns)
+            if not moving:
+                self._judge(tensions, contact, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)
         except CableSenseError as error:
@@ -213,6 +225,8 @@ class Estimation:
         command, dropped = joint_command_rad(message, self._joint_order), False
         if not np.array_equal(command, self.gate.command_rad):
             dropped = self.tares.command(command, first=not self.command_received)
+            if dropped:
+                self.drift.tared()
             self.gate.command(command)
             self._model.command(command)
             self._note(EventKind.COMMAND, command)
@@ -233,8 +247,7 @@ class Estimation:
         by_itself = how is EventKind.AUTO_TARE
         command = self.gate.command_rad
         tare = self.tares.take(command, now_ns, by_itself=by_itself, forced=forced)
-        self._model.tared()
-        self._note(how)
+        self._tared(how)
         return tare
 
     def undo_tare(self) -> Tare | None:
@@ -244,8 +257,7 @@ class Estimation:
             TareError: there is nothing to undo.
         """
         earlier = self.tares.undo()
-        self._model.tared()
-        self._note(EventKind.TARE_UNDO)
+        self._tared(EventKind.TARE_UNDO)
         return earlier
 
     def adjust(self, contact_threshold: float, stale_after_s: float, slack_below_n: float) -> None:
@@ -284,6 +296,7 @@ class Estimation:
             np.array(state.tare_command_rad),
             by_itself=state.pose_assumed,
         )
+        self.drift.tared()
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
         self.plausibility.withheld_until_ns = state.withheld_until_ns
@@ -303,7 +316,7 @@ class Estimation:
         if self._model.in_motion:
             unchecked = "the model is history-dependent"
         elif not unloaded.complete:
-            unchecked = "the arm file lists effects of actuators, friction or sensors"
+            unchecked = _INCOMPLETE
         variance_n2 = difference_variance_n2(arm.sensors, settings.tare_samples)
         # of settings without a check, the estimator may be any object that answers
         range_n = estimator.metadata.force_range_n if settings.largest_misfit else 0.0
@@ -316,17 +329,25 @@ class Estimation:
             unchecked,
         )
 
-    def _require_plausible(
-        self, tensions: Sequence[float], contact: Contact, stamp_ns: int
-    ) -> None:
+    def _judge(self, tensions: Sequence[float], contact: Contact, stamp_ns: int) -> None:
+        """Watch an arm at rest for drift, and require that its readings fit the contact."""
         check, unloaded = self.plausibility, self.tares.unloaded_n
         assert unloaded is not None  # or there would be no estimate
+        difference_n = tensions - unloaded
+        self.drift.add(difference_n, stamp_ns, touched=contact.segment > 0)
+        if check.unchecked:
+            return
         before_ns = check.withheld_until_ns
         try:
-            check.check(tensions - unloaded, self.gate.command_rad, contact, stamp_ns)
+            check.check(difference_n, self.gate.command_rad, contact, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
                 self._note(EventKind.MISFIT)
+
+    def _tared(self, how: EventKind) -> None:
+        self._model.tared()
+        self.drift.tared()
+        self._note(how)
 
     @property
     def _pose_assumed(self) -> bool:

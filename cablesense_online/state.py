@@ -62,6 +62,7 @@ class EstimationSettings(BaseModel):
     joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     settle_s: _NotNegative
     tare_deviation_n: _NotNegative = 0.0
+    tare_drift_n: _NotNegative = 0.0
     largest_misfit: _NotNegative = 0.0
 
 

@@ -71,6 +71,11 @@ class UnloadedTensions:
         return held_lengths_m(self._nominal, command_rad)
 
 
+def utc_text(time_ns: int) -> str:
+    """A time since the epoch to the second, as diagnostics have it."""
+    return f"{datetime.fromtimestamp(time_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S UTC}"
+
+
 class TareError(CableSenseError):
     """No tare can be taken or undone now; the message states why, and what to do."""
 
@@ -101,10 +106,7 @@ class Tare:
     @property
     def since(self) -> str:
         """When it was taken, as text."""
-        if not self.taken_ns:
-            return "before the estimator's start"
-        taken = datetime.fromtimestamp(self.taken_ns // 1_000_000_000, UTC)
-        return f"{taken:%Y-%m-%d %H:%M:%S UTC}"
+        return utc_text(self.taken_ns) if self.taken_ns else "before the estimator's start"
 
     def unloaded_n(self, predicted_n: Array) -> Array:
         """(M,) unloaded tensions where the arm's model predicts `predicted_n`."""

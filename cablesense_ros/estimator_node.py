@@ -235,6 +235,7 @@ class EstimatorNode(ConfiguredNode):
                 in_motion=estimation.answers_in_motion,
             ),
             estimation.tares.status(),
+            estimation.drift.status(),
             *filter(None, [self._state.status()]),
         ]
         self._lost = self._refuse_command.count = 0
