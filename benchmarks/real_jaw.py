@@ -22,6 +22,7 @@ import harness
 import numpy as np
 import real_jaw_baselines as baselines
 from real_jaw_baselines import BoostedTrees, Regression, TorqueEstimator
+from real_jaw_network import NetworkEstimator
 from real_jaw_recordings import JawRecording, Part, read_recordings, split
 
 from cablesense_base import Array, CableSenseError
@@ -32,6 +33,7 @@ ESTIMATORS: dict[str, Callable[[Sequence[JawRecording]], TorqueEstimator]] = {
     "load-proportional friction by direction": partial(Regression, baselines.load_proportional),
     "regression on play operators": partial(Regression, baselines.play),
     "boosted trees, half a second": BoostedTrees,
+    "network with memory": NetworkEstimator,
 }
 
 
@@ -83,7 +85,8 @@ def measured(estimator: TorqueEstimator, parts: Sequence[Part]) -> dict[str, Any
 
 def errors_nm(estimator: TorqueEstimator, recordings: Sequence[JawRecording]) -> list[Array]:
     """(T,) errors of the jaw's torque in each recording."""
-    return [estimator.torque_nm(r) - r.jaw_torque_nm for r in recordings]
+    told = estimator.torques_nm(recordings)
+    return [torque - r.jaw_torque_nm for torque, r in zip(told, recordings, strict=True)]
 
 
 def sizes(error_nm: Array) -> dict[str, float]:

@@ -30,8 +30,8 @@ class TorqueEstimator(Protocol):
         """The estimator for another tool, of which some recordings are known."""
         ...
 
-    def torque_nm(self, recording: JawRecording) -> Array:
-        """The jaw's torque (T,), each from the samples up to then."""
+    def torques_nm(self, recordings: Sequence[JawRecording]) -> list[Array]:
+        """The jaw's torque (T,) in each recording, each from the samples up to then."""
         ...
 
 
@@ -107,9 +107,9 @@ class Regression:
         """The same, fitted to those recordings alone."""
         return Regression(self._features, recordings)
 
-    def torque_nm(self, recording: JawRecording) -> Array:
-        """The jaw's torque (T,)."""
-        return self._features(recording) @ self._weights
+    def torques_nm(self, recordings: Sequence[JawRecording]) -> list[Array]:
+        """The jaw's torque (T,) in each recording."""
+        return [self._features(r) @ self._weights for r in recordings]
 
 
 class BoostedTrees:
@@ -126,6 +126,6 @@ class BoostedTrees:
         """The same, grown for those recordings alone."""
         return BoostedTrees(recordings)
 
-    def torque_nm(self, recording: JawRecording) -> Array:
-        """The jaw's torque (T,)."""
-        return np.asarray(self._trees.predict(history(recording)))
+    def torques_nm(self, recordings: Sequence[JawRecording]) -> list[Array]:
+        """The jaw's torque (T,) in each recording."""
+        return [np.asarray(self._trees.predict(history(r))) for r in recordings]

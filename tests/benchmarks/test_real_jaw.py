@@ -2,11 +2,14 @@
 
 import json
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +18,7 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import real_jaw  # noqa: E402
 from real_jaw_baselines import Regression, load_proportional, stops  # noqa: E402
+from real_jaw_network import NetworkEstimator, scan  # noqa: E402
 from real_jaw_recordings import (  # noqa: E402
     COLUMNS,
     JawRecordingError,
@@ -22,6 +26,7 @@ from real_jaw_recordings import (  # noqa: E402
     split,
 )
 
+QUICK = real_jaw.ESTIMATORS | {"network with memory": partial(NetworkEstimator, steps=20)}
 CONSTANT_NM, PROPORTIONAL, GAIN = 0.04, 0.4, 0.9
 
 
@@ -55,9 +60,9 @@ def rewrite(folder, name, change):
 def test_the_planted_friction_is_inverted(tmp_path):
     train, (part,) = split(read_recordings(write_folder(tmp_path)), None, 4)
     estimator = Regression(load_proportional, train)
-    for recording in part.test:
-        told = estimator.torque_nm(recording)[1:]  # at first it has not moved
-        np.testing.assert_allclose(told, recording.jaw_torque_nm[1:], atol=2e-3)
+    for recording, told in zip(part.test, estimator.torques_nm(part.test), strict=True):
+        # at first it has not moved
+        np.testing.assert_allclose(told[1:], recording.jaw_torque_nm[1:], atol=2e-3)
 
 
 def test_levels_alternate_and_what_is_tested_is_neither_trained_on_nor_adapted_to(tmp_path):
@@ -116,10 +121,39 @@ def test_stops_do_not_depend_on_the_speed_and_stay_within_their_radius(angles, s
     np.testing.assert_allclose(stops(slowly)[::steps], shares, atol=1e-9)
 
 
+@pytest.mark.parametrize("length", [1, 2, 7, 64])
+def test_the_scan_is_the_recursion(length):
+    drawn = torch.Generator().manual_seed(length)
+    kept, added = torch.rand(2, 3, length, 4, generator=drawn)
+    held = torch.zeros(3, 4)
+    for t, told in enumerate(scan(kept, added).unbind(1)):
+        held = kept[:, t] * held + added[:, t]
+        torch.testing.assert_close(told, held)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", QUICK)
+def test_no_answer_depends_on_what_comes_after_or_on_what_the_jaw_measures(tmp_path, name):
+    recordings = read_recordings(write_folder(tmp_path))
+    estimator = QUICK[name](recordings[:3])
+    whole = recordings[3]
+    begun = replace(
+        whole,
+        drive_angle_rad=whole.drive_angle_rad[:250],
+        drive_torque_nm=whole.drive_torque_nm[:250],
+        motor_current_a=whole.motor_current_a[:250],
+        jaw_angle_rad=np.zeros(250),
+        jaw_torque_nm=np.zeros(250),
+    )
+    one, other = estimator.torques_nm([whole, begun])
+    np.testing.assert_allclose(one[:250], other, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_the_command_prints_errors_by_recording_and_in_all(tmp_path, monkeypatch, capsys):
     folder = str(write_folder(tmp_path, ("a", "b"), (20, 40, 60)))
     options = ["--train", folder, "--test", folder, "--adapt", "2", "--json"]
+    monkeypatch.setattr(real_jaw, "ESTIMATORS", QUICK)
     monkeypatch.setattr(sys, "argv", ["real_jaw.py", *options])
     real_jaw.main()
     estimators = json.loads(capsys.readouterr().out)["estimators"]
