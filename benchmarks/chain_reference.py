@@ -131,6 +131,6 @@ def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Ar
     course = np.array([np.interp(at, np.arange(len(knots)), each) for each in knots.T]).T
     course -= course[0]
     lowest = -course.sum(axis=1).min()
-    least = rng.choice([0.8, 1.3], p=[0.75, 0.25])
+    least = rng.choice([0.8, 1.6], p=[0.67, 0.33])
     size = min(3.0 / np.abs(course).max(), least / max(lowest, 1e-9))
     return stiffness, grip, 50.0 * (1.0 / stiffness + (1.0 / stiffness).sum() * size * course)

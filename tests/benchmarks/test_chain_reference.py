@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from chain_reference import Course, random_history, searched, timed
+from friction_law import tensions_by_law
 
 Way = Callable[..., Course]
 
@@ -85,6 +86,15 @@ def test_both_ways_agree_and_a_cable_may_be_turned_round(seed: int) -> None:
     np.testing.assert_allclose(mirrored.tension_n[:, ::-1], one.tension_n, atol=1e-5)
     other = timed(stiffness, grip, stretch)
     assert np.abs(other.tension_n - one.tension_n).max() < 0.01 * np.ptp(one.tension_n)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_law_of_the_simulator_finds_what_the_search_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stiffness, grip, stretch = random_history(rng, int(rng.integers(1, 4)), 12)
+    expected = searched(stiffness, grip, stretch).tension_n
+    np.testing.assert_allclose(tensions_by_law(stiffness, grip, stretch), expected, atol=1e-6)
 
 
 def test_slack_cable_has_no_tension_and_comes_back_without_a_memory() -> None:
