@@ -105,7 +105,7 @@ def _error(tension_n: Array, expected_n: Array) -> float:
 def _losses(
     stiffness_n_m: Array, grip: Array, stretch_m: Array, tension_n: Array
 ) -> tuple[float, float]:
-    """Cable that came from nowhere, by the whole stretch; work that guides gave, by that put in."""
+    """Cable out of nowhere, by the whole stretch; work that guides gave, by that put in."""
     taut = np.asarray((tension_n > 0.0).all(axis=1))
     held = tension_n / stiffness_n_m
     missing = np.abs((held - stretch_m).sum(axis=1))[taut] / stretch_m.sum(axis=1)[taut]

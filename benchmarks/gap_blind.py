@@ -1,12 +1,12 @@
 """The diagnosis on recordings whose effects are withheld, made by the independent plant.
 
-    python benchmarks/gap_blind.py [--count 60] [--friction 16] [--seed 9101] [--workers 2] [--write]
+    python benchmarks/gap_blind.py [--count 60] [--friction 16] [--seed 9101] [--write]
 
-Draws the recordings, diagnoses each without its answer, and scores the verdicts: those of all kinds
-in turn, and apart from them those with friction of cables, of which more are drawn. Seeds below
-9100 were used while the diagnosis was made; these were not. There are as many processes as
-workers, each with one case; the time of a single diagnosis is in `gap_speed.py`. `--folder` goes on
-where it was stopped, friction first.
+Draws the recordings, diagnoses each without its answer, and scores the verdicts: those of all
+kinds in turn, and apart from them those with friction of cables, of which more can be drawn. Seeds
+below 9100 were used while the diagnosis was made; these were not. There are as many processes as
+workers, each with one case; the time of a single diagnosis is in `gap_speed.py`. With `--folder`
+it goes on where it was stopped, and begins with friction.
 """
 
 from __future__ import annotations
