@@ -18,7 +18,7 @@ HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-a
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup models lock verify clean
+.PHONY: help demo test test-fast lint setup models limits lock verify clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ setup: $(VENV)/.all  ## everything that developing needs, in .venv
 
 models: setup  ## trains every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
+
+limits: setup  ## puts the largest misfit of simulated healthy arms into every bundled model of single contacts again
+	@$(BIN)/python -m cablesense_online.misfit_limit $$(ls config/models/*.onnx config/models/peers/*.onnx | grep -v multi)
 
 lock: setup  ## writes versions of .venv to constraints.txt, their files' hashes beside it, and to NOTICE what is copyleft
 	@mkdir -p build

@@ -86,12 +86,14 @@ def train(
     """Train a network for an arm and write it as one ONNX file.
 
     Draws its own samples unless given a dataset, trains, tests on samples it has never seen, and
-    writes the model with the arm and this command inside.
+    writes the model with the arm and this command inside, and with how far readings of a healthy
+    arm at rest may be from its estimates.
 
     Example: cablesense train --arm my_arm.yaml --out my_arm.onnx
     """
     import os
 
+    from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
@@ -152,6 +154,8 @@ def train(
             command=command_line("train", command),
             on_epoch=on_epoch,
         )
+    if report.single is not None:
+        put_simulated_limit(out)
     if json_output:
         typer.echo(json.dumps(report.as_json()))
     else:

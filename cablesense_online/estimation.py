@@ -16,7 +16,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.drift import DriftWatch
-from cablesense_online.models import ContactModel, HistoryDependentModel, decide
+from cablesense_online.models import LARGEST_MISFIT, ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import (
@@ -38,6 +38,7 @@ from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import difference_variance_n2, reading_variance_n2
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 MOST_EVENTS = 256
@@ -318,8 +319,10 @@ class Estimation:
         elif not unloaded.complete:
             unchecked = _INCOMPLETE
         variance_n2 = difference_variance_n2(arm.sensors, settings.tare_samples)
-        # of settings without a check, the estimator may be any object that answers
-        range_n = estimator.metadata.force_range_n if settings.largest_misfit else 0.0
+        range_n, limit_from = 0.0, ""
+        if settings.largest_misfit:  # or the estimator may be any object that answers
+            range_n = estimator.metadata.force_range_n
+            limit_from = _limit_origin(settings.largest_misfit, estimator.metadata.misfit_limit)
         return PlausibilityCheck(
             unloaded,
             variance_n2**0.5,
@@ -327,6 +330,7 @@ class Estimation:
             range_n,
             arm.cable_names,
             unchecked,
+            limit_from,
         )
 
     def _judge(self, tensions: Sequence[float], contact: Contact, stamp_ns: int) -> None:
@@ -396,3 +400,15 @@ class Estimation:
             pose_assumed=self._pose_assumed,
             withheld_until_ns=self.plausibility.withheld_until_ns,
         )
+
+
+def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
+    """Where a limit comes from, as text."""
+    if stated is not None and largest_misfit == stated.largest_misfit:
+        return (
+            f"of the model file: above it are {stated.above} of {stated.samples} simulated "
+            f"healthy samples, by noise alone a share of {stated.false_alarm_rate:g}"
+        )
+    if stated is None and largest_misfit == LARGEST_MISFIT:
+        return "by default: the model file states none"
+    return "of the parameter largest_misfit"

@@ -7,7 +7,6 @@ is what both have in common.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -24,7 +23,11 @@ from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_training.inference.estimator import Estimate, Estimator
 from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.session import model_sha256
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
+
+LARGEST_MISFIT = 2.3
+"""With model files that state none: by noise alone one sample of twelve cables in ten million."""
 
 PREDICTED_EVERY_RAD = 2e-3
 """How far a joint turns before the unloaded tensions on the way are predicted anew.
@@ -53,10 +56,15 @@ class LoadedModel:
 
     @property
     def origin(self) -> dict[str, str]:
-        """The file and the SHA-256 of its content, which identify the model in a recording."""
-        with Path(self.model).open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return {"model": self.model, "model SHA-256": digest}
+        """The file and the SHA-256 of the model in it, which identify it in a recording."""
+        return {"model": self.model, "model SHA-256": model_sha256(self.model)}
+
+    def largest_misfit(self, wanted: float) -> float:
+        """The limit `wanted`; where that is negative the file's, else `LARGEST_MISFIT`."""
+        stated = self.estimator.metadata.misfit_limit
+        if wanted >= 0.0:
+            return wanted
+        return LARGEST_MISFIT if stated is None else stated.largest_misfit
 
     def status(self, largest_force_n: float, active: bool) -> Status:
         """Which model and arm, and whether the latest forces were within its training."""

@@ -204,8 +204,13 @@ class PlausibilityCheck:
         force_range_n: float,
         cable_names: Sequence[str],
         unchecked: str = "",
+        limit_from: str = "",
     ) -> None:
-        """`force_range_n` is that of the model's training; `largest_misfit` 0 checks nothing."""
+        """`force_range_n` is that of the model's training; `largest_misfit` 0 checks nothing.
+
+        `limit_from` states where that limit comes from.
+        """
+        self._limit_from = limit_from
         self.statics, self.spread_n = statics, max(spread_n, _LEAST_SPREAD_N)
         self.unchecked = unchecked if largest_misfit else "switched off (largest_misfit is 0)"
         self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * force_range_n
@@ -256,6 +261,7 @@ class PlausibilityCheck:
         values = {
             "largest misfit": f"{self._worst:.2f}",
             "largest misfit that passes": f"{self._largest:g}",
+            "this limit is": self._limit_from,
             "withheld": str(self._withheld),
         }
         level, message = Level.OK, "readings fit the estimates"

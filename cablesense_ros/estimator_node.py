@@ -97,6 +97,7 @@ class EstimatorNode(ConfiguredNode):
         self.get_logger().info(f"arm {arm.identity}, model {self._loaded.model}: configured")
 
     def _new_estimation(self, given: dict[str, Any]) -> Estimation:
+        given["largest_misfit"] = self._loaded.largest_misfit(given["largest_misfit"])
         return Estimation(
             self._loaded.arm,
             self._loaded.estimator,

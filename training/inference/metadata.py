@@ -37,12 +37,35 @@ SEQUENCE_UNITS = {
 """The same of a model with memory."""
 
 _KEY = "cablesense"
+MISFIT_KEY = "cablesense_misfit"
 
 _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class ModelFileError(CableSenseError):
     """A model file that does not fit: what it is, and what was needed."""
+
+
+class MisfitLimit(BaseModel):
+    """How far readings may be from the model's estimate, found on simulated healthy arms.
+
+    It stands in a property of its own: putting it in, or another one, leaves all else of a file
+    as it is, and files without it are read as well.
+
+    Attributes:
+        largest_misfit: of readings that fit: root mean square of what statics leaves over of
+            them, as a multiple of what noise explains.
+        false_alarm_rate: share of healthy samples above it that was aimed at, by the tail of a
+            chi-square distribution as wide as the simulated misfits.
+        samples, above: how many were simulated, and how many of these were above it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    largest_misfit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    false_alarm_rate: Annotated[float, Field(gt=0.0, lt=1.0)]
+    samples: Annotated[int, Field(ge=1)]
+    above: Annotated[int, Field(ge=0)]
 
 
 class ModelMetadata(BaseModel):
@@ -66,6 +89,7 @@ class ModelMetadata(BaseModel):
         joint_speed_deg_s: peak speed of the moves it was trained on; 0 of a model without memory.
         command, seed: what makes the file again.
         version: of CableSense.
+        misfit_limit: of readings at rest; none where the file has none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -89,13 +113,19 @@ class ModelMetadata(BaseModel):
     command: str
     seed: int
     version: str
+    misfit_limit: MisfitLimit | None = None
 
     def to_properties(self) -> dict[str, str]:
         """As ONNX metadata properties; without memory, what describes it is left out."""
-        left_out = set() if self.memory else {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
+        left_out = {"misfit_limit"}
+        if not self.memory:
+            left_out |= {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
         # JSON has no infinity: pydantic writes a rigid actuator's stiffness as null
         content = json.loads(self.model_dump_json(exclude=left_out))
-        return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
+        properties = {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
+        if self.misfit_limit is not None:
+            properties[MISFIT_KEY] = self.misfit_limit.model_dump_json()
+        return properties
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], source: str) -> ModelMetadata:
@@ -117,6 +147,9 @@ class ModelMetadata(BaseModel):
                     f"{FORMAT!r}, so train the model again"
                 )
             metadata = cls.model_validate(_with_infinities(content))
+            if MISFIT_KEY in properties:
+                limit = MisfitLimit.model_validate_json(properties[MISFIT_KEY])
+                metadata = metadata.model_copy(update={"misfit_limit": limit})
         except (ValueError, ValidationError, RecursionError) as error:
             line = " ".join(str(error).split())[:200]
             raise ModelFileError(

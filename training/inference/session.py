@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,14 @@ import onnx
 import onnxruntime
 
 from cablesense_base import Array
-from cablesense_base.files import read_bounded_bytes
+from cablesense_base.files import read_bounded_bytes, write_atomically
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import ModelFileError, ModelMetadata
+from cablesense_training.inference.metadata import (
+    MISFIT_KEY,
+    MisfitLimit,
+    ModelFileError,
+    ModelMetadata,
+)
 from cablesense_training.inference.model_safety import require_bounded, require_harmless
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
@@ -162,6 +168,35 @@ def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
         ) from error
     properties = {entry.key: entry.value for entry in model.metadata_props}
     return model, ModelMetadata.from_properties(properties, str(path))
+
+
+def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
+    """Put another limit of the misfit, or none, into a model file; all else of it stays.
+
+    Raises:
+        ModelFileError: no model file, or it cannot be written.
+    """
+    model, _ = read_model(path)
+    write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
+
+
+def model_sha256(path: str | Path) -> str:
+    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
+
+    Raises:
+        ModelFileError: no model file.
+    """
+    model, _ = read_model(path)
+    return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
+
+
+def _with_misfit_limit(model: onnx.ModelProto, limit: MisfitLimit | None) -> bytes:
+    kept = [entry for entry in model.metadata_props if entry.key != MISFIT_KEY]
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)
+    if limit is not None:
+        model.metadata_props.add(key=MISFIT_KEY, value=limit.model_dump_json())
+    return model.SerializeToString()
 
 
 def _require_signature(

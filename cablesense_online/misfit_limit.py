@@ -1,0 +1,133 @@
+"""The largest misfit that a model file states: from simulated healthy arms at rest.
+
+    python -m cablesense_online.misfit_limit MODEL.onnx ...
+
+puts it into model files and leaves all else of them as it is; `cablesense train` does so too.
+
+By noise alone (M - 2) misfit² has a chi-square distribution of M - 2 degrees of freedom. Slack
+cables, the sensors' step, the arm's linearisation and the estimator's own errors make it another
+one. So the limit is the chi-square's for `FALSE_ALARM_RATE`, times the ratio of the simulated
+misfits' quantile at `JUDGED_AT` to its own where that is above 1. Misfits beyond that quantile are
+not noise: of an estimate that is wrong by itself, or an arm with two positions of rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from cablesense_base import Array, CableSenseError
+from cablesense_online.models import LoadedModel, decide
+from cablesense_online.plausibility import PlausibilityCheck
+from cablesense_online.samples import SampleError
+from cablesense_online.tare import UnloadedTensions
+from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import MisfitLimit
+from cablesense_training.inference.session import replace_misfit_limit
+
+FALSE_ALARM_RATE: Final = 1e-7
+JUDGED_AT: Final = 0.9
+POSES, LOADS, READINGS = 10, 20, 50
+_UNLIMITED = 1e-6
+"""A limit that nothing fits, so that every misfit is that of the best fit."""
+
+
+def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
+    """Misfits of healthy arms at random commands and contacts within the model's training."""
+    arm, estimator = loaded.arm, loaded.estimator
+    assert isinstance(estimator, Estimator)
+    metadata, rng = estimator.metadata, np.random.default_rng(seed)
+    statics, count = UnloadedTensions(arm), arm.segment_count
+    check = PlausibilityCheck(
+        statics,
+        difference_variance_n2(arm.sensors, metadata.tare_samples) ** 0.5,
+        _UNLIMITED,
+        metadata.force_range_n,
+        arm.cable_names,
+    )
+    reach_m, range_rad = statics.mechanism.contact_m.tolist(), np.deg2rad(metadata.pose_range_deg)
+
+    def readings(tensions_n: Array, count: int) -> Array:
+        read_n = read_tensions_n(np.tile(tensions_n, (count, 1)), arm.sensors, rng)
+        return np.maximum(read_n, 0.0)
+
+    for _ in range(POSES):
+        command = rng.uniform(-range_rad, range_rad, arm.joint_count)
+        tare_n = readings(statics.predict_n(command), metadata.tare_samples).mean(axis=0)
+        for _ in range(LOADS):
+            segment, angle_deg = rng.integers(0, count + 1), rng.uniform(0.0, 360.0)
+            size_n = rng.uniform(0.0, metadata.force_range_n)
+            forces = normal_force_n(statics.mechanism, command, segment, angle_deg, size_n)
+            try:
+                differences_n = readings(statics.at_rest(command, forces).tensions_n, READINGS)
+            except EquilibriumError:
+                continue  # the arm collapses
+            differences_n -= tare_n
+            found = estimator.estimate_batch(differences_n, command)
+            answers = zip(
+                differences_n,
+                found.probabilities.tolist(),
+                found.angle_deg.tolist(),
+                found.magnitude_n.tolist(),
+                strict=True,
+            )
+            for difference_n, probabilities, angle, size in answers:
+                contact = decide(probabilities, angle, size, 0.5, reach_m)
+                with suppress(SampleError):
+                    check.check(difference_n, command, contact, 0)
+                yield check.misfit
+
+
+def put_simulated_limit(path: Path) -> MisfitLimit | None:
+    """Put the limit into a model file of single contacts and give it.
+
+    There is none where readings are not checked: of a history-dependent model, or an arm file that
+    lists effects of actuators, friction or sensors.
+
+    Raises:
+        ModelFileError: no such model file, or it cannot be written.
+    """
+    loaded, limit = LoadedModel.open(path), None
+    if isinstance(loaded.estimator, Estimator) and UnloadedTensions(loaded.arm).complete:
+        limit = _limit(np.fromiter(simulated_misfits(loaded), float), loaded.arm.cable_count - 2)
+    replace_misfit_limit(path, limit)
+    return limit
+
+
+def _limit(misfits: Array, free: int) -> MisfitLimit:
+    rates = [1.0 - JUDGED_AT, FALSE_ALARM_RATE]
+    usual, largest = np.sqrt(chi2.isf(rates, max(free, 1)) / max(free, 1)).tolist()
+    largest *= max(1.0, float(np.quantile(misfits, JUDGED_AT)) / usual)
+    return MisfitLimit(
+        largest_misfit=round(largest, 2),
+        false_alarm_rate=FALSE_ALARM_RATE,
+        samples=len(misfits),
+        above=int((misfits > round(largest, 2)).sum()),
+    )
+
+
+def main() -> int:
+    """Put the limit into the model files that the command line names."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("models", nargs="+", type=Path, help="model files (.onnx)")
+    try:
+        for path in parser.parse_args().models:
+            print(f"{path}: {put_simulated_limit(path) or 'not checked with this model'}")
+    except CableSenseError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
