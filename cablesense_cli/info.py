@@ -1,4 +1,4 @@
-"""`cablesense info`: an arm file, a model file, or the catalogue of effects."""
+"""`cablesense info`: an arm file, a model file, what friction hides, or the effects' catalogue."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from cablesense_base import Array
 from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
 from cablesense_sim.arm import find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.hidden_force import SHOWS_AT_STD, hidden_force
 
 
 def info(
@@ -31,22 +33,44 @@ def info(
             "--effects", help="Show the catalogue of effects that an arm file can list instead."
         ),
     ] = False,
+    blind: Annotated[
+        bool,
+        typer.Option(
+            "--blind",
+            help="Show what friction hides instead: by segment, the smallest changes of a contact "
+            "force that the arm's readings show.",
+        ),
+    ] = False,
+    load_n: Annotated[
+        float, typer.Option(min=0.1, help="With --blind: the load that comes and goes, N.")
+    ] = 20.0,
+    bend_deg: Annotated[
+        float, typer.Option(help="With --blind: the command, every joint bent so far.")
+    ] = 5.0,
     json_output: JsonOption = False,
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
 
     With --effects: what real arms do beyond the ideal, with places, parameters and sources.
+    With --blind: how much more or less an arm can be pushed before its readings show it.
 
     Examples: [bold]cablesense info cdsm[/bold], [bold]cablesense info my_arm.yaml --json[/bold],
-    [bold]cablesense info config/models/cdsm.onnx[/bold], [bold]cablesense info --effects[/bold]
+    [bold]cablesense info config/models/cdsm.onnx[/bold], [bold]cablesense info --effects[/bold],
+    [bold]cablesense info cdsm_friction --blind --load-n 30[/bold]
     """
     from rich.console import Console
 
+    if not blind:
+        refuse_given(context, ["load_n", "bend_deg"], "without --blind")
     if effects:
+        refuse_given(context, ["blind"], "with --effects, which are the same for every arm")
         refuse_given(context, ["file"], "with --effects, which are the same for every arm")
         known = [describe_effect(effect) for effect in known_effects().values()]
         description: Description = {"kind": "effects", "effects": known}
         tables = [_effect_table(effect) for effect in description["effects"]]
+    elif blind:
+        description = describe_hidden_force(file, load_n, bend_deg)
+        tables = [_hidden_table(description)]
     else:
         description = describe_model(file) if file.endswith(".onnx") else describe_arm(file)
         is_arm = description["kind"] == "arm"
@@ -216,6 +240,65 @@ def _listed(values: list[float]) -> str:
 
 def _unit(value: Description) -> str:
     return "" if value["unit"] == "1" else str(value["unit"])
+
+
+def describe_hidden_force(name: str, load_n: float, bend_deg: float) -> Description:
+    """Medians and largest over the directions of `cablesense_sim.hidden_force`, by segment, N.
+
+    None stands for more than the load. The arm goes from straight to `bend_deg` in every joint.
+
+    Raises:
+        CableSenseError: no such arm file, or one that cannot be bent or loaded so far.
+    """
+    arm = load_arm(find_arm(name))
+    found = hidden_force(arm, np.full(arm.joint_count, np.deg2rad(bend_deg)), load_n)
+
+    def plain(values_n: Array) -> Description:
+        figures = {"median": np.median(values_n), "largest": values_n.max()}
+        return {k: round(float(v), 3) if np.isfinite(v) else None for k, v in figures.items()}
+
+    return {
+        "kind": "hidden force",
+        "name": arm.name,
+        "identity": arm.identity,
+        "load_n": load_n,
+        "bend_deg": bend_deg,
+        "shows_at_std": SHOWS_AT_STD,
+        "segments": [
+            {when: plain(values_n[n]) for when, values_n in found._asdict().items()}
+            for n in range(arm.segment_count)
+        ],
+    }
+
+
+def _hidden_table(hidden: Description) -> Table:
+    load_n = hidden["load_n"]
+    columns = {
+        "touching_n": "a first push",
+        "rising_n": f"more, at {load_n:g} N",
+        "falling_n": f"less, at {load_n:g} N",
+        "released_n": "a push after release",
+    }
+    table = titled_table(
+        f"Smallest change of a force that the readings of {hidden['name']} show, N",
+        *("segment", *columns.values()),
+        right=columns.values(),
+    )
+    table.caption = (
+        "median (largest) over directions around the segment; a change shows at "
+        f"{hidden['shows_at_std']:g} deviations of the readings' noise; every joint bent by "
+        f"{hidden['bend_deg']:g}°"
+    )
+    table.caption_justify = "left"
+    for number, changes in enumerate(hidden["segments"], start=1):
+        shown = (
+            "{} ({})".format(
+                *(f"> {load_n:g}" if n is None else f"{n:.2f}" for n in both.values())
+            )
+            for both in (changes[when] for when in columns)
+        )
+        table.add_row(str(number), *shown)
+    return table
 
 
 _SHOWN_PLACES = 4

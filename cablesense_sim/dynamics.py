@@ -31,7 +31,7 @@ from cablesense_sim.loads import LoadError
 from cablesense_sim.model import build_spec
 from cablesense_sim.quasi_static import QuasiStaticArm
 
-LEAST_PERIOD_S = 0.02
+LEAST_PERIOD_S = 0.01
 """A rest takes some milliseconds to find; fast sensors read the same one several times."""
 
 _ROUNDING_S = 1e-9

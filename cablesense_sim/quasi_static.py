@@ -65,6 +65,13 @@ class QuasiStaticArm:
         """(P, 2N) where the arms rest; straight before the first step."""
         return self._angles_rad.copy()
 
+    @property
+    def residual_n_m(self) -> Array:
+        """(P,) largest joint torque left unbalanced at the last rest; zero before the first."""
+        if self._last is None:
+            return np.zeros(len(self._each))
+        return np.asarray(np.abs(self._last[2].torque_n_m).max(-1))
+
     def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.optimize import brentq
 
 from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR
@@ -26,7 +25,7 @@ from cablesense_paper.cables import (
 )
 from cablesense_paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
 from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_sim.effects.effect import DryContact
+from cablesense_sim.cable_chain import CableChains
 
 _STICK_STIFFNESS_N_M = 5e8
 """With which friction gives before it slips: fifty times the cable's own."""
@@ -106,31 +105,26 @@ def stepped_tensions_n(
 def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) -> Array:
     """Tensions (T, 2) before and beyond the cylinder along a path (T,) of the drive.
 
-    Where the cable has passed over the cylinder by s, T1 = T0 + k (c - s) and T2 = T0 + k s with
-    c the path and k of half the cable; friction holds T1 = T2 exp(μ θ share(s)), the share of its
-    limit after `cablesense_sim.effects.effect`, as the effect `capstan_friction` does. The
-    contact gives as much before it slips as the friction of `stepped_tensions_n` does.
+    Its halves are the pieces of `cablesense_sim.cable_chain`, as in the effect
+    `capstan_friction`. The contact gives as much before it slips as the friction of
+    `stepped_tensions_n` does.
     """
-    friction_rad = coefficient * wrap_rad
-    half_n_m = AXIAL_RIGIDITY_N / (0.5 * LENGTH_M)
-    slack_m = PRETENSION_N / half_n_m
-    give_m = max(friction_rad, 1e-6) * PRETENSION_N / _STICK_STIFFNESS_N_M
-    none = np.zeros(1)
-    contact = DryContact(np.array([give_m]), none, none, none)
-
-    def halves_n(passed_m: float, drawn_m: float) -> tuple[float, float]:
-        return PRETENSION_N + half_n_m * (drawn_m - passed_m), PRETENSION_N + half_n_m * passed_m
-
-    def missing_n(passed_m: float, drawn_m: float) -> float:
-        share = contact.share(np.array([passed_m]))[0][0]
-        near, far = halves_n(passed_m, drawn_m)
-        return float(near - far * np.exp(friction_rad * share))
-
+    limit = np.array([[coefficient * wrap_rad]])
+    half_m_n = 0.5 * LENGTH_M / AXIAL_RIGIDITY_N
+    give_m = max(limit[0, 0], 1e-6) * PRETENSION_N / _STICK_STIFFNESS_N_M
+    tensioned_m = 2.0 * half_m_n * PRETENSION_N
+    cable = CableChains(
+        np.array([[half_m_n, half_m_n]]),
+        np.array([[tensioned_m, 0.0]]),
+        limit,
+        0.0 * limit,
+        give_m,
+    )
     tensions = np.empty((len(path_m), 2))
     for row, drawn_m in enumerate(path_m):
-        passed_m = brentq(missing_n, -slack_m, drawn_m + slack_m, (drawn_m,), xtol=1e-15)
-        contact.settle(np.array([passed_m]))
-        tensions[row] = halves_n(passed_m, drawn_m)
+        lengths_m = np.array([[tensioned_m + drawn_m, 0.0]])
+        tensions[row] = cable.pull(lengths_m, limit).tensions_n[0]
+        cable.settle(lengths_m, limit)
     return tensions
 
 
