@@ -72,7 +72,7 @@ def _measured(arm: Arm) -> dict[str, Any]:
         frictions = [_friction(arm, rng) for _ in range(TOGETHER)]
         with_it.append(_follow(arm, [[entry] for entry in frictions], held, forces))
         without.append(_follow(arm, [[]] * TOGETHER, held, forces))
-    residual, slack = (np.concatenate([part[i].ravel() for part in with_it]) for i in (0, 1))
+    residual = np.concatenate([part.residual_n_m.ravel() for part in with_it])
     cost, plain = (1e3 * sum(p.seconds for p in parts) for parts in (with_it, without))
     return {
         "histories": count,
@@ -80,7 +80,7 @@ def _measured(arm: Arm) -> dict[str, Any]:
         "failed": [why for part in with_it for why in part.failed],
         "failed_without_friction": [why for part in without for why in part.failed],
         "largest_residual_n_m": float(residual.max()),
-        "rests_with_slack_cables": int((slack > 0).sum()),
+        "rests_with_slack_cables": sum(int((part.slack > 0).sum()) for part in with_it),
         "cost_of_a_rest_ms": round(cost / residual.size, 4),
         "without_friction_ms": round(plain / sum(p.residual_n_m.size for p in without), 4),
     }
