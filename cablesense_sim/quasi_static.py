@@ -29,6 +29,7 @@ _ENOUGH_N_M = 1e-6
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
 _SHORTEST = 1e-3
+_LEAST_FRACTION = 1e-7
 _LONGEST_TURN_RAD = 0.05
 _FOLLOWED_FROM_N = 10.0
 _FOLLOWING_STEPS = 2
@@ -183,21 +184,31 @@ class QuasiStaticArm:
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
-        step, fraction = np.zeros_like(start), np.ones(len(start))
-        driven = np.zeros(len(start))
+        step, driven = np.zeros_like(start), np.zeros(len(start))
+        fraction, near, far = (
+            np.ones_like(driven),
+            np.zeros_like(driven),
+            np.full_like(driven, np.inf),
+        )
         for _ in range(_MOST_STEPS):
             if np.abs(pose.torque_n_m).max() <= _ENOUGH_N_M:
                 return pose
             # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
-            # step is cut while the torques at its end drive the arm back as hard as it was driven
+            # step is cut while the torques at its end drive the arm back as hard as it was driven,
+            # and where a cut step falls short of the kink, the kink is sought between
             back = (pose.torque_n_m * step).sum(-1)
-            cut = (back > 0.3 * driven) & (fraction > _SHORTEST)
+            over = back > 0.3 * driven
+            short = (back < -0.7 * driven) & np.isfinite(far)
+            far, near = np.where(over, fraction, far), np.where(short, fraction, near)
+            again = (over | short) & (far - near > _SHORTEST * far) & (far > _LEAST_FRACTION)
             newton = _step_rad(pose)
             shorter = np.clip(driven / np.maximum(driven + back, 1e-300), 0.05, 0.8)
-            start = np.where(cut[:, None], start, pose.angles_rad)
-            step = np.where(cut[:, None], step, newton)
-            driven = np.where(cut, driven, -(pose.torque_n_m * newton).sum(-1))
-            fraction = np.where(cut, shorter * fraction, 1.0)
+            between = np.where(near > 0.0, 0.5 * (near + far), shorter * fraction)
+            start = np.where(again[:, None], start, pose.angles_rad)
+            step = np.where(again[:, None], step, newton)
+            driven = np.where(again, driven, -(pose.torque_n_m * newton).sum(-1))
+            fraction = np.where(again, between, 1.0)
+            near, far = np.where(again, near, 0.0), np.where(again, far, np.inf)
             pose = self._pose(start + fraction[:, None] * step, rest_m, arms)
         unbalanced = np.abs(pose.torque_n_m).max(-1)
         if unbalanced.max() <= _TOLERATED_N_M:

@@ -1,4 +1,4 @@
-"""What `cablesense info` shows of effects: the catalogue, and those of an arm file."""
+"""What `cablesense info` shows of effects: the catalogue, an arm file's, what friction hides."""
 
 from __future__ import annotations
 
@@ -59,3 +59,15 @@ def test_an_arm_file_shows_what_it_lists(tmp_path: Path) -> None:
 def test_an_arm_without_effects_shows_none() -> None:
     assert json.loads(shown("cdsm", "--json"))["effects"] == []
     assert "Effects" not in shown("cdsm")
+
+
+@pytest.mark.slow
+def test_what_friction_hides_is_shown_by_segment() -> None:
+    """JSON and table have the same figures; a whole load that is hidden is no number."""
+    asked = ("cdsm_friction", "--blind", "--load-n", "5", "--bend-deg", "0")
+    hidden, table = json.loads(shown(*asked, "--json")), shown(*asked)
+    medians = [n["median"] for changes in hidden["segments"] for n in changes.values()]
+    assert len(medians) == 16
+    assert medians[2] is None  # at the first segment all of it may go unseen
+    assert "> 5" in table
+    assert all(f"{median:.2f}" in table for median in medians if median is not None)

@@ -17,6 +17,8 @@ from cablesense_cli.options import OptionError, refuse_given
         ("demo --duration 10", "--duration"),
         ("demo --json --controller admittance --source can", "--json"),
         ("info cdsm_lab --effects", "FILE"),
+        ("info --effects --blind", "--blind"),
+        ("info cdsm --load-n 3", "--load-n"),
         ("replay run.mcap --rate 2", "--rate"),
         ("replay run.mcap --namespace left", "--namespace"),
         ("replay run.mcap --force", "--force"),
