@@ -6,7 +6,8 @@ Fresh sequences of commands and contacts, seeds that no training has seen, senso
 Memoryless estimators get the set-point at every tick, which is more than the node gives them:
 there they are silent until the arm rests again, and that is a row of its own. Long sequences show
 whether the state stays right; under friction there are several, as a late start weighs more than
-the time since. `--write` puts `temporal.json`, `temporal.md` and a picture into
+the time since. Stated intervals are judged by what the load does, as friction hides most of it
+while it falls and after it went. `--write` puts `temporal.json`, `temporal.md` and a picture into
 `benchmarks/results/`.
 """
 
@@ -27,6 +28,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import Sequences, draw_sequences
 from cablesense_training.evaluation.metrics import (
+    NORMAL_95,
     ContactAnswer,
     SequenceMetrics,
     sequence_answer,
@@ -40,6 +42,7 @@ mpl.use("Agg")
 
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0
+RELEASED_S = 2.0
 
 GATED = "statics, silent in motion (as the node runs it)"
 
@@ -113,6 +116,7 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
         estimator = open_estimator(find_model(model))
         answer = sequence_answer(estimator, sequences)
         metrics[name] = _plain(sequence_metrics(answer, sequences))
+        metrics[name]["intervals95"] = _intervals(answer, sequences)
         error_n = _force_error_n(sequence_answer(estimator, long), long)
         metrics[name]["by_tenth_of_the_long_courses"] = [
             float(part.mean()) for part in np.array_split(error_n, 10, axis=1)
@@ -162,6 +166,38 @@ def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
     return np.abs(answer.force_n.reshape(sequences.segment.shape) - sequences.magnitude_n)
 
 
+def _intervals(answer: ContactAnswer, sequences: Sequences) -> dict[str, dict[str, float]]:
+    """Share of the 95 % intervals of the force that hold it, and half their mean width, N.
+
+    Where no contact is answered the interval begins at nothing and ends where that of the
+    likeliest segment does: so much may be hidden.
+    """
+    half = NORMAL_95 * answer.magnitude_std_n
+    low = np.where(answer.segment > 0, answer.magnitude_n - half, 0.0)
+    high = answer.magnitude_n + half
+    force, touched = sequences.magnitude_n, sequences.segment > 0
+    change = np.diff(force, axis=1, prepend=0.0)
+    since = round(RELEASED_S / sequences.protocol.tick_s)
+    padded = np.pad(touched, ((0, 0), (since, 0)))
+    lately = np.lib.stride_tricks.sliding_window_view(padded, since + 1, axis=1).any(-1)
+    phases = {
+        "rising": touched & (change > 0.0),
+        "holding": touched & (change == 0.0),
+        "falling": touched & (change < 0.0),
+        "touched": touched,
+        f"within {RELEASED_S:g} s of a release": lately & ~touched,
+        "untouched for longer": ~lately,
+    }
+    holds = (low <= force.ravel()) & (force.ravel() <= high)
+    return {
+        name: {
+            "coverage95": float(holds[rows.ravel()].mean()),
+            "half_width_n": float(0.5 * (high - np.maximum(low, 0.0))[rows.ravel()].mean()),
+        }
+        for name, rows in phases.items()
+    }
+
+
 def _tables(result: dict[str, Any]) -> str:
     lines = [
         "# Estimators along sequences",
@@ -196,6 +232,14 @@ def _tables(result: dict[str, Any]) -> str:
             f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
             for name, m in trained.items()
         )
+        intervals = (
+            f"{name}: "
+            + ", ".join(
+                f"{phase} {i['coverage95']:.1%} (±{i['half_width_n']:.2f} N)"
+                for phase, i in m["intervals95"].items()
+            )
+            for name, m in trained.items()
+        )
         starts = (
             f" {name}, started {', '.join(f'{when}: {n:.2f} N' for when, n in started.items())}."
             for name, m in trained.items()
@@ -204,6 +248,9 @@ def _tables(result: dict[str, Any]) -> str:
         lines += [
             f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
             f"{'; '.join(errors_n)} N.{''.join(starts)}",
+            "",
+            f"Stated 95 % intervals that hold the force, and half their mean width. "
+            f"{'; '.join(intervals)}.",
             "",
             "Trained by:",
             "",
