@@ -7,10 +7,12 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 # tests/conftest.py groups them: the tests of a file share fixtures, those of real nodes follow one another.
-PARALLEL := --numprocesses auto --dist loadfile
+PARALLEL := --dist loadfile
+# One worker more than cores: the tests of real nodes mostly wait, and come first.
+ALL := --numprocesses $$(($$(nproc) + 1)) --no-loadscope-reorder
 # Hundreds of processes start in the tests; each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
-FAST := --ignore=tests/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
+FAST := --numprocesses auto --ignore=tests/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
@@ -29,7 +31,7 @@ demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless'
 test: setup build/mypy/cablesense_training  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	$(BIN)/python -m pytest $(PARALLEL) $(ARGS) || failed=1; \
+	$(BIN)/python -m pytest $(PARALLEL) $(ALL) $(ARGS) || failed=1; \
 	exit $$failed
 
 test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow

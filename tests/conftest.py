@@ -4,6 +4,7 @@ Nor does a test spread small matrices over threads, or fail because the machine 
 """
 
 import os
+from collections import Counter
 
 import hypothesis
 from xdist.scheduler import LoadFileScheduling
@@ -20,12 +21,33 @@ hypothesis.settings.register_profile("fast", deadline=None, max_examples=15)
 hypothesis.settings.load_profile("any machine")
 
 
+BEHIND = 5
+"""Niceness of workers whose tests only compute, beside real nodes that must answer in time."""
+
+
+def _in_real_time(nodeid):
+    return nodeid.startswith("tests/ros/")
+
+
 class _RealTimeOnOneWorker(LoadFileScheduling):
     """Tests of real nodes follow one another; others stay with those of their file."""
 
     def _split_scope(self, nodeid):
-        return "real time" if nodeid.startswith("tests/ros/") else super()._split_scope(nodeid)
+        return "real time" if _in_real_time(nodeid) else super()._split_scope(nodeid)
 
 
 def pytest_xdist_make_scheduler(config, log):
     return _RealTimeOnOneWorker(config, log)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Of several workers the first has the real nodes; files that take long come before others."""
+    if hasattr(config, "workerinput"):
+        slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+        items.sort(key=lambda item: (not _in_real_time(item.nodeid), -slow[item.path], item.path))
+
+
+def pytest_runtest_setup(item):
+    """Whoever has other tests than those of real nodes lets these go first."""
+    if hasattr(item.config, "workerinput") and not _in_real_time(item.nodeid):
+        os.nice(max(0, BEHIND - os.nice(0)))

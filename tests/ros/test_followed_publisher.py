@@ -160,7 +160,7 @@ def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
         return (-1, "") if status is None else (status.level[0], status.message)
 
     until(graph, both, lambda: level("cable_tensions")[0] == 2, "an error")
-    until(graph, both, lambda: len(graph.wrenches) > 150, "wrenches")
+    until(graph, both, lambda: len(graph.wrenches) > 60, "wrenches")
     assert "2 publishers" in level("cable_tensions")[1]
     assert {force(wrench) for wrench in graph.wrenches} == {(0.0, 0.0, 0.0)}
 
