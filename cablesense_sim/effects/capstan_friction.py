@@ -21,8 +21,8 @@ from cablesense_sim.mechanism import Mechanism
 class CapstanFriction(Effect):
     """Cables that stick and slip at their guides, with tensions apart by at most exp(μ θ).
 
-    The wrap angle θ is what a cable turns by at the guides around each joint, and at the pulley
-    between its run and the base plate that of the drawing.
+    The wrap angle θ is what a cable turns by at the guides around each joint, besides what it
+    turns by there in a straight arm and, between its run and the base plate, at a pulley.
     """
 
     name = "capstan_friction"
@@ -37,12 +37,15 @@ class CapstanFriction(Effect):
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
         shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
               starts=(0.5,), trials=(0.0, 1.0)),
+        shape("guide_wrap_rad", "rad", 0.0, 20.0, 1.0,
+              "wrap angle at the guides between two joints with the arm straight",
+              trials=(0.0, 1.0)),
         shape("run_compliance", "1", 0.01, 100.0, 1.0,
               "compliance of the run before the pulley, over that by its length", 1.0,
-              starts=(1.0,), trials=(0.3, 3.0)),
+              starts=(1.0,), trials=(0.5, 2.0)),
         shape("give_m", "m", 0.0, 2e-3, 2e-5,
               "of cable that passes a guide from rest to slip; zero sticks rigidly",
-              trials=(1e-5, 1e-4)),
+              trials=(0.0, 3e-5)),
     )  # fmt: skip
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
@@ -103,6 +106,6 @@ class _Guides(Transmission):
     def _limit(self, bends_rad: Array) -> Array:
         """(P, M, N) μ θ of the nodes."""
         wraps = bends_rad[..., 0].copy()
-        wraps[..., 1:] += bends_rad[..., :-1, 1]
+        wraps[..., 1:] += bends_rad[..., :-1, 1] + self._values["guide_wrap_rad"][:, None, None]
         wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
         return np.asarray(self._values["coefficient"][:, None, None] * wraps)
