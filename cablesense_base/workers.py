@@ -51,14 +51,14 @@ class WorkerPool:
 
         The processes start on entering it.
         """
-        self._workers, self._common, self._refusal = workers, shared, refusal
+        self.workers, self._common, self._refusal = workers, shared, refusal
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Self:
-        if self._workers > 1:
+        if self.workers > 1:
             with _terminal_is_not_heard():  # multiprocessing starts a process for its semaphores
                 self._pool = ProcessPoolExecutor(
-                    self._workers,
+                    self.workers,
                     mp_context=multiprocessing.get_context("spawn"),
                     initializer=_begin,
                     initargs=self._common,

@@ -67,6 +67,8 @@ class CableChains:
         self._joined = exists[..., 1:]
         self._give_m = np.broadcast_to(give_m, self._joined.shape)
         self._share = np.broadcast_to(share, self._joined.shape)
+        self._rigid = self._give_m <= 0.0
+        self._all_rigid = bool(self._rigid.all())
         self._slips = np.zeros(self._joined.shape)
         kept = np.exp(-np.cumsum(share * limit, axis=-1))
         parts = compliance_m_n * np.concatenate([np.ones_like(kept[..., :1]), kept], axis=-1)
@@ -112,7 +114,7 @@ class CableChains:
         sticks before it slips the other way. One cable in some thousands goes in circles; it is
         relaxed before it goes on.
         """
-        free, rigid = self._joined & taut, self._give_m <= 0.0
+        free, rigid, over = self._joined & taut, self._rigid, np.exp(limit)
         held = np.where(taut, self._stiffness_n_m * stretch, 0.0)
         slips = np.where(free, self._slips, 0.0)
         passed, tensions = np.zeros(free.shape), held
@@ -127,15 +129,18 @@ class CableChains:
             rows = self._rows(free, slips, passed, tensions, limit)
             passed = rows.solved(held)
             tensions = held + self._stiffness_n_m * _gained(passed, -1)
-            near, far, over = tensions[..., :-1], tensions[..., 1:], np.exp(limit)
-            bent = self._bent(passed)
-            beyond = np.where(rigid, near > far * over + room, bent > 1.0 + _ROUNDING)
-            below = np.where(rigid, near * over < far - room, bent < -1.0 - _ROUNDING)
-            back = slips * np.where(rigid, passed, bent - slips) < 0.0
-            starts = beyond.astype(float) - below
-            slips = np.where(free, np.where(slips == 0.0, starts, np.where(back, 0.0, slips)), 0.0)
-            moved = (np.abs(passed - last) > _ROUNDING) & ~rigid & free
-            if np.array_equal(slips, before) and not moved.any():
+            near, far = tensions[..., :-1], tensions[..., 1:]
+            beyond, below, ahead = near > far * over + room, near * over < far - room, passed
+            if not self._all_rigid:
+                bent = self._bent(passed)
+                beyond = np.where(rigid, beyond, bent > 1.0 + _ROUNDING)
+                below = np.where(rigid, below, bent < -1.0 - _ROUNDING)
+                ahead = np.where(rigid, passed, bent - slips)
+            starts = (beyond & free).astype(float) - (below & free)
+            slips = np.where(slips == 0.0, starts, np.where(slips * ahead < 0.0, 0.0, slips))
+            if np.array_equal(slips, before) and (
+                self._all_rigid or not (np.abs(passed - last) > _ROUNDING)[free & ~rigid].any()
+            ):
                 break
         self._slips = slips
         return passed, rows
@@ -144,7 +149,10 @@ class CableChains:
         self, free: NDArray[np.bool_], slips: Array, passed: Array, tensions: Array, limit: Array
     ) -> _Rows:
         """The rows that hold, linear about a guess where bristles carry."""
-        bends = free & (slips == 0.0) & (self._give_m > 0.0)
+        if self._all_rigid:
+            none = np.zeros(1)
+            return _Rows(slips != 0.0, self._stiffness_n_m, np.exp(slips * limit), none, none)
+        bends = free & (slips == 0.0) & ~self._rigid
         share = np.where(bends, np.clip(self._bent(passed), -1.0, 1.0), slips)
         ratio = np.exp(share * limit)
         give = np.where(bends, self._give_m, np.inf)

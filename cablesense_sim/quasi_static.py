@@ -172,7 +172,12 @@ class QuasiStaticArm:
             self._angles_rad, tensions = found.joint_angles_rad, found.tensions_n
         else:
             cases = zip(self._each, straight, forces_n, held_m, strict=True)
-            rests = [solve_equilibrium(m, q, force, held_m=held) for m, q, force, held in cases]
+            rests = []
+            for arm, (mechanism, start, force, held) in enumerate(cases):
+                try:
+                    rests.append(solve_equilibrium(mechanism, start, force, held_m=held))
+                except EquilibriumError as error:
+                    raise EquilibriumError(str(error), np.array([arm])) from error
             self._angles_rad = np.stack([r.joint_angles_rad for r in rests])
             tensions = np.stack([r.tensions_n for r in rests])
         span = kinematics.spans(self._mechanism, self._angles_rad)

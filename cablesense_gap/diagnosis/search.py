@@ -6,8 +6,12 @@ Screening gives where a search for numbers begins; the simulator itself fits the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
+import numpy as np
+
+from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
 from cablesense_gap.diagnosis.places import WORTH, linear_effects
@@ -20,7 +24,7 @@ from cablesense_gap.diagnosis.screening import (
     screen_pairs,
     screen_singles,
 )
-from cablesense_gap.simulator import Candidate, Term, parameters_of
+from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 Progress = Callable[[str, float], None]
@@ -60,6 +64,7 @@ class _Search:
         self, problem: Problem, pool: WorkerPool, progress: Progress, none: Hypothesis
     ) -> None:
         self._problem, self._pool, self._progress, self._none = problem, pool, progress, none
+        self._spread = replace(problem, simulator=_Spread(problem.simulator, pool))
         self._found: dict[tuple[str, ...], Hypothesis] = {}
         self._refined: list[Hypothesis] = []
 
@@ -129,10 +134,17 @@ class _Search:
     def _fit(self, screened: Iterable[Screened], what: str, done: float) -> None:
         """Fits them; of the same effects the better is kept, among equals the less far-fetched."""
         screened = list(screened)
-        for k, fitted in enumerate(self._pool.map(fit, screened)):
+        for k, fitted in enumerate(self._fitted(screened)):
             self._progress(f"fitting {what}", done + 0.2 * k / len(screened))
             if fitted is not None:
                 self._keep(fitted)
+
+    def _fitted(self, screened: Sequence[Screened]) -> Iterator[Hypothesis | None]:
+        """One by one in as many processes; a few expensive ones each in all processes."""
+        expensive = {c.effect for c in self._problem.simulator.candidates if c.history_dependent}
+        if all(len(s.effects) == 1 and expensive.issuperset(s.effects) for s in screened):
+            return (fit(self._spread, one) for one in screened)
+        return self._pool.map(fit, screened)
 
     def _keep(self, fitted: Hypothesis) -> None:
         known = self._found.get(fitted.effects)
@@ -159,7 +171,7 @@ class _Search:
             best.setdefault(len(hypothesis.effects), hypothesis)
         done = {id(hypothesis) for hypothesis in self._refined}
         rough = [h for count, h in best.items() if count <= most and id(h) not in done]
-        for fitted in self._pool.map(final_refinement, rough):
+        for fitted in (final_refinement(self._spread, one) for one in rough):
             self._found[fitted.effects] = fitted
             self._refined.append(fitted)
 
@@ -180,6 +192,25 @@ class _Search:
         """The least excess that any of them leaves."""
         floor = self._problem.floor
         return min((excess(s.placed.mean_square, floor) for s in screened), default=float("inf"))
+
+
+class _Spread:
+    """A simulator whose variants are simulated in all processes of a pool."""
+
+    def __init__(self, simulator: Simulator, pool: WorkerPool) -> None:
+        self.candidates, self.tolerances = simulator.candidates, simulator.tolerances
+        self.floor = simulator.floor
+        self._pool = pool
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """As `Simulator.predict`."""
+        share = -(-len(variants) // self._pool.workers)
+        parts = [variants[k : k + share] for k in range(0, len(variants), share)]
+        return np.concatenate(list(self._pool.map(_predicted, parts)))
+
+
+def _predicted(problem: Problem, variants: Sequence[Assignment]) -> Array:
+    return problem.simulator.predict(variants)
 
 
 def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
