@@ -153,6 +153,17 @@ def stiffness_matrix_n_m(
     )
 
 
+def potential_gradient_n_m(
+    mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
+) -> Array:
+    """First derivative (..., 2N) of the potential: the joint torques left unbalanced."""
+    jacobian = kinematics.cable_jacobian_m(mechanism, joint_angles_rad)
+    arms = kinematics.load_arms(mechanism, forces_n)
+    loads = kinematics.axis_torques_n_m(kinematics.chain(mechanism, joint_angles_rad), arms)
+    spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1) * joint_angles_rad
+    return np.asarray((tensions_n[..., None, :] @ jacobian)[..., 0, :] + spring - loads)
+
+
 def tension_sensitivity(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
 ) -> Array:

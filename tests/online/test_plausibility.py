@@ -1,5 +1,7 @@
 """A force only from readings that fit it: what faults leave is withheld, and contacts are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm, push
@@ -8,8 +10,19 @@ from cablesense_msgs_py.messages import NO_CONTACT, Level
 from cablesense_online.plausibility import WITHHELD_S
 from cablesense_online.samples import ProblemKind
 from cablesense_online.state import EventKind
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.replay import read_tensions_n
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
+
+
+def off_n(contact, segment, angle_deg, magnitude_n):
+    """How far a contact's force is from the true one."""
+    if contact.segment != segment:
+        return max(contact.magnitude_n, magnitude_n)
+    true = magnitude_n * np.exp(1j * np.deg2rad(angle_deg))
+    return abs(contact.magnitude_n * np.exp(1j * np.deg2rad(contact.angle_deg)) - true)
 
 
 def scaled(scale):
@@ -95,6 +108,58 @@ def test_contacts_pass_slack_cables_or_not(name, command):
                 assert answer.problem is None
     assert arm.estimation.check.slack
     assert arm.estimation.plausibility.status().level is Level.OK
+
+
+@pytest.mark.parametrize(
+    ("name", "command_deg", "segment", "forces_n"),
+    [
+        (
+            "cdsm",
+            [-7.499, -2.551, -3.114, -6.033, -7.793, -7.305, 3.841, -0.087],
+            3,
+            [(y, 11.72) for y in (117.0, 117.1, 117.2, 117.3)],
+        ),
+        (
+            "cdsm_lab",
+            [-8.9, -4.2, 7.3, 3.2, -2.6, 6.6, 8.9, -3.1],
+            4,
+            [(-71.0, 47.3), (-71.1, 47.4), (-70.9, 47.2)],
+        ),
+    ],
+    ids=["a fourth cable goes slack", "two positions of rest"],
+)
+def test_contacts_pass_where_rest_changes_at_once(name, command_deg, segment, forces_n):
+    command = np.deg2rad(command_deg)
+    arm = Arm(name, command)
+    for y, z in forces_n:
+        forces = push(arm.arm, command, segment, np.rad2deg(np.arctan2(y, z)), np.hypot(y, z))
+        for _ in range(5):
+            assert arm.sample(arm.reading(forces)).contact.segment == segment
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_broken_cable_makes_no_wrong_force(name, checked):
+    wrong_n = []
+    for cable in range(12):
+        arm = Arm(name, BENT, largest_misfit=2.3 * checked)
+        sound = mechanism_of(arm.arm)
+        loose = sound.pretension_n.copy()
+        loose[cable] = -1e5  # it would have to stretch by centimetres to be taut
+        broken = replace(sound, pretension_n=loose)
+        for segment, angle_deg in ((1, 0.0), (1, 120.0), (2, 80.0), (3, 200.0), (4, 310.0)):
+            for magnitude_n in (0.0, 20.0, 80.0):
+                forces = push(arm.arm, BENT, segment, angle_deg, magnitude_n)
+                try:
+                    true = solve_equilibrium(broken, BENT, forces).tensions_n
+                except EquilibriumError:
+                    continue  # the arm collapses
+                arm.now_ns += 10**9  # what was withheld before is over
+                answer = arm.sample(read_tensions_n(true, arm.arm.sensors, arm.rng).clip(0.0))
+                if answer.problem is None:
+                    wrong_n.append(off_n(answer.contact, segment, angle_deg, magnitude_n))
+    assert (max(wrong_n) < 5.0) == checked
 
 
 def test_a_weight_that_hangs_on_a_bent_arm_passes():
