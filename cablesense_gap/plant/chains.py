@@ -113,34 +113,20 @@ class Cables:
         what its pieces have crept, `crept_m` (B, M, P).
         """
         rows, cables = longer_m.shape
-        body, friction, count = self.body, self.friction, rows * cables
-        crept = crept_m + np.zeros((rows, cables, len(self.distal)))
-        stretch = body.pretension_n + body.stiffness_n_m * (longer_m - crept.sum(axis=-1))
-        bends = np.moveaxis(across.bend_rad.reshape(rows, -1, cables), -1, 1)
-        pulley = np.full((rows, cables, 1), friction.pulley_rad)
-        coefficient = (friction.coefficient + np.zeros(cables))[:, None]
-        grip = coefficient * np.concatenate([pulley, bends], axis=-1)
-        grip = grip * (stretch > 0.0)[..., None]  # slack cables even out
-        tension = np.repeat(stretch[..., None], len(self.distal), axis=-1)
-        sliding = before.sliding
+        rigid, count = not self.friction.reach_m, rows * cables
+        each = self._side_by_side(before, across, longer_m, crept_m)
+        tension = np.repeat(each.stretch_n[:, None], len(self.distal), axis=-1)
+        sliding = each.before_sliding.copy()
         if guess is not None:
-            tension, sliding = guess.tension_n, guess.sliding
-        each = _Each(
-            np.tile(body.stiffness_n_m, rows),
-            np.tile(self.compliance_m_n, (rows, 1)),
-            stretch.ravel(),
-            grip.reshape(count, -1),
-            self.fed_m(across.length_m, 0.0 * tension, crept).reshape(count, -1),
-            *(part.reshape(count, -1) for part in before),
-        )
-        tension, sliding = tension.reshape(count, -1).copy(), sliding.reshape(count, -1).copy()
+            tension = guess.tension_n.reshape(count, -1).copy()
+            sliding = guess.sliding.reshape(count, -1).copy()
         law = self._law(each, tension, sliding)
         left = np.arange(count)
         for sweep in range(_MOST_SWEEPS):
             own = _Each(*(part[left] for part in each))
             step = np.linalg.solve(law.matrix[left], law.misfit_n[left][..., None])[..., 0]
-            tension[left] -= step * 0.97 ** max(0, sweep - 5 if friction.reach_m else 0)
-            if not friction.reach_m:
+            tension[left] -= step * (1.0 if rigid else 0.97 ** max(0, sweep - 5))
+            if rigid:
                 sliding[left] = self._sliding(own, tension[left], sliding[left], sweep)
             for whole, part in zip(law, self._law(own, tension[left], sliding[left]), strict=True):
                 whole[left] = part
@@ -160,6 +146,25 @@ class Cables:
             law.fed_m.reshape(split),
             law.bristle.reshape(split),
             sliding.reshape(split),
+        )
+
+    def _side_by_side(
+        self, before: Guides, across: Spans, longer_m: Array, crept_m: Array
+    ) -> _Each:
+        rows, cables = longer_m.shape
+        count, body = rows * cables, self.body
+        stretch = body.pretension_n + body.stiffness_n_m * (longer_m - crept_m.sum(axis=-1))
+        bends = np.moveaxis(across.bend_rad.reshape(rows, -1, cables), -1, 1)
+        pulley = np.full((rows, cables, 1), self.friction.pulley_rad)
+        coefficient = (self.friction.coefficient + np.zeros(cables))[:, None]
+        grip = coefficient * np.concatenate([pulley, bends], axis=-1)
+        grip = grip * (stretch > 0.0)[..., None]  # slack cables even out
+        slack_fed = self.fed_m(across.length_m, np.zeros_like(crept_m), crept_m)
+        return _Each(
+            np.tile(body.stiffness_n_m, rows),
+            np.tile(self.compliance_m_n, (rows, 1)),
+            stretch.ravel(),
+            *(part.reshape(count, -1) for part in (grip, slack_fed, *before)),
         )
 
     def _law(self, each: _Each, tension: Array, sliding: Array) -> _Law:
