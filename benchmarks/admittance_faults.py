@@ -1,0 +1,258 @@
+"""How far the admittance controller moves an arm whose sensors or cables fail.
+
+    python benchmarks/admittance_faults.py [--workers 2] [--write]
+
+Estimator and controller in one process, at 50 Hz, beside an arm that goes from rest to rest (no
+swing), with the sensors' noise and step. The arm is tared, untouched or held by a contact below
+the controller's deadband. Then a fault comes; 2 s later another node commands a bent pose. What
+counts is how far the controller's commands are from the pose that others commanded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import harness
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from cablesense_base import Array
+from cablesense_base.workers import WorkerPool
+from cablesense_online.admittance.controller import AdmittanceController
+from cablesense_online.admittance.law import AdmittanceSettings
+from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
+from cablesense_online.state import EstimationSettings
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.replay import read_tensions_n
+
+ARMS = ("cdsm", "cdsm_lab")
+BAR_DEG = 0.5
+RATE_HZ, DISPLAY_TICKS = 50.0, 2
+LOADED_S, FAULT_S, MOVED_S, END_S = 1.6, 3.0, 5.0, 9.0
+DRIFT_S = 14.0
+CONTACTS_N = (0.0, 1.5)
+LOOSE_N = -1e5
+"""Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
+
+opened = cache(load_model)
+
+Change = Callable[[Array, float], None]
+"""Changes readings (M,) in place, so long after the fault began, s."""
+
+
+class Fault(NamedTuple):
+    """What fails, and how large it is in its unit; `change` is of the readings."""
+
+    kind: str
+    size: str
+    cable: int
+    change: Change
+    broken: bool = False
+
+
+def faults(cables: int) -> Iterator[Fault]:
+    """Every kind of every cable in five sizes; cables count from 0."""
+
+    def none(_: Array, __: float) -> None:
+        pass
+
+    def scaled(cable: int, by: float) -> Change:
+        def change(reading_n: Array, _: float) -> None:
+            reading_n[cable] *= by
+
+        return change
+
+    def offset(cable: int, n: float, n_s: float = 0.0) -> Change:
+        def change(reading_n: Array, since_s: float) -> None:
+            reading_n[cable] += n + n_s * since_s
+
+        return change
+
+    def stuck(cable: int, off_n: float) -> Change:
+        held: list[float] = []
+
+        def change(reading_n: Array, _: float) -> None:
+            if not held:
+                held.append(reading_n[cable] + off_n)
+            reading_n[cable] = held[0]
+
+        return change
+
+    def exchanged(cable: int, other: int) -> Change:
+        def change(reading_n: Array, _: float) -> None:
+            reading_n[[cable, other]] = reading_n[[other, cable]]
+
+        return change
+
+    yield Fault("none", "", 0, none)
+    for cable in range(cables):
+        yield Fault("zero", "0 N", cable, scaled(cable, 0.0))
+        yield Fault("broken cable", "", cable, none, broken=True)
+        for by in (0.5, 0.8, 0.9, 1.1, 2.0):
+            yield Fault("scale", f"{by:g}", cable, scaled(cable, by))
+        for n in (-20.0, -5.0, 2.0, 5.0, 20.0):
+            yield Fault("offset", f"{n:+g} N", cable, offset(cable, n))
+        for n in (0.0, 0.5, -0.5, 1.0, -1.0):
+            yield Fault("stuck", f"{n:+g} N off", cable, stuck(cable, n))
+        for step in (1, 2, 3, 5, 6):
+            other = (cable + step) % cables
+            yield Fault("exchanged", f"with {other + 1}", cable, exchanged(cable, other))
+        for n_s in (0.03, 0.1, 0.3, 1.0, 5.0):
+            yield Fault("drift", f"{n_s:g} N/s", cable, offset(cable, 0.0, n_s))
+
+
+class Run:
+    """Arm, estimator and controller; every message is answered as the nodes do."""
+
+    def __init__(self, arm_name: str, seed: int) -> None:
+        loaded = opened(arm_name, "")
+        self.arm, self.rng = loaded.arm, np.random.default_rng(seed)
+        self.mechanism = mechanism_of(self.arm)
+        settings = EstimationSettings(
+            contact_threshold=0.5,
+            stale_after_s=0.2,
+            slack_below_n=1.0,
+            tare_samples=50,
+            tare_steady_n=1.0,
+            auto_tare=True,
+            joint_speed_rad_s=float(np.deg2rad(20.0)),
+            settle_s=0.5,
+            tare_deviation_n=2.0,
+            tare_drift_n=0.1,
+            largest_misfit=loaded.largest_misfit(-1.0),
+        )
+        self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
+        self.controller = AdmittanceController(self.mechanism, AdmittanceSettings(), 0.0)
+        self.forces_n = np.zeros((self.arm.segment_count, 3))
+        self._message = JointState(name=list(self.arm.cable_names))
+        self.commanded(np.zeros(self.arm.joint_count), 0.0)
+
+    def commanded(self, command_rad: Array, now_s: float) -> None:
+        """A command is on the topic; all receive it, and the arm goes there."""
+        names = self.arm.joint_names
+        self.estimation.command(SimpleNamespace(name=names, position=command_rad.tolist()))
+        self.controller.received_command(command_rad, now_s)
+        self.command_rad = command_rad
+        self.rest()
+
+    def rest(self) -> None:
+        """Find the arm's rest at its command under its load.
+
+        Raises:
+            EquilibriumError: it collapses.
+        """
+        solved = solve_equilibrium(self.mechanism, self.command_rad, self.forces_n)
+        self._tensions_n = solved.tensions_n
+
+    def tick(self, number: int, change: Change | None, since_s: float) -> float:
+        """One sample and what follows; gives the force that was estimated, N."""
+        now_s, now_ns = number / RATE_HZ, 10**18 + round(number * 1e9 / RATE_HZ)
+        read_n = np.maximum(read_tensions_n(self._tensions_n, self.arm.sensors, self.rng), 0.0)
+        if change is not None:
+            change(read_n, since_s)
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(now_ns, 10**9)
+        self._message.effort = np.maximum(read_n, 0.0).tolist()
+        answer = self.estimation.sample(serialize_message(self._message), now_ns, now_s)
+        contact, controller = answer.contact, self.controller
+        if len(answer.probabilities) and number % DISPLAY_TICKS == 0:
+            controller.watch.received_probabilities(now_s)
+        force_n = np.array(contact.wrench[:3])
+        given = controller.received_wrench(contact.segment, force_n, now_ns, now_ns, now_s)
+        for command in (given, controller.repeated(now_s)):
+            if command is not None:
+                self.commanded(command, now_s)
+        return contact.magnitude_n
+
+
+def moved(arm_name: str, fault: Fault, contact_n: float, seed: int) -> tuple[float, float]:
+    """Largest turn of a joint by the controller, degrees, and largest force estimated, N."""
+    run = Run(arm_name, seed)
+    pose = np.deg2rad(run.rng.uniform(-4.0, 4.0, run.arm.joint_count))
+    segment = int(run.rng.integers(1, run.arm.segment_count + 1))
+    angle_deg = float(run.rng.uniform(0.0, 360.0))
+    turned_rad = largest_n = 0.0
+    end_s = DRIFT_S if fault.kind == "drift" else END_S
+    for number in range(1, round(end_s * RATE_HZ)):
+        now_s = number / RATE_HZ
+        if math.isclose(now_s, LOADED_S):
+            straight = np.zeros(run.arm.joint_count)
+            run.forces_n = normal_force_n(run.mechanism, straight, segment, angle_deg, contact_n)
+            run.rest()
+        if math.isclose(now_s, FAULT_S) and fault.broken:
+            pretension_n = run.mechanism.pretension_n.copy()
+            pretension_n[fault.cable] = LOOSE_N
+            run.mechanism = replace(run.mechanism, pretension_n=pretension_n)
+            run.rest()
+        if math.isclose(now_s, MOVED_S):
+            run.commanded(pose, now_s)
+        failing = now_s >= FAULT_S
+        force_n = run.tick(number, fault.change if failing else None, now_s - FAULT_S)
+        if failing:
+            largest_n = max(largest_n, force_n)
+        away_rad = run.controller.command_rad - run.controller.home_rad
+        turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
+    assert run.estimation.tares.present is not None
+    return float(np.rad2deg(turned_rad)), largest_n
+
+
+Row = tuple[str, str, int, float, float, float]
+
+
+def cable_rows(arm_name: str, cable: int) -> list[Row]:
+    """Kind, size, cable, contact (N), turn (degrees) and largest force (N) of its faults."""
+    rows = []
+    count = opened(arm_name, "").arm.cable_count
+    for number, fault in enumerate(faults(count)):
+        if fault.cable != cable:
+            continue
+        for contact_n in CONTACTS_N:
+            try:
+                found = moved(arm_name, fault, contact_n, number)
+            except EquilibriumError:
+                continue  # the arm collapses
+            rows.append((fault.kind, fault.size, cable + 1, contact_n, *found))
+    return rows
+
+
+def measure(arm_name: str, workers: int) -> dict[str, Any]:
+    """All faults of one arm, by kind."""
+    count = opened(arm_name, "").arm.cable_count
+    with WorkerPool(workers, arm_name) as pool:
+        rows = [row for found in pool.map(cable_rows, range(count)) for row in found]
+    result = {}
+    for kind in dict.fromkeys(row[0] for row in rows):
+        of = sorted((row for row in rows if row[0] == kind), key=lambda row: -row[4])
+        _, size, cable, contact_n, turned_deg, force_n = of[0]
+        result[kind] = {
+            "cases": len(of),
+            "moved": sum(row[4] > 0.0 for row in of),
+            "beyond_the_bar": sum(row[4] > BAR_DEG for row in of),
+            "worst_deg": round(turned_deg, 3),
+            "worst": f"cable_{cable} {size}, contact {contact_n:g} N, estimate {force_n:.1f} N",
+            "largest_estimate_n": round(max(row[5] for row in of), 1),
+        }
+    return result
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = harness.parser(__doc__, "results/admittance_faults.json")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    options = parser.parse_args()
+    result: dict[str, Any] = {**harness.origin(), "bar_deg": BAR_DEG}
+    result["arms"] = {name: measure(name, options.workers) for name in ARMS}
+    harness.publish("admittance_faults.json", result, options)
+
+
+if __name__ == "__main__":
+    main()
