@@ -13,8 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_msgs_py.messages import NO_CONTACT, Contact, NamedOrder, joint_command_rad
+from cablesense_msgs_py.messages import (
+    BREATH_END,
+    NO_CONTACT,
+    Contact,
+    NamedOrder,
+    breath_turn,
+    cable_offsets_m,
+    joint_command_rad,
+)
 from cablesense_msgs_py.serialized import EffortReader
+from cablesense_msgs_py.topics import ContractError
+from cablesense_online.breath_readings import BreathReadings
 from cablesense_online.drift import DriftWatch
 from cablesense_online.models import LARGEST_MISFIT, ContactModel, HistoryDependentModel, decide
 from cablesense_online.motion_gate import MotionGate
@@ -82,6 +92,7 @@ class Estimation:
         largest_force_n: of the contacts since the reporter last set it to zero, N.
         publisher, clock, check, health: of the input.
         gate: the command in force, and whether the arm moves.
+        breathing: what readings would be without friction.
         tares: the unloaded state.
         drift: of it, over the time without contact.
         plausibility: whether readings fit the estimates.
@@ -136,6 +147,8 @@ class Estimation:
         )
         self.plausibility = self._plausibility_check(unloaded, estimator)
         self.reproducible = not self._model.in_motion
+        self.breathing = BreathReadings(settings.settle_s)
+        self._breath_rad: Array | None = None
         self.command_received = False
         self.largest_force_n = 0.0
         self._events: list[Event] = []
@@ -156,6 +169,7 @@ class Estimation:
             raise
         if another:
             self.gate.wait_anew()
+            self.breathing.moved()
             self.tares.forget_readings()
             self._note(EventKind.PUBLISHER)
         return another
@@ -173,18 +187,22 @@ class Estimation:
             stamp_ns = message.stamp_ns or now_ns
             moving = self.gate.moving(stamp_ns, now_ns, now_s)
             if self.gate.step:
+                self.breathing.moved()
                 self._note(_STEPS[self.gate.step])
             if self._events:
                 state = self._changed_state(stamp_ns)
             stage = ProblemKind.NAMES
-            tensions = self._cable_order.pick(message.names, message.values, "effort")
-            self.check.check(tensions)
+            picked = self._cable_order.pick(message.names, message.values, "effort")
+            self.check.check(picked)
             if moving:
                 self.drift.interrupt()
             if moving and not self._model.in_motion:
                 return Answer(stamp_ns=stamp_ns, state=state)
+            tensions = self.breathing.without_friction(picked, stamp_ns)
+            if tensions is None:
+                return Answer(stamp_ns=stamp_ns, state=state)
             stage = ProblemKind.ESTIMATE
-            if not moving:
+            if not moving and (self.breathing.known or not self._settings.await_breath):
                 self.tares.add(tensions)
             estimate = self._model.estimate(tensions, stamp_ns)
             if self.tares.automatic and not moving and self.tares.ready:
@@ -223,18 +241,40 @@ class Estimation:
             CableSenseError: the message breaks the contract, or the arm has no static equilibrium
                 at this command; the command before it stays.
         """
-        command, dropped = joint_command_rad(message, self._joint_order), False
-        if not np.array_equal(command, self.gate.command_rad):
-            dropped = self.tares.command(command, first=not self.command_received)
-            if dropped:
-                self.drift.tared()
-            self.gate.command(command)
-            self._model.command(command)
-            self._note(EventKind.COMMAND, command)
-        elif self._pose_assumed:
-            self._note(EventKind.POSE_CONFIRMED)
-        self.command_received = True
-        return dropped
+        command = joint_command_rad(message, self._joint_order)
+        turn = None if self._model.in_motion else breath_turn(message)
+        if turn is None:
+            return self._go_to(command)
+        self._breath_rad = None if turn == BREATH_END else command
+        self._mark(turn, message)
+        return False
+
+    def offset(self, message: Any) -> None:
+        """Take over a `JointState` of lengths that are added to the cables' commanded ones.
+
+        Those of a breath's whole turns average out; while others last, there is no estimate.
+
+        Raises:
+            ContractError: the message breaks the contract.
+        """
+        offsets_m, turn = cable_offsets_m(message, self._cable_order), breath_turn(message)
+        if turn is not None:
+            self._mark(turn, message)
+        elif offsets_m.any() or self.breathing.breathing:
+            self._mark(0 if offsets_m.any() else BREATH_END, message, lasting=True)
+
+    def miss_breather(self, now_s: float) -> bool:
+        """Whether the breather has gone in mid-breath; the last command of it counts then.
+
+        To be called again and again, at monotonic times `now_s`.
+        """
+        if not self.breathing.silent(now_s):
+            return False
+        self.breathing.give_up("the breather fell silent in mid-breath")
+        self._note(EventKind.BREATH)
+        if self._breath_rad is not None:
+            self._go_to(self._breath_rad)
+        return True
 
     def take_tare(
         self, now_ns: int, how: EventKind = EventKind.TARE, *, forced: bool = False
@@ -301,6 +341,7 @@ class Estimation:
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
         self.plausibility.withheld_until_ns = state.withheld_until_ns
+        self.breathing.restore(state.breath)
         self._repeat(state.events, command)
         self._events.clear()
 
@@ -308,6 +349,30 @@ class Estimation:
     def answers_in_motion(self) -> bool:
         """Whether the model estimates while the arm moves."""
         return self._model.in_motion
+
+    def _go_to(self, command_rad: Array) -> bool:
+        """As `command`, with angles (2N,)."""
+        dropped = False
+        if not np.array_equal(command_rad, self.gate.command_rad):
+            dropped = self.tares.command(command_rad, first=not self.command_received)
+            if dropped:
+                self.drift.tared()
+            self.gate.command(command_rad)
+            self.breathing.moved()
+            self._model.command(command_rad)
+            self._note(EventKind.COMMAND, command_rad)
+        elif self._pose_assumed:
+            self._note(EventKind.POSE_CONFIRMED)
+        self.command_received = True
+        return dropped
+
+    def _mark(self, turn: int, message: Any, *, lasting: bool = False) -> None:
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        if not (stamp_ns or lasting):
+            raise ContractError("header.stamp is 0; a breath's messages state their times")
+        if self.breathing.mark(turn, max(stamp_ns, 1), lasting=lasting):
+            self._note(EventKind.BREATH)
 
     def _plausibility_check(
         self, unloaded: UnloadedTensions, estimator: Estimator | TemporalEstimator
@@ -339,7 +404,7 @@ class Estimation:
         assert unloaded is not None  # or there would be no estimate
         difference_n = tensions - unloaded
         self.drift.add(difference_n, stamp_ns, touched=contact.segment > 0)
-        if check.unchecked:
+        if check.unchecked or self.breathing.known:
             return
         before_ns = check.withheld_until_ns
         try:
@@ -399,6 +464,7 @@ class Estimation:
             tare_command_rad=() if tare is None else tare.command_rad.tolist(),
             pose_assumed=self._pose_assumed,
             withheld_until_ns=self.plausibility.withheld_until_ns,
+            breath=self.breathing.state(),
         )
 
 

@@ -117,13 +117,16 @@ class SimulatedArm:
                 self._dynamics.load(segment, np.zeros(3))
                 del self._loads[segment]
         due = self.pacer.steps_due(now_s)
+        # an arm that comes to rest when it is read needs no set-points in between
+        steps = due if isinstance(self._dynamics, RestToRestArm) else 1
+        step_s = steps * self._timestep_s
         while due > 0 and (self._motion.moving or self._offset_motion.moving):
             if self._offset_motion.moving:
-                self._dynamics.offset(self._offset_motion.advance(self._timestep_s))
+                self._dynamics.offset(self._offset_motion.advance(step_s))
             if self._motion.moving:
-                self._dynamics.command(self._motion.advance(self._timestep_s))
-            self._dynamics.advance(self._timestep_s)
-            due -= 1
+                self._dynamics.command(self._motion.advance(step_s))
+            self._dynamics.advance(step_s)
+            due -= steps
         if due > 0:
             self._dynamics.advance(due * self._timestep_s)
         if not np.isfinite(self._dynamics.tensions_n).all():

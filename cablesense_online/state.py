@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import Count, Number, describe_problem
-from cablesense_msgs_py.messages import Level, Status
+from cablesense_msgs_py.messages import BREATH_END, Level, Status
 from cablesense_msgs_py.topics import ContractError
 from cablesense_sim.arm import Arm
 
@@ -59,6 +59,7 @@ class EstimationSettings(BaseModel):
     tare_samples: Annotated[int, Field(ge=1, le=10_000)]
     tare_steady_n: _NotNegative
     auto_tare: bool
+    await_breath: bool = False
     joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     settle_s: _NotNegative
     tare_deviation_n: _NotNegative = 0.0
@@ -84,6 +85,7 @@ class EventKind(Enum):
     CLOCK_AHEAD = "stamps stepped forward"
     PUBLISHER = "another publisher"
     MISFIT = "readings do not fit"
+    BREATH = "turn of a breath"
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,42 @@ class Event:
 
     kind: EventKind
     command_rad: Numbers = ()
+
+
+class BreathState(BaseModel):
+    """How far a breath has got, and what it has shown (`breath_readings`).
+
+    Attributes:
+        turn: in which the last reading was taken, see `messages.breath_turn`.
+        from_ns, last_ns: stamps of the turn's beginning, 0 where it does not count, and of the
+            last reading.
+        count, gap_ns: of the turn's readings, and the longest time between two.
+        sum_log_n_s: (M,) of their logarithms, each by its time.
+        lowest_n, highest_n: (M,) of them.
+        mark_turn, mark_ns: turn and stamp of the mark that the next reading passes; 0 for none.
+        reading_n: (M,) mean of the last whole turn; empty where none counts.
+        ended_ns: stamp of the breath's end; 0 where none is waited for.
+        rest_n, rest_count: (M,) readings at rest since, summed up.
+        offset_n: (M,) what friction has left on the cables, as it is added to readings.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    turn: WholeNumber = BREATH_END
+    from_ns: WholeNumber = 0
+    last_ns: WholeNumber = 0
+    count: WholeNumber = 0
+    gap_ns: WholeNumber = 0
+    sum_log_n_s: Numbers = ()
+    lowest_n: Numbers = ()
+    highest_n: Numbers = ()
+    mark_turn: WholeNumber = BREATH_END
+    mark_ns: WholeNumber = 0
+    reading_n: Numbers = ()
+    ended_ns: WholeNumber = 0
+    rest_n: Numbers = ()
+    rest_count: WholeNumber = 0
+    offset_n: Numbers = ()
 
 
 class EstimatorState(BaseModel):
@@ -111,6 +149,7 @@ class EstimatorState(BaseModel):
         tare_command_rad: (2N,) the command at which it was taken.
         pose_assumed: whether it was taken by itself, and no command has come yet.
         withheld_until_ns: samples stamped earlier give no force, as readings did not fit.
+        breath: how far a breath has got, and what it has shown.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -129,6 +168,7 @@ class EstimatorState(BaseModel):
     tare_command_rad: Numbers = ()
     pose_assumed: bool = False
     withheld_until_ns: WholeNumber = 0
+    breath: BreathState = BreathState()
 
     def require_fitting(self, arm: Arm) -> None:
         """Refuse to continue from this state with an arm of other joints or cables.
@@ -146,7 +186,12 @@ class EstimatorState(BaseModel):
             ("tared tensions", self.tared_n, cables),
             ("unloaded tensions", self.unloaded_n, cables),
         )
-        for what, numbers, wanted in lengths if self.tared_n else lengths[:3]:
+        breath = [
+            (f"of {name} of the breath", numbers, cables)
+            for name, numbers in self.breath
+            if isinstance(numbers, tuple) and numbers
+        ]
+        for what, numbers, wanted in (*(lengths if self.tared_n else lengths[:3]), *breath):
             if len(numbers) != wanted:
                 raise ContractError(
                     f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
@@ -178,6 +223,7 @@ def _validated(values: Mapping[str, Any]) -> EstimatorState:
 
 
 _EVENT, _SETTINGS, _COMMAND, _MISFIT = "event: ", "settings", "command (rad)", "misfit"
+_BREATH = "breath"
 _PARTS: Final = {
     "motion": {
         _COMMAND: "command_rad",
@@ -211,6 +257,7 @@ def put_state(
     parts.append((_SETTINGS, state.settings_text()))
     for name, keys in _PARTS.items():
         parts.append((name, {key: _text(getattr(state, field)) for key, field in keys.items()}))
+    parts.append((_BREATH, {field: _text(value) for field, value in state.breath}))
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)
     message.status = [
@@ -259,6 +306,12 @@ def state_of(message: Any) -> EstimatorState:
             if key in given or field not in _LATER:
                 text = given.get(key, "")
                 values[field] = text.split() if field.endswith(("_rad", "_n")) else text
+    breath = _values(statuses[_BREATH]) if _BREATH in statuses else {}
+    values["breath"] = {
+        field: breath[field].split() if isinstance(of.default, tuple) else breath[field]
+        for field, of in BreathState.model_fields.items()
+        if field in breath
+    }
     return _validated(values)
 
 

@@ -20,6 +20,7 @@ from cablesense_msgs_py.messages import (
     Level,
     NamedOrder,
     Status,
+    breath_turn,
     joint_command_rad,
     put_joint_angles,
 )
@@ -114,6 +115,8 @@ class AdmittanceNode(ConfiguredNode):
         self._controller.watch.received_probabilities(time.monotonic())
 
     def _on_command(self, message: JointState) -> None:
+        if breath_turn(message) is not None:
+            return
         command = checked_command(self._mechanism, joint_command_rad(message, self._joints))
         if self._controller.received_command(command, time.monotonic()):
             self.get_logger().warning(

@@ -68,7 +68,10 @@ class EstimatorNode(ConfiguredNode):
         commands = self._refuse_command.subscribe(
             JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command
         )
-        for subscription in (samples, commands):
+        offsets = self._refuse_command.subscribe(
+            JointState, topics.CABLE_OFFSETS, COMMAND, self._on_offsets
+        )
+        for subscription in (samples, commands, offsets):
             self._inputs.callback(self.destroy_subscription, subscription)
         timer = self.create_timer(STALE_CHECK_S, self._check_stale)
         self._inputs.callback(self.destroy_timer, timer)
@@ -144,6 +147,9 @@ class EstimatorNode(ConfiguredNode):
                 "another pose than was assumed; auto_tare takes another once the arm rests"
             )
 
+    def _on_offsets(self, message: JointState) -> None:
+        self._estimation.offset(message)
+
     def _on_request(
         self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
@@ -196,6 +202,10 @@ class EstimatorNode(ConfiguredNode):
                 f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
             )
         now_s = time.monotonic()
+        if self._estimation.miss_breather(now_s):
+            self.get_logger().warning(
+                "the breather fell silent in mid-breath; friction is in the readings again"
+            )
         if self._estimation.stale(now_s):
             self._publish_zero()
             silence_s = self._estimation.health.silence_s(now_s)
@@ -237,7 +247,7 @@ class EstimatorNode(ConfiguredNode):
             ),
             estimation.tares.status(),
             estimation.drift.status(),
-            *filter(None, [self._state.status()]),
+            *filter(None, [estimation.breathing.status(), self._state.status()]),
         ]
         self._lost = self._refuse_command.count = 0
         return statuses

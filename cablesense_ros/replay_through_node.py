@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.messages import breath_frame
 from cablesense_msgs_py.qos import CONTRACT, INPUTS, resolved
 from cablesense_msgs_py.serialized import restamped, stamp_ns
 from cablesense_online.recorded_run import RecordedRun, Step
@@ -39,7 +40,7 @@ _SETTLE_S = 0.5
 _POLL_S = 0.0005
 _SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
 _NOT_REPEATED = {EventKind.CLOCK_AHEAD, EventKind.PUBLISHER}
-_REPEATED = {EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
+_REPEATED = {EventKind.BREATH, EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
 
 
 def replay_through_node(
@@ -125,11 +126,14 @@ class LiveEstimator:
         """One serialized message on an input topic."""
         self._out[topic].publish(raw)
 
-    def command(self, names: Sequence[str], angles_rad: Sequence[float]) -> None:
+    def command(
+        self, names: Sequence[str], angles_rad: Sequence[float], frame: str = "", stamp: int = 0
+    ) -> None:
         """A command, which the estimator has dealt with when this returns."""
-        self._out[topics.JOINT_COMMANDS].publish(
-            JointState(name=list(names), position=list(angles_rad))
-        )
+        message = JointState(name=list(names), position=list(angles_rad))
+        message.header.frame_id = frame
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        self._out[topics.JOINT_COMMANDS].publish(message)
         # the middleware's acknowledgement takes seconds; a question that comes behind the command
         # is answered behind it
         answer = self._clients["~/get_parameters"].call_async(GetParameters.Request())
@@ -209,12 +213,12 @@ class _Player:
             self._pace(sample.log_ns)
             for state in states:
                 self._repeat(state, begun=sent > 0)
-            stamp = self._shifted(sample)
+            stamp = self._shifted(sample.stamp_ns)
             self._live.publish(topics.CABLE_TENSIONS, restamped(sample.sample, stamp))
             if sample.answer is not None:
                 self._open.append((self._comparison.samples, sample, sample.answer))
             if len(self._open) > MOST_OPEN:
-                self._live.wait_for(self._shifted(self._open[0][1]))
+                self._live.wait_for(self._shifted(self._open[0][1].stamp_ns))
             self._compare()
         self._await_answers()
         self._compare(to_the_end=True)
@@ -256,9 +260,9 @@ class _Player:
         due_s = self._start_s + (log_ns - self._first.log_ns) * 1e-9 / self._rate
         time.sleep(max(0.0, due_s - time.monotonic()))
 
-    def _shifted(self, sample: Step) -> int:
-        """Its stamp as it is sent, ns."""
-        since_ns = sample.stamp_ns - self._first.stamp_ns
+    def _shifted(self, stamp_ns: int) -> int:
+        """A recorded stamp as it is sent, ns."""
+        since_ns = stamp_ns - self._first.stamp_ns
         return self._start_ns + (since_ns if self._rate == 1.0 else round(since_ns / self._rate))
 
     def _repeat(self, state: EstimatorState, begun: bool) -> None:
@@ -268,6 +272,10 @@ class _Player:
         for event in state.events:
             if event.kind is EventKind.COMMAND:
                 self._live.command(self._run.joint_names, event.command_rad)
+            elif event.kind is EventKind.BREATH and state.breath.mark_ns:
+                frame, stamp = breath_frame(state.breath.mark_turn), state.breath.mark_ns
+                command = self._run.joint_names, state.command_rad
+                self._live.command(*command, frame, self._shifted(stamp))
             elif event.kind in _SERVICES:
                 self._live.call(_SERVICES[event.kind])
             elif event.kind is EventKind.SETTINGS:
@@ -283,13 +291,13 @@ class _Player:
 
     def _await_answers(self) -> None:
         if self._open:
-            self._live.wait_for(self._shifted(self._open[-1][1]))
+            self._live.wait_for(self._shifted(self._open[-1][1].stamp_ns))
 
     def _compare(self, to_the_end: bool = False) -> None:
         answers = self._live.answers
         while self._open:
             number, sample, recorded = self._open[0]
-            answer = answers.pop(self._shifted(sample), None)
+            answer = answers.pop(self._shifted(sample.stamp_ns), None)
             # with more than MOST_OPEN the first was waited for in vain
             if answer is None and not to_the_end and len(self._open) <= MOST_OPEN:
                 break

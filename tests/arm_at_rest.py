@@ -1,11 +1,11 @@
 """An arm at rest, tared, with an estimator that reads it."""
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from estimation_settings import estimation_settings
+from joint_commands import joint_command
 
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
@@ -39,7 +39,7 @@ class Arm:
         settings = SETTINGS.model_copy(update=changes)
         self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
         if command.any():
-            self.estimation.command(SimpleNamespace(name=self.arm.joint_names, position=command))
+            self.estimation.command(joint_command(self.arm, command))
         self.now_ns = 10**18
         self.tensions = cache(self._tensions)
         while self.estimation.tares.present is None:

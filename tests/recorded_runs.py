@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from estimation_settings import estimation_settings
+from joint_commands import joint_command
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
@@ -57,7 +56,7 @@ class MadeRun:
                 angles = np.full(8, 0.002)
                 message = JointState(name=list(arm.joint_names), position=angles.tolist())
                 self.records.append((topics.JOINT_COMMANDS, now, serialize_message(message)))
-                live.command(SimpleNamespace(name=arm.joint_names, position=angles))
+                live.command(joint_command(arm, angles))
             if i == samples - 40:
                 live.take_tare(now, forced=True)
             if i == samples - 20:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from estimation_settings import estimation_settings
+from joint_commands import joint_command
 
 from cablesense_online.estimation import Estimation
 from cablesense_sim.arm import open_arm
@@ -72,4 +73,4 @@ class Feed:
         return self
 
     def command(self, angles_rad):
-        self.estimation.command(SimpleNamespace(name=ARM.joint_names, position=angles_rad))
+        self.estimation.command(joint_command(ARM, angles_rad))

@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import Level, Load, NamedOrder, joint_command_rad, read_load
+from cablesense_msgs_py.messages import (
+    Level,
+    Load,
+    NamedOrder,
+    breath_turn,
+    joint_command_rad,
+    read_load,
+)
 from cablesense_msgs_py.topics import CABLE_TENSIONS, Frames
 from cablesense_online.samples import FollowedPublisher
 from cablesense_sim.arm import Arm
@@ -208,7 +215,12 @@ class LiveArm:
         self._joint_angles_rad = self._joints.arrange(message.name, message.position, "position")
 
     def on_joint_commands(self, message: Any) -> None:
-        """Takes a `joint_commands` message: contact angles are counted at the commanded pose."""
+        """Takes a `joint_commands` message: contact angles are counted at the commanded pose.
+
+        A breath leaves that as it is.
+        """
+        if breath_turn(message) is not None:
+            return
         command = checked_command(self.mechanism, joint_command_rad(message, self._joints))
         with self._lock:
             self._motion.go_to(command)

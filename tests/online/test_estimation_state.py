@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_commands import cable_offsets
 from sample_feed import (
     ARM,
     SETTINGS,
@@ -16,7 +17,7 @@ from sample_feed import (
 )
 
 from cablesense_base import CableSenseError
-from cablesense_msgs_py.messages import NO_CONTACT
+from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.estimation import MOST_EVENTS
 from cablesense_online.state import Event, EventKind
@@ -57,7 +58,10 @@ def live_run(seed, count=120):
                 live.take_tare(stamp, forced=True) if chance < 0.12 else live.undo_tare()
         elif chance < 0.17:
             live.adjust(float(rng.uniform(0.0, 1.0)), 0.2, 1.0)
-        elif chance < 0.18:
+        elif chance < 0.2:
+            turn = int(rng.integers(BREATH_END, 3))
+            live.offset(cable_offsets(ARM, np.zeros(12), turn, stamp))
+        elif chance < 0.21:
             live.publisher.matched(0)  # its publisher leaves; the next sample is of another
         stamp += 10_000_000 if rng.random() < 0.98 else int(rng.choice([-1, 3])) * 1_000_000_000
         tensions = 100.0 + rng.uniform(-0.5, 0.5, 12)

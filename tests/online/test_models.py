@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from estimation_settings import estimation_settings
+from joint_commands import joint_command
 
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.estimation import Estimation
@@ -125,7 +126,7 @@ def _in_motion():
 def _run(estimation, samples, command_at, answers, states):
     for tick, tensions in samples:
         if tick == command_at:
-            estimation.command(SimpleNamespace(name=ARM.joint_names, position=BENT))
+            estimation.command(joint_command(ARM, BENT))
         stamp_ns = 10**18 + 10_000_000 * tick
         answers[tick] = estimation.sample(_raw(tensions, stamp_ns), stamp_ns, 0.01 * tick)
         if answers[tick].state is not None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import (
+    BreathState,
     EstimationSettings,
     EstimatorState,
     Event,
@@ -73,6 +74,13 @@ STATES = st.builds(
     tared_n=NUMBERS,
     tare_command_rad=NUMBERS,
     pose_assumed=st.booleans(),
+    breath=st.builds(
+        BreathState,
+        turn=st.integers(-1, 9),
+        mark_ns=st.integers(0, 2**62),
+        sum_log_n_s=NUMBERS,
+        offset_n=NUMBERS,
+    ),
     withheld_until_ns=st.integers(-(2**62), 2**62),
 )
 

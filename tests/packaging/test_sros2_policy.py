@@ -4,7 +4,7 @@ import json
 import re
 import subprocess
 import sys
-from importlib.metadata import entry_points
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -24,7 +24,6 @@ OWN_SERVICES = re.compile(
     r"|~/get_type_description|~/(change_state|get_state|get_available_(states|transitions)"
     r"|get_transition_graph)"
 )
-COMMANDS_WITHOUT_A_NODE = {"cablesense"}
 OTHERS = {"record": "recorder", "sensor_check": "sensor_check", "operator": "operator"}
 
 
@@ -38,12 +37,8 @@ def names(profile, kind, right):
 
 
 def test_every_node_has_an_enclave_and_nothing_else_has():
-    programs = {
-        entry.name
-        for entry in entry_points(group="console_scripts")
-        if entry.value.startswith("cablesense_ros.")
-    }
-    nodes = programs - COMMANDS_WITHOUT_A_NODE
+    setup = (Path(__file__).parents[2] / "setup.py").read_text(encoding="utf-8")
+    nodes = set(re.findall(r'"(\w+) = cablesense_ros\.\w+:main"', setup))
     assert set(PROFILES) == nodes | set(OTHERS)
     for path, profile in PROFILES.items():
         assert profile.get("node") == OTHERS.get(path, path)

@@ -62,8 +62,8 @@ class ModelSession:
     ) -> ModelSession:
         """Read a model file that gives `outputs` and, where an arm is named, fits it.
 
-        A model made for the same arm without its effects fits as well: it answers without
-        knowledge of them.
+        A model made for the same arm without its effects, whatever that is named, fits as well:
+        it answers without knowledge of them.
 
         Raises:
             ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
@@ -71,7 +71,10 @@ class ModelSession:
         """
         source = str(path)
         model, metadata = read_model(path)
-        if arm is not None and metadata.arm_identity not in (arm.identity, arm.nominal.identity):
+        if arm is not None and metadata.arm_identity not in (
+            arm.identity,
+            arm.nominal.model_copy(update={"name": metadata.arm.name}).identity,
+        ):
             raise ModelFileError(
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"

@@ -1,0 +1,247 @@
+"""Breathing on the independent plant: forces under friction, passive and after a breath.
+
+    python benchmarks/breathing.py [--arms 32] [--friction 0.05 0.10 0.15] [--write]
+
+Cables stick rigidly at every guide and at a pulley of a quarter turn. Arms side by side, half of
+them straight and half bent by up to 8 degrees, are loaded with 5 to 100 N on one segment, the load
+is lowered, and taken off; at each of these rests they breathe once. The shipped static model, of
+the arm without friction, answers from one reading after the breath, with noise and step. Beside
+it the same course without breathing (`passive`) and with the shape of a demagnetisation: joints to
+and fro with shrinking amplitude, all cables in and out by 0.1 mm, the geometric mean of these two
+readings (`to and fro`), and breaths of 0.6 of the least circle that turns every guide (`gentle
+breath`), both on the soft arm.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import harness
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.plant.arm import SteppedArms, ideal_arm
+from cablesense_gap.plant.body import Friction, read_nominal
+from cablesense_online.breath_readings import BreathReadings
+from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
+from cablesense_sim.arm import Arm, find_arm, open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.replay import read_tensions_n
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import find_model
+
+SEED = 20_261_122
+TURN_S, SETTLE_S = 0.4, 0.5
+_PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
+_STEPS = 4
+"""Of a load, and of a move."""
+_GENTLE = 0.6
+_BARS_N = {0.05: 0.3, 0.10: 0.4, 0.15: 0.6}
+
+
+class Course:
+    """B arms of the plant that are moved and loaded together; loads are theirs alone."""
+
+    def __init__(self, name: str, coefficient: float, arms: int) -> None:
+        self.arm = open_arm(name)
+        drawn = ideal_arm(read_nominal(find_arm(name)))
+        each = np.full(self.arm.cable_count, coefficient)
+        self._plant = replace(drawn, friction=Friction(each, pulley_rad=_PULLEY_RAD))
+        self.rng = np.random.default_rng(SEED)
+        self.base_rad = np.radians(_BENT_DEG) * self.rng.uniform(-1.0, 1.0, (arms, 8))
+        self.base_rad[: arms // 2] = 0.0
+        self._command_rad, self._forces_n = np.zeros((arms, 8)), np.zeros((arms, 4, 3))
+        straight = self._plant.held_m(self._command_rad)
+        self._stepped = SteppedArms(self._plant, self._command_rad, straight, self._forces_n)
+        overshot = 1.1 * self.base_rad + np.radians(0.5) * self.rng.uniform(-1.0, 1.0, (arms, 8))
+        for pose in (overshot, self.base_rad):
+            before = self._command_rad
+            for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
+                self.step(before + share * (pose - before))
+
+    def step(self, command_rad: Array, offset_m: float = 0.0) -> None:
+        """Go to commands (B, 8) at once, all cables longer by an offset."""
+        self._command_rad = command_rad
+        self._stepped.step(self._plant.held_m(command_rad) + offset_m, self._forces_n)
+
+    def load(self, forces_n: Array) -> None:
+        """Come to loads (B, 4, 3) step by step."""
+        before = self._forces_n
+        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
+            self._forces_n = before + share * (forces_n - before)
+            self.step(self._command_rad)
+
+    def read_n(self) -> Array:
+        """(B, M) readings."""
+        return read_tensions_n(self._stepped.tensions_n, self.arm.sensors, self.rng)
+
+    @property
+    def tips_m(self) -> Array:
+        """(B, 3) where the arms' ends are."""
+        return tip_m(mechanism_of(self.arm), self._stepped.angles_rad)
+
+
+class Breathing:
+    """Breathes the arms of a course.
+
+    Attributes:
+        tip_mm: by how much tips went from their mean, of every turn that counted.
+        took_s: from the beginning of a breath to the first reading that is corrected.
+    """
+
+    def __init__(self, course: Course, coefficient: float, share: float = 1.0) -> None:
+        """With a share of the least circle that turns every guide."""
+        arm = with_friction(course.arm, coefficient)
+        self._course = course
+        least_rad = [breath_circle(arm, base).least_rad for base in course.base_rad]
+        self.circles = [
+            breath_circle(arm, base, share * least)
+            for base, least in zip(course.base_rad, least_rad, strict=True)
+        ]
+        self.tip_mm: list[float] = []
+        self.took_s = 0.0
+
+    def read_n(self) -> Array:
+        """(B, M) one reading of each arm after a breath, corrected by it."""
+        course, tick_s = self._course, TURN_S / SET_POINTS_A_TURN
+        readings = [BreathReadings(SETTLE_S) for _ in self.circles]
+        breaths = [Breath(circle, 1) for circle in self.circles]
+        now_ns, tips = 1, []
+        while not breaths[0].over:
+            points = [breath.next() for breath in breaths]
+            now_ns += round(tick_s * 1e9)
+            turn = points[0][1]
+            for reading in readings:
+                reading.mark(turn, now_ns)
+            course.step(course.base_rad + np.array([point for point, _ in points]))
+            for reading, tensions in zip(readings, course.read_n(), strict=True):
+                reading.without_friction(tensions.tolist(), now_ns)
+            if turn > 0:
+                tips.append(course.tips_m)
+        away_m = np.linalg.norm(np.array(tips) - np.mean(tips, axis=0), axis=-1)
+        self.tip_mm += (1e3 * away_m.max(axis=0)).tolist()
+        while not all(reading.state().offset_n for reading in readings):
+            now_ns += round(tick_s * 1e9)
+            answers = [
+                reading.without_friction(tensions.tolist(), now_ns)
+                for reading, tensions in zip(readings, course.read_n(), strict=True)
+            ]
+        self.took_s = 1e-9 * now_ns
+        return np.array(answers)
+
+
+def to_and_fro(course: Course) -> Array:
+    """Joints to and fro, then all cables in and out: the mean of these two readings (B, M)."""
+    for degrees in (0.5, 0.35, 0.2, 0.1):
+        for side in (1.0, -1.0):
+            middle = course.base_rad
+            course.step(middle)
+            course.step(middle + side * np.radians(degrees))
+    course.step(course.base_rad)
+    logs = []
+    for offset_m in (-1e-4, 1e-4):
+        course.step(course.base_rad, 0.5 * offset_m)
+        course.step(course.base_rad, offset_m)
+        logs.append(np.log(np.maximum(course.read_n(), 0.01)))
+    course.step(course.base_rad)
+    return np.asarray(np.exp(np.mean(logs, axis=0)))
+
+
+def with_friction(arm: Arm, coefficient: float) -> Arm:
+    """The arm with the plant's friction in its file."""
+    parameters = {"coefficient": coefficient, "pulley_wrap_rad": _PULLEY_RAD}
+    effect = {"effect": "capstan_friction", "at": "arm", "parameters": parameters}
+    return Arm.model_validate(arm.model_dump() | {"effects": [effect]})
+
+
+def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, Any]:
+    """Figures of one course, answered from `read` at every rest."""
+    arms = len(course.base_rad)
+    estimator = Estimator.load(find_model(course.arm.name), course.arm)
+    mechanism, rng = mechanism_of(course.arm), np.random.default_rng(SEED + 1)
+    unloaded_n, right, off_n, off_deg, ghost_n = read(), [], [], [], []
+    for _ in range(loads):
+        segment, angle = rng.integers(1, 5, arms), rng.uniform(0.0, 360.0, arms)
+        highest = rng.uniform(*_FORCES_N, arms)
+        lower = np.maximum(_FORCES_N[0], highest * rng.uniform(0.2, 0.8, arms))
+        for force in (highest, lower, np.zeros(arms)):
+            course.load(normal_force_n(mechanism, course.base_rad, segment, angle, force))
+            found = estimator.estimate_batch(read() - unloaded_n, course.base_rad)
+            touched = found.probabilities[:, 0] < 0.5
+            if not force.any():
+                ghost_n += np.where(touched, found.magnitude_n, 0.0).tolist()
+                continue
+            likeliest = 1 + found.probabilities[:, 1:].argmax(axis=1)
+            right += (touched & (likeliest == segment)).tolist()
+            off_n += np.abs(found.magnitude_n - force).tolist()
+            off_deg += np.abs((found.angle_deg - angle + 180.0) % 360.0 - 180.0).tolist()
+    return {
+        "samples": len(right),
+        "contact": float(np.mean(right)),
+        "force_mae_n": round(float(np.mean(off_n)), 3),
+        "force_95_percent_n": round(float(np.quantile(off_n, 0.95)), 3),
+        "direction_mae_deg": round(float(np.mean(off_deg)), 3),
+        "ghost_n": round(float(np.mean(ghost_n)), 3),
+        "largest_ghost_n": round(float(np.max(ghost_n)), 3),
+    }
+
+
+def breathed(name: str, coefficient: float, options: Any, share: float) -> dict[str, Any]:
+    """Figures of a course with breaths of a share of the least circle."""
+    course = Course(name, coefficient, options.arms)
+    breathing = Breathing(course, coefficient, share)
+    found = errors(course, breathing.read_n, options.loads)
+    joints_deg = np.degrees(max(circle.largest_rad for circle in breathing.circles))
+    return found | {
+        "took_s": round(breathing.took_s, 3),
+        "joints_deg": round(float(joints_deg), 3),
+        "tip_commanded_mm": round(1e3 * max(c.tip_m for c in breathing.circles), 3),
+        "tip_mm": harness.percentiles(breathing.tip_mm, ["median", "95 %", "worst"]),
+    }
+
+
+def main() -> None:
+    """Measures and prints; writes with `--write`."""
+    parser = harness.parser(__doc__, "results/breathing.json")
+    parser.add_argument("--arms", type=int, default=32, help="side by side")
+    parser.add_argument("--loads", type=int, default=2, help="of each arm")
+    parser.add_argument("--friction", type=float, nargs="+", default=[0.05, 0.10, 0.15])
+    options = parser.parse_args()
+    cases: list[dict[str, Any]] = []
+    bars: dict[str, bool] = {}
+    for name in ("cdsm", "cdsm_lab"):
+        for coefficient in options.friction:
+            began = time.monotonic()
+            breath = breathed(name, coefficient, options, 1.0)
+            case = {"arm": name, "friction": coefficient, "breath": breath}
+            course = Course(name, coefficient, options.arms)
+            case["passive"] = errors(course, course.read_n, options.loads)
+            if name == "cdsm_lab":
+                case["gentle breath"] = breathed(name, coefficient, options, _GENTLE)
+                course = Course(name, coefficient, options.arms)
+                case["to and fro"] = errors(course, partial(to_and_fro, course), options.loads)
+            cases.append(case | {"seconds": round(time.monotonic() - began)})
+            what = f"{name}, friction {coefficient:g}: "
+            bar_n = _BARS_N.get(coefficient, 0.6)
+            bars |= {
+                f"{what}contact {breath['contact']:.2%}": breath["contact"] >= 0.99,
+                f"{what}force {breath['force_mae_n']:.2f} N": breath["force_mae_n"] <= bar_n,
+                f"{what}direction {breath['direction_mae_deg']:.2f} degrees": (
+                    breath["direction_mae_deg"] <= 1.0
+                ),
+                f"{what}ghost {breath['ghost_n']:.2f} N": breath["ghost_n"] <= 0.1,
+                f"{what}breath {breath['took_s']:.2f} s": breath["took_s"] <= 2.0,
+                f"{what}tip {breath['tip_mm']['worst']:.2f} mm": breath["tip_mm"]["worst"] <= 1.0,
+            }
+    result = {**harness.origin("numpy"), "seed": SEED, "arms": options.arms, "cases": cases}
+    harness.publish("breathing.json", result, options)
+    harness.print_bars(bars)
+
+
+if __name__ == "__main__":
+    main()

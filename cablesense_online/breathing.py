@@ -1,0 +1,221 @@
+"""Breathing: the arm moves a little on purpose, so that friction shows what it hides.
+
+Where cables stick at their guides, readings do not follow the load. A breath turns every joint in
+a small circle, pitch a quarter turn ahead of yaw, so that each cable slides at each of its guides,
+half of the turn inwards and half outwards. What friction adds to the logarithm of a tension then
+changes its sign after half a turn, and its mean over a whole turn is that of the arm without
+friction, by symmetry: for rigid sticking as for bristles, whatever the coefficients. Motion with
+the circle's frequency, swinging included, drops out of the same mean.
+
+The joints turn by different amounts, so that the circle's centre line bends like a wave: every
+cable moves at every guide, and the tip nearly stays. The least circle that turns every guide is
+that in which a cable moves farther than its tension's way from one end of the friction's loop to
+the other stretches it: T sinh(μ θ) / k, and by what it gives before it slips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cablesense_base import Array, CableSenseError
+from cablesense_msgs_py.messages import BREATH_END
+from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
+
+SET_POINTS_A_TURN: Final = 20
+_RISE, _LEAD, _FALL = 10, 10, 10
+"""Set-points: to the full circle, until the arm has followed, and back."""
+_LOADED = 2.0
+"""A cable still turns at a tension of so many times its unloaded one."""
+_LOADED_BEND_RAD = 0.1
+"""By which a load bends the joints beyond their command, all together."""
+_LEAST_RAD: Final = np.radians(0.03)
+MOST_RAD: Final = np.radians(2.0)
+_SLACK_N = 1.0
+_PHASES = 8
+
+
+class BreathError(CableSenseError):
+    """An arm for which there is no breath: what is in the way, and what would be right."""
+
+
+@dataclass(frozen=True)
+class Circle:
+    """The full circle of a breath about a command.
+
+    Attributes:
+        axes_rad: (2, 2N) joint angles less the command's, at the start and a quarter turn later.
+        tip_m: farthest that the arm's end is commanded from where it was.
+        least_rad: largest angle of the least circle that turns every guide; 0 where that is
+            unknown, as the arm file has no friction.
+    """
+
+    axes_rad: Array
+    tip_m: float
+    least_rad: float
+
+    @property
+    def largest_rad(self) -> float:
+        """Largest angle by which a joint turns."""
+        return float(np.hypot(*self.axes_rad).max())
+
+    def at(self, turns: float) -> Array:
+        """(2N,) joint angles less the command's, after so many turns."""
+        phase = 2.0 * np.pi * turns
+        return np.asarray(np.array([np.cos(phase), np.sin(phase)]) @ self.axes_rad)
+
+
+class Breath:
+    """Set-points of one breath: up to the full circle, whole turns, and back to the command."""
+
+    def __init__(self, circle: Circle, turns: int) -> None:
+        """With so many whole turns; 0 goes on until `end`."""
+        self._circle = circle
+        self._first = _RISE + _LEAD
+        self._last = self._first + turns * SET_POINTS_A_TURN if turns else None
+        self._number = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether the last set-point has been given."""
+        return self._last is not None and self._number > self._last + _FALL
+
+    def end(self) -> None:
+        """Go back to the command from where the circle is now."""
+        if self._last is None or self._number < self._last:
+            self._last = self._number
+
+    def next(self) -> tuple[Array, int]:
+        """The next set-point (2N,), less the command, and its turn (`messages.breath_turn`)."""
+        number = self._number
+        self._number += 1
+        size, turn = min(1.0, number / _RISE), 0
+        if self._last is not None and number >= self._last:
+            size = min(size, self._last / _RISE) * (1.0 - (number - self._last) / _FALL)
+        elif number >= self._first:
+            turn = 1 + (number - self._first) // SET_POINTS_A_TURN
+        if self.over:
+            return np.zeros_like(self._circle.axes_rad[0]), BREATH_END
+        return size * self._circle.at(number / SET_POINTS_A_TURN), turn
+
+
+def breath_circle(
+    arm: Arm, command_rad: Array, amplitude_rad: float = 0.0, largest_tip_m: float = 0.0
+) -> Circle:
+    """The circle of a breath of an arm at a command (2N,).
+
+    Args:
+        arm: with `capstan_friction` among its effects, unless the amplitude is given.
+        command_rad: that the circle is about.
+        amplitude_rad: of the joint that turns most; 0 takes the least that turns every guide.
+        largest_tip_m: by which the tip may move; 0 for any.
+
+    Raises:
+        BreathError: no friction in the arm file and no amplitude, or one that is too large or
+            leaves a cable slack, or moves the tip too far.
+        EquilibriumError: the arm has no rest there.
+    """
+    mechanism = amended(mechanism_of(arm), entries_of(arm))
+    axes = _wave(mechanism)[:, None] * np.eye(2)[:, None]
+    axes = axes.reshape(2, -1)
+    grip, give_m = _grip(arm, mechanism, command_rad)
+    unloaded_n = solve_equilibrium(mechanism, command_rad).tensions_n
+    wanted_m = _LOADED * unloaded_n * np.sinh(grip) / mechanism.stiffness_n_m + give_m
+    per_wave = float(np.max(wanted_m[:, None] / _motion_m(mechanism, command_rad, axes)))
+    largest_wave = float(np.abs(axes).max())
+    least_rad = max(per_wave * largest_wave, _LEAST_RAD) if grip.any() else 0.0
+    amplitude = amplitude_rad or least_rad
+    if not amplitude:
+        raise BreathError(
+            f"arm {arm.name} lists no capstan_friction, so the least amplitude that turns its "
+            "guides is unknown; add the effect to the arm file, or give an amplitude"
+        )
+    if amplitude > MOST_RAD:
+        raise BreathError(
+            f"no breath of arm {arm.name}: to turn every guide a joint would swing by "
+            f"{np.degrees(amplitude):.2f} degrees, more than {np.degrees(MOST_RAD):g}; less "
+            "friction or stiffer cables need less"
+        )
+    circle = Circle(axes * (amplitude / largest_wave), 0.0, least_rad)
+    poses = command_rad + np.array([circle.at(k / _PHASES) for k in range(_PHASES)])
+    _require_taut(mechanism, poses, grip)
+    moved_m = np.linalg.norm(tip_m(mechanism, poses) - tip_m(mechanism, command_rad), axis=-1)
+    farthest_m = float(moved_m.max())
+    if 0.0 < largest_tip_m < farthest_m:
+        raise BreathError(
+            f"a breath of {np.degrees(amplitude):.2f} degrees moves the tip by "
+            f"{1e3 * farthest_m:.2f} mm, more than {1e3 * largest_tip_m:g}; allow that, or give a "
+            "smaller amplitude"
+        )
+    return Circle(circle.axes_rad, farthest_m, least_rad)
+
+
+def offsets_m(arm: Arm, command_rad: Array, deviation_rad: Array) -> Array:
+    """(M,) by how much cables are longer at a deviation (2N,) from a command."""
+    mechanism = mechanism_of(arm)
+    there, here = command_rad + deviation_rad, command_rad
+    return held_lengths_m(mechanism, there) - held_lengths_m(mechanism, here)
+
+
+def tip_m(mechanism: Mechanism, angles_rad: Array) -> Array:
+    """(..., 3) where the end of the last segment is at joint angles (..., 2N)."""
+    last = kinematics.joint_positions_m(mechanism, angles_rad)[..., -1, :]
+    along = kinematics.segment_rotations(mechanism, angles_rad)[..., -1, :, 0]
+    return np.asarray(last + mechanism.segment_length_m[-1] * along)
+
+
+def _wave(mechanism: Mechanism) -> Array:
+    """(N,) how far each joint turns.
+
+    By how much each segment has turned then, all joints before it added up, differs from segment
+    to segment and is nowhere zero, so that every cable moves at every guide; weighted with the
+    lengths it adds up to zero, so that the tip of the straight arm stays.
+    """
+    count = mechanism.segment_count
+    if count == 1:
+        return np.ones(1)
+    pairs: Sequence[float] = [1.0, 2.0, -3.0] if count % 2 else []
+    sizes = np.arange(1.0, (count - len(pairs)) // 2 + 1) + (3.0 if pairs else 0.0)
+    turned = np.array([*sizes[::-1], *pairs, *-sizes])
+    turned *= mechanism.segment_length_m.mean() / mechanism.segment_length_m
+    return np.diff(turned, prepend=0.0)
+
+
+def _grip(arm: Arm, mechanism: Mechanism, command_rad: Array) -> tuple[Array, float]:
+    """(M,) the μ θ of each cable's guides together, and what it gives before it slips, m."""
+    passed = mechanism.cable_segment[:, None] > np.arange(mechanism.segment_count)
+    bends_rad = passed @ kinematics.bend_rad(command_rad) + _LOADED_BEND_RAD
+    grip, give_m = np.zeros(mechanism.cable_count), 0.0
+    for entry in entries_of(arm):
+        if entry.effect.name == "capstan_friction":
+            values = entry.values
+            grip += values["coefficient"] * (bends_rad + values["pulley_wrap_rad"])
+            give_m = max(give_m, values["give_m"])
+    return grip, give_m
+
+
+def _motion_m(mechanism: Mechanism, command_rad: Array, axes_rad: Array) -> Array:
+    """(M, N) amplitude of each cable at the guides of each joint; infinite where it has none."""
+    jacobian = kinematics.cable_jacobian_m(mechanism, command_rad)
+    by_joint = (jacobian * axes_rad[:, None]).reshape(2, len(jacobian), -1, 2).sum(-1)
+    beyond = np.hypot(*by_joint[..., ::-1].cumsum(-1)[..., ::-1])
+    passed = mechanism.cable_segment[:, None] > np.arange(beyond.shape[-1])
+    return np.where(passed, beyond, np.inf)
+
+
+def _require_taut(mechanism: Mechanism, poses_rad: Array, grip: Array) -> None:
+    lowest_n = solve_equilibrium(mechanism, poses_rad).tensions_n.min(0) * np.exp(-2.0 * grip)
+    worst = int(np.argmin(lowest_n))
+    if lowest_n[worst] < _SLACK_N:
+        raise BreathError(
+            f"no breath here: it would leave cable_{worst + 1} with {lowest_n[worst]:.1f} N, as "
+            f"good as slack (below {_SLACK_N:g} N); more pretension, or another pose, allows it"
+        )

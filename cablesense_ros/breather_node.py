@@ -1,0 +1,167 @@
+"""The `breather` node: moves the arm a little on purpose, so that friction shows what it hides."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from cablesense_base import Array, CableSenseError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.messages import (
+    BREATH_END,
+    Level,
+    NamedOrder,
+    Status,
+    breath_frame,
+    breath_turn,
+    joint_command_rad,
+    put_joint_angles,
+)
+from cablesense_msgs_py.qos import COMMAND
+from cablesense_online.breathing import (
+    SET_POINTS_A_TURN,
+    Breath,
+    BreathError,
+    breath_circle,
+    offsets_m,
+)
+from cablesense_ros.node_process import RefusalLog, overridable, publish_diagnostics, run_node
+from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_sim.arm import open_arm
+
+_WAYS = (topics.JOINT_COMMANDS, topics.CABLE_OFFSETS)
+
+
+class BreatherNode(Node):
+    """Breathes about the last command of others: once on request, or all the time."""
+
+    def __init__(self) -> None:
+        super().__init__("breather")
+        self._given = given = declare_parameters(self, parameter_table("breather"))
+        if given["over"] not in _WAYS:
+            raise ParameterError(
+                f"parameter over is {given['over']!r}; it must be {' or '.join(_WAYS)}"
+            )
+        self._arm = arm = open_arm(given["arm"])
+        self._joints = NamedOrder(arm.joint_names, "joints")
+        self._by_joints = given["over"] == topics.JOINT_COMMANDS
+        names = arm.joint_names if self._by_joints else arm.cable_names
+        self._message = JointState(name=list(names))
+        self._base_rad: Array | None = None
+        if not given["await_command"]:
+            self._base_rad = np.zeros(arm.joint_count)
+        self._commanded_ns = self._due_ns = 0
+        self._breath: Breath | None = None
+        self._problem, self._count = "", 0
+        self._tick_ns = round(given["turn_s"] * 1e9 / SET_POINTS_A_TURN)
+        self._out = self.create_publisher(JointState, given["over"], **overridable(COMMAND))
+        self._refuse = RefusalLog(self)
+        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
+        self.create_service(Trigger, topics.BREATHE, self._on_request)
+        self.create_timer(0.5e-9 * self._tick_ns, self._tick)
+        publish_diagnostics(self, self._statuses, lambda: arm.identity)
+        self.get_logger().info(f"arm {arm.identity}: breathes over {given['over']}")
+
+    def destroy_node(self) -> None:
+        """Leaves the arm where it was commanded."""
+        if self._breath is not None:
+            self._send(np.zeros(self._arm.joint_count), BREATH_END, self._now_ns())
+        super().destroy_node()
+
+    def _on_command(self, message: JointState) -> None:
+        if breath_turn(message) is not None:
+            return
+        command_rad = joint_command_rad(message, self._joints)
+        if self._base_rad is not None and np.array_equal(command_rad, self._base_rad):
+            return
+        self._base_rad, self._commanded_ns = command_rad, self._now_ns()
+        if self._breath is not None:
+            self._breath = None
+            self._send(np.zeros(self._arm.joint_count), BREATH_END, self._commanded_ns)
+            self._problem = "the last breath was cut short by a command"
+
+    def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            if self._breath is not None:
+                raise BreathError("the arm is breathing already; wait until it has ended")
+            response.message = self._begin(self._given["turns"])
+            response.success = True
+        except CableSenseError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _begin(self, turns: int) -> str:
+        """Begin to breathe, with so many turns; gives by how much, as text.
+
+        Raises:
+            CableSenseError: there is no breath for this arm here, or not now.
+        """
+        given = self._given
+        if self._base_rad is None:
+            raise BreathError(
+                f"no command on {topics.JOINT_COMMANDS} yet, so the pose to breathe about is "
+                "unknown; send the one that the arm is at"
+            )
+        waited_s = 1e-9 * (self._now_ns() - self._commanded_ns)
+        if waited_s < given["rest_s"]:
+            raise BreathError(
+                f"commanded {waited_s:.1f} s ago; a breath begins {given['rest_s']:g} s after a "
+                "command (rest_s) at the earliest"
+            )
+        limits = given["amplitude_rad"], 1e-3 * given["largest_tip_mm"]
+        circle = breath_circle(self._arm, self._base_rad, *limits)
+        self._breath, self._due_ns = Breath(circle, turns), self._now_ns()
+        self._problem = ""
+        return (
+            f"joints turn by up to {np.degrees(circle.largest_rad):.2f} degrees, the tip by "
+            f"{1e3 * circle.tip_m:.2f} mm"
+        )
+
+    def _tick(self) -> None:
+        now_ns = self._now_ns()
+        if self._breath is None and self._given["continuous"]:
+            try:
+                self._begin(0)
+            except CableSenseError as error:
+                self._problem = str(error)
+        latest = None
+        while self._breath is not None and self._due_ns <= now_ns:
+            latest = *self._breath.next(), self._due_ns
+            self._due_ns += self._tick_ns
+            if self._breath.over:
+                self._breath, self._count = None, self._count + 1
+        if latest is not None:
+            self._send(*latest)
+
+    def _send(self, deviation_rad: Array, turn: int, stamp_ns: int) -> None:
+        message, base_rad = self._message, self._base_rad
+        assert base_rad is not None  # or there would be no breath
+        message.header.frame_id = breath_frame(turn)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        if self._by_joints:
+            put_joint_angles(message, base_rad + deviation_rad)
+        else:
+            put_joint_angles(message, offsets_m(self._arm, base_rad, deviation_rad))
+        self._out.publish(message)
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _statuses(self) -> list[Status]:
+        values = {"breaths": str(self._count), "over": self._given["over"]}
+        if self._problem:
+            return [Status("breathing", Level.WARN, self._problem, values)]
+        message = "at rest" if self._breath is None else "breathing"
+        return [Status("breathing", Level.OK, message, values)]
+
+
+main = partial(run_node, BreatherNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""An arm with friction that breathes, with real nodes: forces as if there were no friction."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ros_graph import Graph, NodeProcess, force
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+
+@pytest.fixture
+def graph():
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+@pytest.fixture(params=["joint_commands", "cable_offsets"])
+def arm(request, graph):
+    """Sim, estimator and breather, which have found each other."""
+    settings = {"arm": "cdsm_friction"}
+    nodes = [
+        NodeProcess("cablesense_ros.sim_node", **settings, seed=1),
+        NodeProcess(
+            "cablesense_ros.estimator_node",
+            **settings,
+            model="cdsm",
+            await_breath=True,
+            stale_after_s=1.0,
+        ),
+        NodeProcess(
+            "cablesense_ros.breather_node",
+            **settings,
+            over=request.param,
+            await_command=False,
+            rest_s=0.0,
+            turn_s=1.5,
+        ),
+    ]
+    yield nodes
+    for node in nodes:
+        assert node.stop() == 0, node.log
+        assert "Traceback" not in node.log
+
+
+def status(graph, name):
+    found = graph.statuses.get(name)
+    return found.message if found else ""
+
+
+def breaths(graph):
+    found = graph.statuses.get("breather: breathing")
+    return found and {value.key: value.value for value in found.values}["breaths"]
+
+
+def further(graph, before):
+    return breaths(graph) not in (None, before)
+
+
+def breathed(graph):
+    """The wrench after one breath; a machine that is busy may lose samples of one."""
+    for _ in range(5):
+        graph.until(lambda: breaths(graph), "the breather's diagnostics")
+        before = breaths(graph)
+        answer = graph.call("/breather/breathe")
+        assert answer.success, answer.message
+        graph.until(partial(further, graph, before), "a breath")
+        graph.statuses.clear()
+        graph.until(lambda: shown(graph), "what it shows")
+        if "breathed" in shown(graph):
+            break
+    assert "breathed" in shown(graph)
+    graph.wrenches.clear()
+    graph.until(lambda: len(graph.wrenches) > 20, "estimates")
+    return graph.wrenches[-1]
+
+
+def shown(graph):
+    message = status(graph, "estimator: breathing")
+    return message if "breathed" in message or "samples" in message else ""
+
+
+def test_after_a_breath_forces_are_those_without_friction(graph, arm):
+    graph.until(lambda: len(graph.wrenches) > 10, "estimates")
+    breathed(graph)
+    graph.until(lambda: status(graph, "estimator: tare").startswith("tared"), "the tare")
+    graph.push(3, (0.0, 30.0, -10.0))
+    graph.spin(1.0)
+    wrench = breathed(graph)
+    assert wrench.header.frame_id == "segment_3"
+    np.testing.assert_allclose(force(wrench), (0.0, 30.0, -10.0), atol=0.6)
+    graph.push(3, (0.0, 0.0, 0.0))
+    graph.spin(1.0)
+    assert np.linalg.norm(force(breathed(graph))) < 0.5
