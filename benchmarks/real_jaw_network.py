@@ -1,8 +1,9 @@
 """A small recurrent network that tells the jaw's torque from the drive's signals.
 
-What it sees of each sample are the drive's torque, motor current and angle, and the stops of the
-angle at ten radii, which hold what friction remembers of the course. Its own states are averages
-whose weights it chooses from what it sees,
+What it sees of each sample are the drive's torque, motor current and angle, the torque that the
+amended physics gives, and the stops of the angle at ten radii, which hold what friction keeps of
+the course. It is trained on simulations by the amended physics, then on the recordings. Its own
+states are averages whose weights it chooses from what it sees,
 
     h <- h + g (m - h),    0 < g < 1,
 
@@ -18,14 +19,15 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from real_jaw_baselines import RADII_RAD, stops
-from real_jaw_recordings import JawRecording
+from real_jaw_physics import STRIDE, PhysicsEstimator
+from real_jaw_recordings import JawRecording, reference
 from torch import Tensor, nn
 
 from cablesense_base import Array
 
-STRIDE = 5
+_SIMULATED = 48
 _HIDDEN, _STATES = 48, 12
-_BATCH = 25
+_BATCH, _WINDOW = 16, 200
 _DECAY = 1e-4
 
 
@@ -66,29 +68,39 @@ def scan(kept: Tensor, added: Tensor) -> Tensor:
 
 
 class NetworkEstimator:
-    """The network with the scales of its tool's signals."""
+    """The network beside the physics of its tool, with the scales of the tool's signals."""
 
     def __init__(
-        self, recordings: Sequence[JawRecording], steps: int = 1500, seed: int = 0
+        self,
+        recordings: Sequence[JawRecording],
+        physics: PhysicsEstimator,
+        steps: int = 1000,
+        seed: int = 0,
     ) -> None:
-        """Train on recordings of one tool or several."""
-        self._steps, self._seed = steps, seed
+        """Train on recordings of the tool that `physics` is of, and of others with their own."""
+        self._physics, self._steps, self._seed = physics, steps, seed
         torch.manual_seed(seed)
-        self._network = HeldAverages(3 + len(RADII_RAD))
-        self._train(recordings, steps, 5e-3)
+        self._network = HeldAverages(4 + len(RADII_RAD))
+        own = reference(recordings)
+        self._train([self._scaled(physics.simulated(own, _SIMULATED, seed))], steps // 2, 5e-3)
+        sequences = [self._scaled(own)]
+        for tool in {r.tool: None for r in recordings if r.tool != own[0].tool}:
+            others = [r for r in recordings if r.tool == tool]
+            sequences.append(self._beside(physics.adapted(others))._scaled(others))
+        self._train(sequences, steps, 5e-3)
 
     def adapted(self, recordings: Sequence[JawRecording]) -> NetworkEstimator:
-        """The network with the scales of another tool, trained on with its recordings."""
-        other = copy.deepcopy(self)
+        """The network beside the physics of another tool, trained on with its recordings."""
+        other = self._beside(self._physics.adapted(recordings))
         torch.manual_seed(self._seed)
-        other._train(recordings, self._steps // 5, 2e-3)
+        other._train([other._scaled(recordings)], self._steps // 5, 2e-3)
         return other
 
     def torques_nm(self, recordings: Sequence[JawRecording]) -> list[Array]:
         """The jaw's torque (T,) in each recording."""
         told = []
-        for recording in recordings:
-            signals, torque = _signals(recording), np.empty(len(recording.drive_angle_rad))
+        for signals in self._signals(recordings):
+            torque = np.empty(len(signals))
             for phase in range(STRIDE):
                 sequence = torch.tensor(signals[None, phase::STRIDE], dtype=torch.float32)
                 with torch.no_grad():
@@ -97,41 +109,56 @@ class NetworkEstimator:
             told.append(torque)
         return told
 
-    def _train(self, recordings: Sequence[JawRecording], steps: int, rate: float) -> None:
-        signals, torque = _sequences(recordings)
-        self._mean, self._scale = signals.mean((0, 1)), signals.std((0, 1))
-        self._torque_mean, self._torque_scale = torque.mean(), torque.std()
-        signals = (signals - self._mean) / self._scale
-        torque = (torque - self._torque_mean) / self._torque_scale
+    def _beside(self, physics: PhysicsEstimator) -> NetworkEstimator:
+        other = copy.deepcopy(self)
+        other._physics = physics
+        return other
+
+    def _train(self, sequences: Sequence[tuple[Tensor, Tensor]], steps: int, rate: float) -> None:
+        length = min(signals.shape[1] for signals, _ in sequences)
+        signals = torch.cat([seen[:, :length] for seen, _ in sequences])
+        torque = torch.cat([answer[:, :length] for _, answer in sequences])
         weights = list(self._network.parameters())
         optimiser = torch.optim.AdamW(weights, rate, weight_decay=_DECAY)
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
         for _ in range(steps):
-            drawn = torch.randint(len(signals), (min(_BATCH, len(signals)),))
-            loss = ((self._network(signals[drawn]) - torque[drawn]) ** 2).mean()
+            drawn = torch.randint(len(signals), (_BATCH,))
+            # a third of the windows begin where the recordings do
+            first = max(0, int(torch.randint(-_WINDOW // 2, max(length - _WINDOW, 1), ())))
+            window = slice(first, first + _WINDOW)
+            told = self._network(signals[drawn, window])
+            loss = ((told - torque[drawn, window]) ** 2).mean()
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(weights, 1.0)
             optimiser.step()
             schedule.step()
 
+    def _scaled(self, recordings: Sequence[JawRecording]) -> tuple[Tensor, Tensor]:
+        """Signals (B, T, C) and torques (B, T) at 20 Hz in scales that are taken from them.
 
-def _sequences(recordings: Sequence[JawRecording]) -> tuple[Tensor, Tensor]:
-    """Signals (B, T, C) and torques (B, T) at 20 Hz, cut to the shortest recording."""
-    length = min(len(r.drive_angle_rad) for r in recordings) // STRIDE
-    signals, torques = [], []
-    for recording in recordings:
-        seen = _signals(recording)
-        for phase in range(STRIDE):
-            signals.append(seen[phase::STRIDE][:length])
-            torques.append(recording.jaw_torque_nm[phase::STRIDE][:length])
-    return (
-        torch.tensor(np.array(signals), dtype=torch.float32),
-        torch.tensor(np.array(torques), dtype=torch.float32),
-    )
+        Recordings are cut to the shortest.
+        """
+        length = min(len(r.drive_angle_rad) for r in recordings) // STRIDE
+        seen, answers = [], []
+        for recording, each in zip(recordings, self._signals(recordings), strict=True):
+            for phase in range(STRIDE):
+                seen.append(each[phase::STRIDE][:length])
+                answers.append(recording.jaw_torque_nm[phase::STRIDE][:length])
+        signals = torch.tensor(np.array(seen), dtype=torch.float32)
+        torque = torch.tensor(np.array(answers), dtype=torch.float32)
+        self._mean, self._scale = signals.mean((0, 1)), signals.std((0, 1))
+        self._torque_mean, self._torque_scale = torque.mean(), torque.std()
+        return (
+            (signals - self._mean) / self._scale,
+            (torque - self._torque_mean) / self._torque_scale,
+        )
 
-
-def _signals(recording: JawRecording) -> Array:
-    """(T, C) what the network sees."""
-    measured = [recording.drive_torque_nm, recording.motor_current_a, recording.drive_angle_rad]
-    return np.hstack([np.stack(measured, axis=1), stops(recording.drive_angle_rad)])
+    def _signals(self, recordings: Sequence[JawRecording]) -> list[Array]:
+        """(T, C) what the network sees of each recording."""
+        seen = []
+        for recording, told in zip(recordings, self._physics.torques_nm(recordings), strict=True):
+            angle, torque = recording.drive_angle_rad, recording.drive_torque_nm
+            measured = np.stack([torque, recording.motor_current_a, angle, told], axis=1)
+            seen.append(np.hstack([measured, stops(angle)]))
+        return seen

@@ -33,13 +33,14 @@ class JawRecordingError(CableSenseError):
     """A folder of recordings that cannot be used."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JawRecording:
     """One course of the drive against one level of the jaw's brake, T samples at 100 Hz.
 
     Attributes:
         name: of its file.
         tool: the mechanism that it was recorded on.
+        frequency_hz: of the drive's sine.
         brake_percent: nominal level of the brake.
         drive_angle_rad: (T,) at the spindle, as are the drive's torque and its motor's current.
         jaw_angle_rad: (T,) at the jaw; no estimator uses it.
@@ -48,6 +49,7 @@ class JawRecording:
 
     name: str
     tool: str
+    frequency_hz: float
     brake_percent: float
     drive_angle_rad: Array
     drive_torque_nm: Array
@@ -57,7 +59,7 @@ class JawRecording:
 
 
 class Part(NamedTuple):
-    """Recordings of one tool to test on; none to adapt to where the tool is known."""
+    """Recordings of one tool to adapt to, none for that which was trained on, and to test on."""
 
     tool: str
     adapt: tuple[JawRecording, ...]
@@ -73,14 +75,28 @@ def read_recordings(folder: str | Path) -> list[JawRecording]:
     """
     folder = Path(folder)
     index = _table(folder / "index.csv", INDEX_COLUMNS)
+    if (index.frequency_hz <= 0.0).any():
+        raise JawRecordingError(f"{folder / 'index.csv'}: frequency_hz is to be positive")
     if index.empty:
         raise JawRecordingError(
             f"{folder / 'index.csv'}: no recordings; one line each is expected"
         )
     return [
-        _recording(folder / f"{row.recording}.csv.gz", str(row.folder), row.brake_percent)
+        _recording(
+            folder / f"{row.recording}.csv.gz",
+            str(row.folder),
+            float(row.frequency_hz),
+            float(row.brake_percent),
+        )
         for row in index.itertuples()
     ]
+
+
+def reference(recordings: Sequence[JawRecording]) -> list[JawRecording]:
+    """Those of the tool with most levels of the brake."""
+    tools = dict.fromkeys(r.tool for r in recordings)
+    tool = max(tools, key=lambda tool: len(_levels(recordings, tool)))
+    return [r for r in recordings if r.tool == tool]
 
 
 def split(
@@ -88,47 +104,42 @@ def split(
 ) -> tuple[list[JawRecording], list[Part]]:
     """What to train on, and the parts to test on, tool by tool.
 
-    Without recordings to test on, the tool with most levels of the brake is the one to train on,
-    on its 1st, 3rd, 5th … level, and to test on the levels between. Of every other tool, `adapt`
+    Without recordings to test on, the reference tool is the one to train on, on its 1st, 3rd and
+    5th … level of the brake, and to test on the levels between. A tool that was trained on needs
+    no adapting, or has its own to adapt to where it is not the reference. Of any other, `adapt`
     recordings evenly spread over the index are those to adapt to, and the rest is tested.
 
     Raises:
         JawRecordingError: too few recordings of a tool to adapt to and to test on.
     """
-    parts = []
+    if adapt < 0:
+        raise JawRecordingError(f"{adapt} recordings to adapt to; none or more are possible")
+    parts, own = [], reference(train)
     if test is None:
-        tools = list(dict.fromkeys(r.tool for r in train))
-        reference = max(tools, key=lambda tool: len(_levels(train, tool)))
-        levels = _levels(train, reference)
+        levels = _levels(own, own[0].tool)
         if len(levels) < 2:
             raise JawRecordingError(
-                f"{reference} has one level of the brake; two are needed to test on another one, "
-                "or recordings to test on"
+                f"{own[0].tool} has one level of the brake; two are needed to test on another "
+                "one, or recordings to test on"
             )
-        own = [r for r in train if r.tool == reference]
-        between = tuple(r for r in own if r.brake_percent in levels[1::2])
-        parts.append(Part(reference, (), between))
-        test = [r for r in train if r.tool != reference]
+        test = [r for r in train if r not in own]
         train = [r for r in own if r.brake_percent in levels[::2]]
-    known = {r.tool for r in train}
+        parts.append(Part(own[0].tool, (), tuple(r for r in own if r not in train)))
     for tool in dict.fromkeys(r.tool for r in test):
-        own = [r for r in test if r.tool == tool]
-        if tool in known or not adapt:
-            parts.append(Part(tool, (), tuple(own)))
-            continue
-        if len(own) <= adapt:
+        tested = [r for r in test if r.tool == tool]
+        known = [r for r in train if r.tool == tool]
+        if known or not adapt:
+            known = [] if tool == own[0].tool else known
+        elif len(tested) > adapt:
+            spread = np.linspace(0, len(tested) - 1, adapt).round().astype(int)
+            known = [tested[k] for k in spread]
+            tested = [r for r in tested if r not in known]
+        else:
             raise JawRecordingError(
-                f"{tool} has {len(own)} recordings; {adapt} to adapt to and one to test on are "
+                f"{tool} has {len(tested)} recordings; {adapt} to adapt to and one to test on are "
                 "needed"
             )
-        chosen = set(np.linspace(0, len(own) - 1, adapt).round().astype(int))
-        parts.append(
-            Part(
-                tool,
-                tuple(r for k, r in enumerate(own) if k in chosen),
-                tuple(r for k, r in enumerate(own) if k not in chosen),
-            )
-        )
+        parts.append(Part(tool, tuple(known), tuple(tested)))
     return list(train), parts
 
 
@@ -136,13 +147,14 @@ def _levels(recordings: Sequence[JawRecording], tool: str) -> list[float]:
     return sorted({r.brake_percent for r in recordings if r.tool == tool})
 
 
-def _recording(path: Path, tool: str, brake_percent: float) -> JawRecording:
+def _recording(path: Path, tool: str, frequency_hz: float, brake_percent: float) -> JawRecording:
     table = _table(path, COLUMNS)
     values = {name: table[name].to_numpy(float) for name in COLUMNS}
     time_s = values.pop("time_s")
     if len(time_s) < 2 or np.abs(np.diff(time_s) - SAMPLE_S).max() > 0.1 * SAMPLE_S:
         raise JawRecordingError(f"{path}: time_s is not evenly spaced by {SAMPLE_S} s")
-    return JawRecording(path.name.removesuffix(".csv.gz"), tool, float(brake_percent), **values)
+    name = path.name.removesuffix(".csv.gz")
+    return JawRecording(name, tool, frequency_hz, brake_percent, **values)
 
 
 def _table(path: Path, columns: Sequence[str]) -> pd.DataFrame:

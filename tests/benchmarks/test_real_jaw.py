@@ -18,7 +18,8 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import real_jaw  # noqa: E402
 from real_jaw_baselines import Regression, load_proportional, stops  # noqa: E402
-from real_jaw_network import NetworkEstimator, scan  # noqa: E402
+from real_jaw_network import scan  # noqa: E402
+from real_jaw_physics import PhysicsEstimator  # noqa: E402
 from real_jaw_recordings import (  # noqa: E402
     COLUMNS,
     JawRecordingError,
@@ -26,7 +27,6 @@ from real_jaw_recordings import (  # noqa: E402
     split,
 )
 
-QUICK = real_jaw.ESTIMATORS | {"network with memory": partial(NetworkEstimator, steps=20)}
 CONSTANT_NM, PROPORTIONAL, GAIN = 0.04, 0.4, 0.9
 
 
@@ -132,10 +132,8 @@ def test_the_scan_is_the_recursion(length):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", QUICK)
-def test_no_answer_depends_on_what_comes_after_or_on_what_the_jaw_measures(tmp_path, name):
+def test_no_answer_depends_on_what_comes_after_or_on_what_the_jaw_measures(tmp_path):
     recordings = read_recordings(write_folder(tmp_path))
-    estimator = QUICK[name](recordings[:3])
     whole = recordings[3]
     begun = replace(
         whole,
@@ -145,15 +143,17 @@ def test_no_answer_depends_on_what_comes_after_or_on_what_the_jaw_measures(tmp_p
         jaw_angle_rad=np.zeros(250),
         jaw_torque_nm=np.zeros(250),
     )
-    one, other = estimator.torques_nm([whole, begun])
-    np.testing.assert_allclose(one[:250], other, atol=1e-5)
+    physics = PhysicsEstimator(recordings[:3])
+    for name, estimator in real_jaw.trained(recordings[:3], physics, steps=20).items():
+        one, other = estimator.torques_nm([whole, begun])
+        np.testing.assert_allclose(one[:250], other, atol=1e-5, err_msg=name)
 
 
 @pytest.mark.slow
 def test_the_command_prints_errors_by_recording_and_in_all(tmp_path, monkeypatch, capsys):
     folder = str(write_folder(tmp_path, ("a", "b"), (20, 40, 60)))
     options = ["--train", folder, "--test", folder, "--adapt", "2", "--json"]
-    monkeypatch.setattr(real_jaw, "ESTIMATORS", QUICK)
+    monkeypatch.setattr(real_jaw, "trained", partial(real_jaw.trained, steps=20))
     monkeypatch.setattr(sys, "argv", ["real_jaw.py", *options])
     real_jaw.main()
     estimators = json.loads(capsys.readouterr().out)["estimators"]
