@@ -269,8 +269,8 @@ def problem_of(recordings: Sequence[JawRecording], by: Signs | None = None) -> P
     readings = simulator.rows("drive_torque_nm")
     count, length = readings.shape
     trial = np.repeat(np.arange(count), length)
-    levels = sorted({r.brake_percent for r in recordings})
-    fold = np.array([levels.index(r.brake_percent) for r in recordings])
+    levels = np.unique([r.brake_percent for r in recordings], return_inverse=True)[1]
+    fold = levels if levels.any() else np.arange(count)
     used = np.tile(np.arange(length) >= _ROWS_PER_PERIOD // 2, count)
     return prepare(simulator, readings.reshape(-1, 1), trial, fold, used)
 

@@ -157,7 +157,8 @@ class PhysicsEstimator:
         self.values: dict[Term, float] = amended(fitted)
         load = self.signs.jaw * np.concatenate([r.jaw_torque_nm for r in recordings])
         self._usual_nm, self._spread_nm = float(load.mean()), float(load.std())
-        self._noise_nm = fitted.held_out_rmse
+        left = (problem.readings - fitted.prediction)[problem.used]
+        self._noise_nm = float(np.sqrt((left**2).mean()))
 
 
 def _current(recordings: Sequence[JawRecording]) -> tuple[Array, float]:
