@@ -17,7 +17,7 @@ from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Transmission
-from cablesense_sim.effects.registry import EffectEntry, known_effects, transmissions
+from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay, reading_variance_n2
 
@@ -60,16 +60,10 @@ class ArmSimulator:
         try:
             entries = [[*self._listed, *entries_from(variant)] for variant in variants]
             return self._replay.readings_n(entries, borne)
-        except EquilibriumError as error:
+        except EquilibriumError:
             if len(variants) == 1:
                 return np.full((1, *self._shape), np.nan)
-            if not transmissions(entries):
-                return np.concatenate([self.predict([variant]) for variant in variants])
-            found = np.full((len(variants), *self._shape), np.nan)
-            borne_by = np.setdiff1d(np.arange(len(variants)), error.failed)
-            if borne_by.size:
-                found[borne_by] = self.predict([variants[arm] for arm in borne_by])
-            return found
+            return np.concatenate([self.predict([variant]) for variant in variants])
 
 
 def entries_from(variant: Assignment) -> list[EffectEntry]:

@@ -50,14 +50,21 @@ class _Pose(NamedTuple):
 class QuasiStaticArm:
     """P arms from rest to rest; holds their state."""
 
-    def __init__(self, mechanisms: Sequence[Mechanism], variants: Variants) -> None:
-        """Arms of the amended `mechanisms`, with what of each variant depends on the past."""
+    def __init__(
+        self, mechanisms: Sequence[Mechanism], variants: Variants, *, some_may_fail: bool = False
+    ) -> None:
+        """Arms of the amended `mechanisms`, with what of each variant depends on the past.
+
+        Where some may fail, one without a rest has tensions NaN from then on, and the others go
+        on without it.
+        """
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
         self._transmissions = transmissions(variants)
         self._angles_rad = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, self._angles_rad).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
+        self._some_may_fail, self._lost = some_may_fail, np.zeros(len(self._each), dtype=bool)
         self._begun = False
         self._last: tuple[Array, Array, _Pose] | None = None
 
@@ -95,13 +102,24 @@ class QuasiStaticArm:
         self._longer_m = longer_m
         rest_m = rest_m + longer_m
         self._hold(rest_m)
-        pose = self._next(rest_m, kinematics.load_arms(self._mechanism, forces))
-        self._require_room(pose.angles_rad)
+        arms = kinematics.load_arms(self._mechanism, forces)
+        while True:
+            try:
+                pose = self._next(rest_m, arms)
+                self._require_room(pose.angles_rad)
+                break
+            except EquilibriumError as error:
+                self._lose(error)
         self._angles_rad = pose.angles_rad
         rest = Rest(time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n)
         for transmission in self._transmissions:
             transmission.settle(rest)
-        return pose.tensions_n
+        return np.where(self._lost[:, None], np.nan, pose.tensions_n)
+
+    def _lose(self, error: EquilibriumError) -> None:
+        if not self._some_may_fail:
+            raise error
+        self._lost[error.failed] = True
 
     def _hold(self, rest_m: Array) -> None:
         for transmission in self._transmissions:
@@ -166,25 +184,23 @@ class QuasiStaticArm:
 
     def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
         """The state begins where an arm without history-dependent effects would rest."""
-        straight = np.zeros_like(self._angles_rad)
-        if all(mechanism is self._each[0] for mechanism in self._each):
-            found = solve_equilibrium(self._each[0], straight, forces_n, held_m=held_m)
-            self._angles_rad, tensions = found.joint_angles_rad, found.tensions_n
-        else:
-            cases = zip(self._each, straight, forces_n, held_m, strict=True)
-            rests = []
-            for arm, (mechanism, start, force, held) in enumerate(cases):
-                try:
-                    rests.append(solve_equilibrium(mechanism, start, force, held_m=held))
-                except EquilibriumError as error:
-                    raise EquilibriumError(str(error), np.array([arm])) from error
-            self._angles_rad = np.stack([r.joint_angles_rad for r in rests])
-            tensions = np.stack([r.tensions_n for r in rests])
+        self._angles_rad = np.zeros_like(self._angles_rad)
+        tensions = np.broadcast_to(self._mechanism.pretension_n, held_m.shape).copy()
+        alike = all(mechanism is self._each[0] for mechanism in self._each)
+        sets = [slice(None)] if alike else [slice(arm, arm + 1) for arm in range(len(self._each))]
+        for arms in sets:
+            start, forces, held = self._angles_rad[arms], forces_n[arms], held_m[arms]
+            try:
+                rest = solve_equilibrium(self._each[arms][0], start, forces, held_m=held)
+            except EquilibriumError as error:
+                self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
+                continue
+            self._angles_rad[arms], tensions[arms] = rest.joint_angles_rad, rest.tensions_n
         span = kinematics.spans(self._mechanism, self._angles_rad)
         bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
-        rest = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
+        begun = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
         for transmission in self._transmissions:
-            transmission.begin(self._mechanism, rest)
+            transmission.begin(self._mechanism, begun)
         self._begun = True
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
@@ -228,6 +244,7 @@ class QuasiStaticArm:
     def _require_room(self, angles_rad: Array) -> None:
         """No joint bent so far that guide plates would have met before."""
         bend, limit = kinematics.bend_rad(angles_rad), self._mechanism.bend_limit_rad
+        bend = np.where(self._lost[:, None], 0.0, bend)
         if (bend < limit).all():
             return
         arm, joint = np.unravel_index(int(np.argmax(bend - limit)), bend.shape)
@@ -256,6 +273,7 @@ class QuasiStaticArm:
             if resisted is not None:
                 torque += resisted[0]
                 slope[..., diagonal, diagonal] += resisted[1]
+        torque[self._lost], slope[self._lost] = 0.0, np.eye(angles.shape[-1])
         by_run = pull.by_length_n_m[..., 1:, 0]
         return _Pose(angles, span, chain, bends, tension, by_run, torque, slope)
 

@@ -51,7 +51,7 @@ class Replay:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
 
         Where `unborne_n` (R, M) is given, it stands for the tensions of samples that a
-        memoryless arm cannot bear.
+        memoryless arm cannot bear; one that is history-dependent reads NaN from there on.
 
         Raises:
             EquilibriumError: an arm finds no rest.
@@ -60,7 +60,7 @@ class Replay:
         held = np.repeat(self._held_m[None], len(variants), axis=0)
         held = self._through(actuations(variants), held)
         if transmissions(variants):
-            arm = QuasiStaticArm(mechanisms, variants)
+            arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
             rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
             tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
         else:

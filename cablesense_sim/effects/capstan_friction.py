@@ -17,6 +17,9 @@ from cablesense_sim.effects.effect import (
 )
 from cablesense_sim.mechanism import Mechanism
 
+_LOCKED = 3.0
+"""A ratio of tensions of exp(3) at one guide is none that a cable reaches before it breaks."""
+
 
 class CapstanFriction(Effect):
     """Cables that stick and slip at their guides, with tensions apart by at most exp(μ θ).
@@ -108,4 +111,5 @@ class _Guides(Transmission):
         wraps = bends_rad[..., 0].copy()
         wraps[..., 1:] += bends_rad[..., :-1, 1] + self._values["guide_wrap_rad"][:, None, None]
         wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
-        return np.asarray(self._values["coefficient"][:, None, None] * wraps)
+        limit = self._values["coefficient"][:, None, None] * wraps
+        return np.minimum(limit, _LOCKED)
