@@ -87,6 +87,7 @@ class _Fit:
         self._precision = np.concatenate([np.ones(self._tolerances), self._prior])
         self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
+        self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
 
     def run(self, starts: Array, most_steps: int, most_left: float) -> Hypothesis | None:
         point, left = self._best(np.clip(starts, self._low, self._high))
@@ -103,7 +104,7 @@ class _Fit:
             tried = np.clip(point + step, self._low, self._high)
             if np.abs(tried - point).max(initial=0.0) < _CLOSE:
                 break
-            ahead = self._linear(tried)
+            ahead = self._linear(tried, columns)
             before = self._cost(point, predicted, mean_square)
             after = self._cost(tried, ahead[0], mean_square)
             if not after[0] < before[0]:
@@ -127,13 +128,19 @@ class _Fit:
         best = int(np.argmin(left))
         return starts[best], left[best]
 
-    def _linear(self, point: Array) -> tuple[Array, Array]:
-        """The prediction (R, C) at one point, with its derivatives (K, R, C)."""
+    def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
+        """The prediction (R, C) at one point, with its derivatives (K, R, C).
+
+        Known derivatives by what fades stay: there are many, and they matter for a few rows.
+        """
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
-        variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)))]
+        varied = np.arange(len(point)) if known is None else self._lasting
+        variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[varied]))]
         predicted = self._problem.simulator.predict(variants)
-        columns = (predicted[1:] - predicted[0]) / steps.reshape(-1, 1, 1)
-        columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
+        found = (predicted[1:] - predicted[0]) / steps[varied].reshape(-1, 1, 1)
+        found[~np.isfinite(found).all(axis=(1, 2))] = 0.0
+        columns = np.zeros((len(point), *predicted[0].shape)) if known is None else known.copy()
+        columns[varied] = found
         return predicted[0], columns
 
     def _assignment(self, point: Array) -> dict[Term, float]:

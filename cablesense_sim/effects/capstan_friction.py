@@ -14,6 +14,7 @@ from cablesense_sim.effects.effect import (
     Values,
     cables,
     shape,
+    start_share,
 )
 from cablesense_sim.mechanism import Mechanism
 
@@ -45,7 +46,7 @@ class CapstanFriction(Effect):
               trials=(0.0, 1.0)),
         shape("run_compliance", "1", 0.01, 100.0, 1.0,
               "compliance of the run before the pulley, over that by its length", 1.0,
-              starts=(1.0,), trials=(0.5, 2.0)),
+              starts=(1.0,)),
         shape("give_m", "m", 0.0, 2e-3, 2e-5,
               "of cable that passes a guide from rest to slip; zero sticks rigidly",
               trials=(0.0, 3e-5)),
@@ -54,7 +55,7 @@ class CapstanFriction(Effect):
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         share = "share of what its guides hold that the past left on"
         return tuple(
-            shape(f"start_{cable}", "1", -1.0, 1.0, 0.5, f"{share} {cable}")
+            start_share(f"start_{cable}", about=f"{share} {cable}")
             for cable in cables(cable_count)
         )
 

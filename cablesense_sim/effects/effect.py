@@ -42,6 +42,7 @@ class Parameter:
         starts: values of a shape to screen with.
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
+        fades: whether what it changes fades along a recording, as the past does.
     """
 
     name: str
@@ -54,10 +55,14 @@ class Parameter:
     role: Literal["size", "shape"] = "size"
     starts: tuple[float, ...] = ()
     trials: tuple[float, ...] = ()
+    fades: bool = False
 
 
 shape = partial(Parameter, role="shape")
 """A parameter that determines how the effect behaves where it is present."""
+
+start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True)
+"""A share of its limit that friction carries before the first sample."""
 
 _SLIPS = "share of the contact that slips little by little"
 ROUNDED = shape("rounded", "1", 0.0, 1.0, 0.5, _SLIPS, trials=(0.0, 1.0))

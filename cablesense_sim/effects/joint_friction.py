@@ -15,6 +15,7 @@ from cablesense_sim.effects.effect import (
     Values,
     chosen,
     shape,
+    start_share,
 )
 from cablesense_sim.mechanism import Mechanism
 
@@ -37,8 +38,8 @@ class JointFriction(Effect):
         shape("give_rad", "rad", 1e-5, 0.05, 1e-3, "turn from rest to breaking away", 3e-4,
               starts=(3e-4,), trials=(1e-4, 1e-3)),
         ROUNDED,
-        shape("start_pitch", "1", -1.0, 1.0, 0.5, "share of the torque at first, about y"),
-        shape("start_yaw", "1", -1.0, 1.0, 0.5, "share of the torque at first, about z"),
+        start_share("start_pitch", about="share of the torque at first, about y"),
+        start_share("start_yaw", about="share of the torque at first, about z"),
     )  # fmt: skip
 
     def transmission(self, place: str, values: Values) -> Transmission:
