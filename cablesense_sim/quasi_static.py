@@ -105,7 +105,8 @@ class QuasiStaticArm:
         arms = kinematics.load_arms(self._mechanism, forces)
         while True:
             try:
-                pose = self._next(rest_m, arms)
+                with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
+                    pose = self._next(rest_m, arms)
                 self._require_room(pose.angles_rad)
                 break
             except EquilibriumError as error:
