@@ -68,7 +68,7 @@ def test_one_model_is_evaluated_on_its_own_arm():
         (["--model", "none.onnx"], "no model file none.onnx"),
         (["--table2", "--model", "none.onnx"], "no model file none.onnx"),
         (["--table2", "--model", "cdsm"], "cdsm_table2"),
-        (["--model", "setup.py"], "unknown model"),
+        (["--model", __file__], "unknown model"),
     ],
 )
 def test_a_refusal_is_one_line_and_exit_code_two(arguments, remedy, command):
