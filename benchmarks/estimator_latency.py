@@ -1,6 +1,6 @@
 """Latency of the estimator node beside that of a relay that does nothing, in the same run.
 
-    python benchmarks/estimator_latency.py [--seconds 30] [--json] [--write]
+    python benchmarks/estimator_latency.py [--seconds 30] [--write]
 
 Three processes, each path in turn for a second at a time: publisher → estimator → sink, publisher
 → relay → sink. There are two relays in the estimator's own executor: one passes the serialized
@@ -13,7 +13,6 @@ callback begins.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import struct
 import sys
@@ -24,7 +23,6 @@ from typing import Any
 
 import harness
 import numpy as np
-import pandas as pd
 from geometry_msgs.msg import WrenchStamped
 from live_run import PATIENCE_S, LiveRun, Log
 from numpy.typing import NDArray
@@ -41,7 +39,7 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 
-RATE_HZ = 1000
+ARM, RATE_HZ = "cdsm", 1000
 BLOCK_S = 1.0
 WARM_UP_S = 2.0
 PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
@@ -143,7 +141,7 @@ def _publish(
     return stamps
 
 
-def measure(arm_name: str, seconds: float) -> dict[str, Any]:
+def measure(seconds: float) -> dict[str, Any]:
     """Run everything; the result by path, with its origin and the bars."""
     blocks = round(seconds / BLOCK_S)
     schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]
@@ -153,10 +151,10 @@ def measure(arm_name: str, seconds: float) -> dict[str, Any]:
         for relay in PATHS[1:]:
             run.start(relay, [*role, relay])
         # without samples between its turns, which is not to count as stale
-        parameters = {"arm": arm_name, "stale_after_s": 60.0, "tare_samples": 100}
+        parameters = {"arm": ARM, "stale_after_s": 60.0, "tare_samples": 100}
         remaps = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
         run.start("estimator", node_command("estimator", parameters, remaps))
-        sent = publish_schedule(open_arm(arm_name), [*schedule, ("estimator", seconds)])
+        sent = publish_schedule(open_arm(ARM), [*schedule, ("estimator", seconds)])
         codes = run.stop()
         if any(codes.values()):
             raise SystemExit(f"a process under test failed: {codes}")
@@ -176,7 +174,7 @@ def measure(arm_name: str, seconds: float) -> dict[str, Any]:
     return {
         **harness.origin("rclpy"),
         "load": round(os.getloadavg()[0], 2),
-        "arm": arm_name,
+        "arm": ARM,
         "rate_hz": RATE_HZ,
         "paths": paths,
         "sustained": {"seconds": seconds, **sustained},
@@ -198,21 +196,10 @@ def _latencies(sent: Sequence[int], arrived: NDArray[np.int64]) -> dict[str, Any
     return counts | dict(zip(names, percentiles, strict=True))
 
 
-def _print(result: dict[str, Any]) -> None:
-    columns = ["sent", "lost", "median_us", "p90_us", "p99_us", "worst_us"]
-    rows = {**result["paths"], "estimator, sustained": result["sustained"]}
-    print(pd.DataFrame.from_dict(rows, orient="index")[columns].to_string())
-    for relay, ratio in result["ratios"].items():
-        print(f"estimator over {relay}: median {ratio['median']:.2f}, p99 {ratio['p99']:.2f}")
-    harness.print_bars(result["bars"])
-
-
 def main() -> int:
     """Measure, or play one of the parts."""
     parser = harness.parser(__doc__, f"results/{RESULT}")
     parser.add_argument("--seconds", type=float, default=30.0, help="time for each path")
-    parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--role", choices=("sink", *PATHS[1:]), help=argparse.SUPPRESS)
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -222,13 +209,7 @@ def main() -> int:
         return run_node(lambda: RelayNode(given.role), [])
     if given.seconds < BLOCK_S:
         parser.error(f"--seconds must be at least {BLOCK_S:g}")
-    result = measure(given.arm, given.seconds)
-    if given.json:
-        print(json.dumps(result, indent=2))
-    else:
-        _print(result)
-    if given.write:
-        harness.write_result(RESULT, result)
+    harness.publish(RESULT, measure(given.seconds), given)
     return 0
 
 

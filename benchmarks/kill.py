@@ -1,6 +1,6 @@
 """Kill −9: driver, sim and estimator killed under load again and again, seen from outside.
 
-    python benchmarks/kill.py [--times 50] [--rate-hz 200] [--write]
+    python benchmarks/kill.py [--times 50] [--write]
 
 Sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver`, `estimator` and a
 recorder run as processes of their own while the load on the arm changes. Each victim in turn is
@@ -46,19 +46,19 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_sim.arm import Arm, open_arm
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
-RATE_HZ = 200.0
+ARM, RATE_HZ = "cdsm", 200.0
 WRITING_S = (0.0, 2.0)
 """A recorder is killed so long after the first tensions stand in its file."""
 DRIVER_AWAY_S = 0.1
 
 
-def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
+def measure(times: int) -> dict[str, Any]:
     """All kills; statistics by victim, and of the recordings."""
-    arm = open_arm(arm_name)
+    arm = open_arm(ARM)
     kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
     shared_mb = harness.shared_memory_mb()
     with LiveRun() as run:
-        start_chain(run, arm_name, rate_hz)
+        start_chain(run, ARM, RATE_HZ)
         trials = KillTrials(arm, run.processes, seed=0)
         trials.bring_up()
         for _, victim in itertools.product(range(times), VICTIMS):
@@ -70,8 +70,8 @@ def measure(arm_name: str, rate_hz: float, times: int) -> dict[str, Any]:
         recording = _whole(run.folder / "recorder.mcap", trials.samples, arm)
     statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
-        "arm": arm_name,
-        "rate_hz": rate_hz,
+        "arm": ARM,
+        "rate_hz": RATE_HZ,
         "stale_after_s": STALE_AFTER_S,
         "lease_s": LEASE_S,
         "kills": statistics,
@@ -198,10 +198,8 @@ def main() -> int:
     """Measure."""
     parser = harness.parser(__doc__, "results/kill.json")
     parser.add_argument("--times", type=int, default=50, help="kills of each")
-    parser.add_argument("--rate-hz", type=float, default=RATE_HZ, help="samples a second")
-    parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     given = parser.parse_args()
-    result = harness.origin("rclpy") | measure(given.arm, given.rate_hz, given.times)
+    result = harness.origin("rclpy") | measure(given.times)
     harness.publish("kill.json", result, given)
     return 0
 

@@ -1,6 +1,6 @@
 """A run of simulator and estimator, recorded whole and replayed: are all estimates the same bits?
 
-    python benchmarks/replay.py [--seconds 60] [--json] [--write]
+    python benchmarks/replay.py [--seconds 60] [--write]
 
 Four processes as a user starts them: `sim` at 1,000 samples a second, `cablesense record`, the
 estimator after it, and here an operator that pushes, commands, tares, undoes tares and changes a
@@ -39,7 +39,7 @@ from cablesense_ros.node_process import qos_profile
 from cablesense_ros.processes import node_command
 from cablesense_sim.arm import Arm, open_arm
 
-RATE_HZ = 1000.0
+ARM, RATE_HZ = "cdsm", 1000.0
 SEED = 20
 LARGEST_ANGLE_RAD = 0.12
 LARGEST_FORCE_N = 60.0
@@ -115,14 +115,14 @@ class Operator(SpunNode):
             self.done[name if answer.success else f"{name}, refused"] += 1
 
 
-def measure(arm: str, seconds: float) -> dict[str, Any]:
+def measure(seconds: float) -> dict[str, Any]:
     """Run, record and replay; the result with its origin and the bars."""
     killed = "begun in mid-run and killed, in process"
-    estimator_command = node_command("estimator", {"arm": arm, "tare_force": True})
+    estimator_command = node_command("estimator", {"arm": ARM, "tare_force": True})
     with LiveRun() as run:
-        run.start("sim", node_command("sim", {"arm": arm, "rate_hz": RATE_HZ}))
+        run.start("sim", node_command("sim", {"arm": ARM, "rate_hz": RATE_HZ}))
         recorder = run.record("whole")
-        operator = Operator(open_arm(arm))
+        operator = Operator(open_arm(ARM))
         operator.spin(3.0)  # the recorder is subscribed before the estimator publishes first
         run.start("estimator", estimator_command)
         operator.spin_until(operator.connected, "sim, estimator and recorder")
@@ -143,7 +143,7 @@ def measure(arm: str, seconds: float) -> dict[str, Any]:
         whole = run.folder / "whole.mcap"
         result: dict[str, Any] = {
             **harness.origin("rclpy"),
-            "arm": arm,
+            "arm": ARM,
             "rate_hz": RATE_HZ,
             "seconds": seconds,
             "done to it": dict(operator.done),
@@ -199,21 +199,9 @@ def main() -> int:
     """Measure and print; 1 where a bar is missed."""
     parser = harness.parser(__doc__, "results/replay.json")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the run")
-    parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     given = parser.parse_args()
-    result = measure(given.arm, given.seconds)
-    if given.write:
-        harness.write_result("replay.json", result)
-    if given.json:
-        print(json.dumps(result, indent=2))
-    else:
-        for name in ("recording", "done to it"):
-            print(name, json.dumps(result[name]))
-        for name, part in result.items():
-            if isinstance(part, dict) and "identical" in part:
-                print(f"{name}: {part['identical']} of {part['compared']} identical")
-        harness.print_bars(result["bars"])
+    result = measure(given.seconds)
+    harness.publish("replay.json", result, given)
     return 0 if all(result["bars"].values()) else 1
 
 

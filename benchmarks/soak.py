@@ -43,6 +43,7 @@ from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import Arm, open_arm
 
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
+ARM = "cdsm"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}
 CIA404_MINUTES = 1.0
 LISTEN_AFTER_S = 2.5
@@ -114,20 +115,20 @@ class Sink(SpunNode):
             self.diagnostics[status.name] = {one.key: one.value for one in status.values}
 
 
-def measure(arm_name: str, map_name: str, minutes: float) -> dict[str, Any]:
+def measure(map_name: str, minutes: float) -> dict[str, Any]:
     """Run one map."""
-    arm, cycles = open_arm(arm_name), round(60.0 * minutes * RATES_HZ[map_name])
+    arm, cycles = open_arm(ARM), round(60.0 * minutes * RATES_HZ[map_name])
     with LiveRun() as run:
         link, log = run.folder / "adapter", run.folder / "played.npz"
-        played = {"arm": arm_name, "map": map_name, "link": link, "log": log, "cycles": cycles}
+        played = {"map": map_name, "link": link, "log": log, "cycles": cycles}
         given = [f"--{option}={value}" for option, value in played.items()]
         role = [sys.executable, __file__, "--role=amplifiers"]
         amplifiers = run.start("amplifiers", [*role, *given])
         wait_until(lambda: "ready" in amplifiers.log, PATIENCE_S, "not ready", run.check)
         adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-        driven = {"arm": arm_name, "map": map_name, **adapter}
+        driven = {"arm": ARM, "map": map_name, **adapter}
         run.start("driver", node_command("can_driver", driven))
-        run.start("estimator", node_command("estimator", {"arm": arm_name}))
+        run.start("estimator", node_command("estimator", {"arm": ARM}))
         sink = Sink(arm.cable_count, list(run.processes.values()))
         sink.spin_until(sink.connected, "samples and wrenches")
         sink.spin(1.0)
@@ -223,7 +224,6 @@ def main() -> int:
     """Measure, or play the amplifiers."""
     parser = harness.parser(__doc__, "results/soak.json")
     parser.add_argument("--minutes", type=float, default=10.0, help="of the packed amplifier")
-    parser.add_argument("--arm", default="cdsm", help="bundled arm, or a path")
     parser.add_argument("--only", choices=(PACKED, CIA404), help="one map alone")
     parser.add_argument("--role", choices=("amplifiers",), help=argparse.SUPPRESS)
     parser.add_argument("--map", help=argparse.SUPPRESS)
@@ -233,13 +233,13 @@ def main() -> int:
     given = parser.parse_args()
     if given.role:
         rate_hz = RATES_HZ[given.map]
-        return play(given.arm, given.map, given.link, rate_hz, given.cycles, given.log)
+        return play(ARM, given.map, given.link, rate_hz, given.cycles, given.log)
     minutes = {PACKED: given.minutes, CIA404: min(CIA404_MINUTES, given.minutes)}
     runs = []
     for map_name in [given.only] if given.only else [PACKED, CIA404]:
-        run = measure(given.arm, map_name, minutes[map_name])
+        run = measure(map_name, minutes[map_name])
         runs.append({**run, "bars": bars(run)})
-    result = {**harness.origin("rclpy"), "arm": given.arm, "runs": runs}
+    result = {**harness.origin("rclpy"), "arm": ARM, "runs": runs}
     harness.publish("soak.json", result, given)
     return 0
 
