@@ -341,6 +341,7 @@ class Estimation:
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
         self.gate.restore(command, lowest, highest, state.rest_from_ns)
         self.plausibility.withheld_until_ns = state.withheld_until_ns
+        self.plausibility.misfit_since_ns = state.misfit_since_ns
         self.breathing.restore(state.breath)
         self._repeat(state.events, command)
         self._events.clear()
@@ -464,6 +465,7 @@ class Estimation:
             tare_command_rad=() if tare is None else tare.command_rad.tolist(),
             pose_assumed=self._pose_assumed,
             withheld_until_ns=self.plausibility.withheld_until_ns,
+            misfit_since_ns=self.plausibility.misfit_since_ns,
             breath=self.breathing.state(),
         )
 

@@ -36,8 +36,9 @@ FORCE_OFF_N: Final = 5.0
 BEYOND_TRAINING: Final = 1.25
 """Forces up to this multiple of the model's training range are vouched for."""
 
-WITHHELD_S, _RENEWED_S = 0.2, 0.1
-"""How long no force is given after a misfit; the time is renewed when so much of it is left."""
+LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
+"""After misfits no force is given for as long as they lasted, between these; a swing ends soon on
+a stiff arm. The time is renewed when half of it is left."""
 
 _LEAST_SPREAD_N = 0.01
 """Of a sensor without noise and step."""
@@ -49,6 +50,7 @@ class PlausibilityCheck:
     Attributes:
         unchecked: why nothing is checked; empty where all is.
         withheld_until_ns: samples with earlier stamps give no force.
+        misfit_since_ns: stamp from which on readings did not fit, where that has not passed.
         misfit: of the last sample; infinite where no equilibrium was compared with.
     """
 
@@ -71,8 +73,7 @@ class PlausibilityCheck:
         self.unchecked = unchecked if largest_misfit else "switched off (largest_misfit is 0)"
         self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * force_range_n
         self._cable_names = cable_names
-        self.withheld_until_ns = 0
-        self._since_ns: int | None = None
+        self.withheld_until_ns = self.misfit_since_ns = 0
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem = 0, ""
 
@@ -88,21 +89,19 @@ class PlausibilityCheck:
             self._fits.command(command_rad)
         misfit = self._misfit_text(difference_n, contact)
         self._worst = max(self._worst, self.misfit)
-        renewed_ns = stamp_ns + round(WITHHELD_S * 1e9)
-        until_ns = min(self.withheld_until_ns, renewed_ns)  # of stamps that stepped back
-        if misfit:
-            if until_ns - stamp_ns < _RENEWED_S * 1e9:
-                until_ns = renewed_ns
-        elif stamp_ns < until_ns:
-            misfit = "the readings fit again, and not yet for long enough"
-        self.withheld_until_ns = until_ns
-        if not misfit:
-            self._since_ns = None
+        until_ns = min(self.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
+        if not misfit and stamp_ns >= until_ns:
             return
+        if not self.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
+            self.misfit_since_ns = stamp_ns
+        lasted_s = (stamp_ns - self.misfit_since_ns) * 1e-9
+        if misfit:
+            hold_ns = round(min(max(lasted_s, LEAST_WITHHELD_S), WITHHELD_S) * 1e9)
+            if until_ns - stamp_ns < hold_ns // 2:
+                until_ns = stamp_ns + hold_ns
+        self.withheld_until_ns = until_ns
         self._withheld += 1
-        if self._since_ns is None:
-            self._since_ns = stamp_ns
-        lasted_s = (stamp_ns - self._since_ns) * 1e-9
+        misfit = misfit or "the readings fit again, and not yet for long enough"
         self._last_problem = f"{misfit} (no force for {lasted_s:.1f} s)"
         raise SampleError(ProblemKind.MISFIT, self._last_problem)
 

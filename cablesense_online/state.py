@@ -149,6 +149,7 @@ class EstimatorState(BaseModel):
         tare_command_rad: (2N,) the command at which it was taken.
         pose_assumed: whether it was taken by itself, and no command has come yet.
         withheld_until_ns: samples stamped earlier give no force, as readings did not fit.
+        misfit_since_ns: stamp from which on they did not.
         breath: how far a breath has got, and what it has shown.
     """
 
@@ -168,6 +169,7 @@ class EstimatorState(BaseModel):
     tare_command_rad: Numbers = ()
     pose_assumed: bool = False
     withheld_until_ns: WholeNumber = 0
+    misfit_since_ns: WholeNumber = 0
     breath: BreathState = BreathState()
 
     def require_fitting(self, arm: Arm) -> None:
@@ -237,10 +239,13 @@ _PARTS: Final = {
         "command at the tare (rad)": "tare_command_rad",
         "pose assumed": "pose_assumed",
     },
-    _MISFIT: {"no force before stamp (ns)": "withheld_until_ns"},
+    _MISFIT: {
+        "no force before stamp (ns)": "withheld_until_ns",
+        "not fitting since stamp (ns)": "misfit_since_ns",
+    },
 }
 """Statuses of a journal message, with the state's field for each of their keys."""
-_LATER: Final = ("pose_assumed", "withheld_until_ns")
+_LATER: Final = ("pose_assumed", "withheld_until_ns", "misfit_since_ns")
 """Fields that journals of earlier versions lack."""
 
 

@@ -82,6 +82,7 @@ STATES = st.builds(
         offset_n=NUMBERS,
     ),
     withheld_until_ns=st.integers(-(2**62), 2**62),
+    misfit_since_ns=st.integers(-(2**62), 2**62),
 )
 
 
