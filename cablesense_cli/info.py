@@ -10,9 +10,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from cablesense_base import Array
+from cablesense_base import Array, CableSenseError
 from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
-from cablesense_sim.arm import find_arm, load_arm
+from cablesense_sim.arm import Arm, find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
@@ -124,6 +124,7 @@ def describe_arm(name: str) -> Description:
         ],
         "sensors": _picked(arm.sensors, "rate_hz", "noise_std_n", "step_n", "range_n"),
         "joints": list(arm.joint_names),
+        "breath": _breath(arm),
         "effects": [
             {
                 "effect": entry.effect.name,
@@ -140,6 +141,26 @@ def describe_arm(name: str) -> Description:
             for entry in entries_of(arm)
         ],
     }
+
+
+def _breath(arm: Arm) -> Description:
+    """The least circle that turns every guide of the straight arm, or why there is none."""
+    from cablesense_online.breathing import breath_circle
+
+    try:
+        circle = breath_circle(arm, np.zeros(arm.joint_count))
+    except CableSenseError as error:
+        return {"none": str(error)}
+    return {"amplitude_deg": math.degrees(circle.largest_rad), "tip_m": circle.tip_m}
+
+
+def _breath_text(breath: Description) -> str:
+    if "none" in breath:
+        return f"none: {breath['none']}"
+    return (
+        f"joints in circles of up to {breath['amplitude_deg']:.2f} degrees turn every guide; the "
+        f"tip moves by {1e3 * breath['tip_m']:.2f} mm"
+    )
 
 
 def _picked(thing: object, *names: str) -> Description:
@@ -160,6 +181,7 @@ def _arm_tables(arm: Description) -> list[Table]:
             f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
             f"step {sensors['step_n']:g} N",
         ),
+        ("breath", _breath_text(arm["breath"])),
     )
     columns = {
         "ends on segment": "{ends_on_segment}",

@@ -77,6 +77,14 @@ def demo(
             "an elastic wall."
         ),
     ] = Controller.NONE,
+    breathe: Annotated[
+        bool,
+        typer.Option(
+            "--breathe",
+            help="The arm breathes all the time: cables slide a little at every guide, so that "
+            "friction hides no force. Default arm then: cdsm_friction, with the model cdsm.",
+        ),
+    ] = False,
     json_output: Annotated[
         bool, typer.Option("--json", help="With --headless: print the report as JSON.")
     ] = False,
@@ -88,7 +96,11 @@ def demo(
     pushes, or of the wall, runs for a minute.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
-    options = DemoOptions(arm, model, host, port, out, seed, source, controller, not no_open)
+    if breathe and arm == "cdsm":
+        arm, model = "cdsm_friction", model or "cdsm"
+    options = DemoOptions(
+        arm, model, host, port, out, seed, source, controller, breathe, not no_open
+    )
     if headless:
         given = ("host", "port", "no_open")
         refuse_given(context, given, "with --headless, which serves no page")

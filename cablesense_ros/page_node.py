@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from rclpy.client import Client
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -43,10 +44,15 @@ class PageNode(Node):
             estimator=estimator,
         )
         self._client = ArmClient(self, arm, self._live, estimator)
-        self._tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
+        self._tare, self._breathe = (
+            self.create_client(Trigger, of_node(node, service))
+            for node, service in ((estimator, topics.TARE), ("breather", topics.BREATHE))
+        )
         push = self._noting("Not pushed", self._client.push)
         command = self._noting("Not moved", self._client.command)
-        self._actions = Actions(push, command, self._ask_for_tare)
+        tare = partial(self._ask, self._tare, "Tared", "Not tared")
+        breathe = partial(self._ask, self._breathe, "Breathing", "No breath")
+        self._actions = Actions(push, command, tare, breathe)
         self._page = Page(arm, self._actions if given["controls"] else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
@@ -78,17 +84,18 @@ class PageNode(Node):
 
         return try_to_act
 
-    def _ask_for_tare(self) -> None:
-        if not self._tare.service_is_ready():
-            self._page.notify("Not tared", f"nothing answers {self._tare.srv_name}")
+    def _ask(self, client: Client, done: str, refused: str) -> None:
+        """Call a service; its answer is shown under one of the titles."""
+        if not client.service_is_ready():
+            self._page.notify(refused, f"nothing answers {client.srv_name}")
             return
-        future = self._tare.call_async(Trigger.Request())
-        future.add_done_callback(self._show_answer)
 
-    def _show_answer(self, future: Any) -> None:
-        answer = future.result()
-        if answer is not None:
-            self._page.notify("Tared" if answer.success else "Not tared", answer.message)
+        def show(future: Any) -> None:
+            answer = future.result()
+            if answer is not None:
+                self._page.notify(done if answer.success else refused, answer.message)
+
+        client.call_async(Trigger.Request()).add_done_callback(show)
 
 
 main = partial(run_node, PageNode)

@@ -39,11 +39,13 @@ class Actions:
             at the commanded pose, and force in N; 0 N lets go.
         command: takes joint angles (2N,), rad.
         tare: takes a tare.
+        breathe: asks for a breath.
     """
 
     push: Callable[[int, float, float], None]
     command: Callable[[Array], None]
     tare: Callable[[], None]
+    breathe: Callable[[], None]
 
 
 class Controls:
@@ -92,6 +94,8 @@ class Controls:
         with gui.add_folder("Estimator"):
             hint = "takes the present tensions as the unloaded state"
             tare = gui.add_button("Tare", icon=viser.Icon.SCALE, hint=hint)
+            hint = "moves the arm a little, so that friction shows what it hides"
+            breathe = gui.add_button("Breathe", icon=viser.Icon.LUNGS, hint=hint)
         self._button.on_click(self._act(lambda _: self._toggle()))
         for handle in (self._segment, self._angle, self._newtons):
             handle.on_update(self._act(lambda _: self._send_push() if self._pushing else None))
@@ -101,6 +105,7 @@ class Controls:
             )
         home.on_click(self._act(lambda _: self._go_home()))
         tare.on_click(self._act(lambda _: actions.tare()))
+        breathe.on_click(self._act(lambda _: actions.breathe()))
 
     def close(self) -> None:
         """Let go of the arm; nothing that is still under way from the browser does anything."""

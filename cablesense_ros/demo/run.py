@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -30,6 +31,8 @@ _BITRATE_BIT_S = 1_000_000
 _START_S = 60.0
 """Slow machines import for tens of seconds the first time."""
 _LIVE_WALL_DELAY_S = 15.0
+_BREATH_REST_S = 1.0
+"""A move of the demo has nearly ended then."""
 
 Commands = dict[str, list[str]]
 
@@ -66,6 +69,7 @@ class DemoOptions:
     Attributes:
         model: empty is the arm's own.
         out: holds logs and picture.
+        breathe: continuously, over cable offsets.
         open_page: in a browser, where there is a screen.
     """
 
@@ -77,6 +81,7 @@ class DemoOptions:
     seed: int = 0
     source: Source = Source.SIM
     controller: Controller = Controller.NONE
+    breathe: bool = False
     open_page: bool = False
 
 
@@ -203,6 +208,10 @@ def _check_files(options: DemoOptions) -> Arm:
 
     arm = open_arm(options.arm)
     open_estimator(find_model(options.model or arm.name), arm)
+    if options.breathe:
+        from cablesense_online.breathing import breath_circle
+
+        breath_circle(arm, np.zeros(arm.joint_count))
     if options.source is Source.CAN:
         from cablesense_online.can.channel_map import open_channel_map
 
@@ -236,7 +245,16 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
             "can_driver": node_command("can_driver", amplifier | adapter),
             "sim": node_command("sim", simulation, remaps),
         }
-    commands["estimator"] = node_command("estimator", arm | {"model": options.model})
+    estimator = arm | {"model": options.model, "await_breath": options.breathe}
+    commands["estimator"] = node_command("estimator", estimator)
+    if options.breathe:
+        breathing = {
+            "over": topics.CABLE_OFFSETS,
+            "continuous": True,
+            "await_command": False,
+            "rest_s": _BREATH_REST_S,
+        }
+        commands["breather"] = node_command("breather", arm | breathing)
     controlled = options.controller is Controller.ADMITTANCE
     if controlled:
         from cablesense_ros.demo import wall

@@ -21,6 +21,12 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument("arm", default_value="cdsm", description="arm file: name or path"),
         DeclareLaunchArgument("model", default_value="", description="model file: name or path"),
+        DeclareLaunchArgument(
+            "breathe",
+            default_value="none",
+            choices=["none", "on_request", "continuous"],
+            description="start the breather, as in estimator.launch.py",
+        ),
         DeclareLaunchArgument("rviz", default_value="false", description="start rviz2 as well"),
     ]
     estimator = IncludeLaunchDescription(
@@ -31,6 +37,7 @@ def generate_launch_description() -> LaunchDescription:
             "source": "sim",
             "arm": LaunchConfiguration("arm"),
             "model": LaunchConfiguration("model"),
+            "breathe": LaunchConfiguration("breathe"),
         }.items(),
     )
     page = Node(

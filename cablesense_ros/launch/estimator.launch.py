@@ -5,7 +5,12 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
 from launch.conditions import IfCondition
 from launch.events import matches_action
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import (
+    EqualsSubstitution,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState
@@ -34,6 +39,12 @@ ARGUMENTS = (
     ("interface", "socketcan", None, "with source:=can: python-can's name of the adapter's kind"),
     ("channel", "can0", None, "with source:=can: what that kind calls its channels"),
     ("state_file", "", None, "keeps the estimator's tare and command over a kill; empty: nothing"),
+    (
+        "breathe",
+        "none",
+        ["none", "on_request", "continuous"],
+        "start the breather, whose ~/breathe asks for a breath, or which breathes all the time",
+    ),
     ("namespace", "", None, "namespace of all nodes"),
 )
 
@@ -44,6 +55,7 @@ def generate_launch_description() -> LaunchDescription:
     arm, model = _text("arm"), _text("model")
     bus = {name: _text(name) for name in ("map", "calibration", "interface", "channel")}
     namespace = LaunchConfiguration("namespace")
+    breathes = NotEqualsSubstitution(LaunchConfiguration("breathe"), "none")
     estimator = LifecycleNode(
         package=PACKAGE,
         executable="estimator",
@@ -53,7 +65,26 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[
             PathJoinSubstitution([settings, "estimator.yaml"]),
             {"arm": arm, "model": model, "state_file": _text("state_file"), "autostart": False},
+            {"await_breath": ParameterValue(breathes, value_type=bool)},
         ],
+    )
+    breather = Node(
+        package=PACKAGE,
+        executable="breather",
+        name="breather",
+        namespace=namespace,
+        output="screen",
+        parameters=[
+            PathJoinSubstitution([settings, "breather.yaml"]),
+            {
+                "arm": arm,
+                "continuous": ParameterValue(
+                    EqualsSubstitution(LaunchConfiguration("breathe"), "continuous"),
+                    value_type=bool,
+                ),
+            },
+        ],
+        condition=IfCondition(breathes),
     )
     simulation = [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]
     driver = [PathJoinSubstitution([settings, "can_driver.yaml"]), {"arm": arm, "map": bus["map"]}]
@@ -108,7 +139,7 @@ def generate_launch_description() -> LaunchDescription:
     ]
     # the handler stands before the event that sets it off
     return LaunchDescription(
-        [*arguments, *sources, estimator, activate_when_configured, configure]
+        [*arguments, *sources, breather, estimator, activate_when_configured, configure]
     )
 
 

@@ -19,7 +19,12 @@ MODULES = {
     "launch.conditions": ["IfCondition"],
     "launch.events": ["matches_action"],
     "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
-    "launch.substitutions": ["EqualsSubstitution", "LaunchConfiguration", "PathJoinSubstitution"],
+    "launch.substitutions": [
+        "EqualsSubstitution",
+        "LaunchConfiguration",
+        "NotEqualsSubstitution",
+        "PathJoinSubstitution",
+    ],
     "launch_ros": [],
     "launch_ros.actions": ["LifecycleNode", "Node"],
     "launch_ros.event_handlers": ["OnStateTransition"],
@@ -82,6 +87,8 @@ def test_the_estimator_is_configured_then_activated(describe):
 def nodes_by_source(entities):
     found = {}
     for node in of_kind(entities, "Node"):
+        if node.given["executable"] == "breather":
+            continue
         source = node.given["condition"].args[0].args[1]
         found.setdefault(source, {})[node.given["executable"]] = node
     return found
@@ -97,6 +104,18 @@ def test_one_source_runs_by_choice(describe):
         "can": {"can_driver"},
         "emulated_can": {"sim", "can_emulator", "can_driver"},
     }
+
+
+def test_the_breather_runs_by_choice_and_the_tare_waits_for_it(describe):
+    entities = describe("estimator.launch.py")
+    (breather,) = (
+        node for node in of_kind(entities, "Node") if node.given["executable"] == "breather"
+    )
+    (estimator,) = of_kind(entities, "LifecycleNode")
+    (chosen,) = breather.given["condition"].args
+    assert chosen.kind == "NotEqualsSubstitution"
+    assert chosen.args[1] == "none"
+    assert estimator.given["parameters"][-1]["await_breath"].args == (chosen,)
 
 
 def test_an_emulated_bus_stands_between_sim_and_driver(describe):
@@ -138,7 +157,14 @@ def test_the_controller_comes_with_the_estimator_and_a_wall(describe):
 
 @pytest.mark.parametrize(
     "file",
-    ["sim.yaml", "estimator.yaml", "can_driver.yaml", "admittance.yaml", "obstacle.yaml"],
+    [
+        "sim.yaml",
+        "estimator.yaml",
+        "can_driver.yaml",
+        "admittance.yaml",
+        "obstacle.yaml",
+        "breather.yaml",
+    ],
 )
 def test_node_settings_name_parameters_that_exist(file):
     yaml = pytest.importorskip("yaml")

@@ -32,7 +32,7 @@ def names(profile, kind, right):
     found = set()
     for group in profile.findall(kind):
         if group.get(right) == "ALLOW":
-            found |= {entry.text.replace("estimator/", "~/") for entry in group}
+            found |= {re.sub("^(estimator|breather)/", "~/", entry.text) for entry in group}
     return found
 
 
@@ -94,6 +94,7 @@ os._exit(0)
 """
 NODES = {
     "sim": ("SimNode", []),
+    "breather": ("BreatherNode", []),
     "estimator": ("EstimatorNode", []),
     "page": ("PageNode", ["-p", "port:=18100"]),
     "can_driver": ("CanDriverNode", ["-p", "interface:=virtual", "-p", "channel:=policy"]),
@@ -124,7 +125,7 @@ def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
     for entity, (what, right) in RIGHTS.items():
         given = names(PROFILES[name], what, right)
         asked = {
-            topic.removeprefix("/").replace(f"{name}/", "~/").replace("estimator/", "~/")
+            re.sub(f"^({name}|estimator|breather)/", "~/", topic.removeprefix("/"))
             for topic in seen[entity]
         }
         assert asked <= given, asked - given
