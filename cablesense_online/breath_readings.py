@@ -29,7 +29,11 @@ _BEYOND_N = 1.0
 
 
 class BreathReadings:
-    """Takes readings and the marks of a breath as they come; gives what to answer from."""
+    """Takes readings and the marks of a breath as they come; gives what to answer from.
+
+    Attributes:
+        learnt: whether the last reading ended a turn, or the wait for rest after a breath.
+    """
 
     _reading_n: Array | None
     _offset_n: Array | None
@@ -41,6 +45,7 @@ class BreathReadings:
         self._settle_ns = round(settle_s * 1e9)
         self._messages, self._last_message = 0, (0, 0.0)
         self._lasting, self._problem = False, ""
+        self.learnt = False
         self.restore(BreathState())
 
     def mark(self, turn: int, stamp_ns: int, *, lasting: bool = False) -> bool:
@@ -96,6 +101,7 @@ class BreathReadings:
         self, tensions_n: Sequence[float], stamp_ns: int
     ) -> Sequence[float] | None:
         """What to answer from at a reading (M,) in N; none while nothing is known in a breath."""
+        self.learnt = False
         if self._mark_ns:
             self._pass_mark(tensions_n, stamp_ns)
         elif self._turn > 0:
@@ -176,6 +182,7 @@ class BreathReadings:
             if self._turn > 0:
                 self._add(tensions_n, stamp_ns)
             return
+        self.learnt = self._turn > 0
         if self._turn > 0:
             self._add(tensions_n, at_ns)
             lasted_ns = at_ns - self._from_ns
@@ -236,6 +243,7 @@ class BreathReadings:
         if rested_ns < _REST_S * 1e9:
             return self._reading_n
         mean = self._rest_n / self._rest_count
+        self.learnt = True
         beyond = np.maximum(self._lowest_n - mean, mean - self._highest_n).max()
         if beyond > _BEYOND_N:
             self.give_up(f"the load changed by {beyond:.1f} N of a cable during the breath")

@@ -199,6 +199,8 @@ class Estimation:
             if moving and not self._model.in_motion:
                 return Answer(stamp_ns=stamp_ns, state=state)
             tensions = self.breathing.without_friction(picked, stamp_ns)
+            if self.breathing.learnt:
+                self._note(EventKind.BREATH)
             if tensions is None:
                 return Answer(stamp_ns=stamp_ns, state=state)
             stage = ProblemKind.ESTIMATE

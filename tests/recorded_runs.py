@@ -11,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.messages import BREATH_END, breath_frame
 from cablesense_msgs_py.qos import CONTRACT, resolved
 from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
@@ -23,17 +24,19 @@ from cablesense_sim.equilibrium import solve_equilibrium
 SETTINGS = estimation_settings(tare_samples=10, settle_s=0.05)
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
+BREATH = {60: 0, 70: 1, 90: 2, 105: 0, 110: BREATH_END}
+"""Turns of a breath, by the samples that they begin at; from 140 on readings are corrected."""
 
 
 class MadeRun:
-    """A live run: loads come and go, a command, a tare and its undo.
+    """A live run: loads come and go, a command, a tare and its undo, and a breath if wanted.
 
     Attributes:
         records: topic of the contract, time of arrival, bytes.
         loaded: arm and model.
     """
 
-    def __init__(self, samples: int = 300, model: str = "") -> None:
+    def __init__(self, samples: int = 300, model: str = "", *, breath: bool = False) -> None:
         """Of the arm `cdsm`, by its own model or another one."""
         self.loaded = load_model("cdsm", model)
         arm = self.loaded.arm
@@ -57,6 +60,12 @@ class MadeRun:
                 message = JointState(name=list(arm.joint_names), position=angles.tolist())
                 self.records.append((topics.JOINT_COMMANDS, now, serialize_message(message)))
                 live.command(joint_command(arm, angles))
+            if breath and i in BREATH:
+                message = JointState(name=list(arm.cable_names), position=[1e-5] * 12)
+                message.header.frame_id = breath_frame(BREATH[i])
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+                self.records.append((topics.CABLE_OFFSETS, now, serialize_message(message)))
+                live.offset(message)
             if i == samples - 40:
                 live.take_tare(now, forced=True)
             if i == samples - 20:

@@ -49,6 +49,20 @@ def test_every_byte_is_the_same(whole):
     assert not got.first_difference
 
 
+def test_a_breath_is_repeated_from_the_journal_from_between_its_turns_too(tmp_path):
+    made = made_run(breath=True)
+    got = replayed(made.write(tmp_path / "breath.mcap"))
+    assert (got.compared, got.identical) == (300, 300)
+    assert got.contacts < replayed(made_run().write(tmp_path / "none.mcap")).contacts
+    for first in (75, 115, 145):
+        begin = EPOCH_NS + first * STEP_NS
+        latched = [r for r in made.records if r[0] == topics.JOURNAL and r[1] < begin][-1:]
+        records = [(topic, begin, raw) for topic, _, raw in latched]
+        records += [record for record in made.records if record[1] >= begin]
+        got = replayed(made.write(tmp_path / f"from_{first}.mcap", records))
+        assert (got.compared, got.identical) == (300 - first, 300 - first)
+
+
 @pytest.mark.parametrize("model", ["", "cdsm_moving"])
 @pytest.mark.parametrize("missed", [2, 30])
 def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, missed, tmp_path):
