@@ -205,12 +205,13 @@ class BreathReadings:
         )
 
     def _enter(self, turn: int, at_ns: int) -> None:
-        if self._turn == BREATH_END:
+        seen_from_its_beginning = self._turn != BREATH_END
+        if not seen_from_its_beginning:
             self._reading_n = self._offset_n = None
         self._turn = turn
         self._from_ns = self._last_ns = self._count = self._gap_ns = 0
         self._ended_ns = self._rest_count = 0
-        if turn > 0:
+        if turn > 0 and seen_from_its_beginning:
             self._from_ns = self._last_ns = at_ns
             self._sum_s = self._lowest_n = self._highest_n = np.zeros(0)
         elif turn == BREATH_END:

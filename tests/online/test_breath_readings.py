@@ -81,6 +81,17 @@ def test_there_is_no_answer_before_a_whole_turn_and_each_turn_renews_it():
     np.testing.assert_allclose(cables.read(1410), 1.5 * TRUE_N, rtol=0.01)
 
 
+def test_a_turn_whose_beginning_was_not_seen_does_not_count():
+    cables = StickingCables()
+    cables.read(100)
+    cables.mark(4)
+    cables.read(400)
+    cables.mark(5)
+    assert cables.read(800) is None
+    cables.mark(6)
+    np.testing.assert_allclose(cables.read(900), TRUE_N, rtol=0.01)
+
+
 def test_too_few_readings_or_a_gap_make_no_turn():
     assert StickingCables(period_ms=100).breathe(1.0) == pytest.approx(TRUE_N * np.exp(GRIP))
     cables = StickingCables()

@@ -8,6 +8,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ros_graph import Graph, NodeProcess, force
+from sensor_msgs.msg import JointState
+
+from cablesense_sim.arm import open_arm
 
 pytestmark = [
     pytest.mark.ros,
@@ -100,3 +103,31 @@ def test_after_a_breath_forces_are_those_without_friction(graph, arm):
     graph.push(3, (0.0, 0.0, 0.0))
     graph.spin(1.0)
     assert np.linalg.norm(force(breathed(graph))) < 0.5
+
+
+def test_a_breather_that_is_killed_is_missed_and_wrong_offsets_are_refused(graph):
+    nodes = [
+        NodeProcess("cablesense_ros.sim_node"),
+        NodeProcess("cablesense_ros.estimator_node"),
+        NodeProcess(
+            "cablesense_ros.breather_node",
+            amplitude_deg=0.1,
+            await_command=False,
+            continuous=True,
+            turn_s=1.5,
+        ),
+    ]
+    graph.until(lambda: "breathing" in status(graph, "estimator: breathing"), "a breath")
+    nodes[2].kill()
+    graph.until(lambda: "fell silent" in status(graph, "estimator: breathing"), "the report")
+    graph.until(lambda: "fell silent" in nodes[1].log, "the warning")
+    offsets = graph.node.create_publisher(JointState, "/cable_offsets", 10)
+    graph.until(lambda: offsets.get_subscription_count() >= 2, "arm and estimator")
+    names = list(open_arm("cdsm").cable_names)
+    for wrong in ([float("nan")] * 12, [1.0] * 12, [0.0] * 3):
+        offsets.publish(JointState(name=names, position=wrong))
+    graph.until(lambda: "refused" in status(graph, "estimator: joint_commands"), "the refusal")
+    graph.until(lambda: "offsets" in nodes[0].log, "the arm's refusal")
+    for node in nodes[:2]:
+        assert node.stop() == 0, node.log
+        assert "Traceback" not in node.log
