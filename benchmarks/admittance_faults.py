@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import harness
@@ -138,8 +137,8 @@ class Run:
 
     def commanded(self, command_rad: Array, now_s: float) -> None:
         """A command is on the topic; all receive it, and the arm goes there."""
-        names = self.arm.joint_names
-        self.estimation.command(SimpleNamespace(name=names, position=command_rad.tolist()))
+        names, angles_rad = list(self.arm.joint_names), command_rad.tolist()
+        self.estimation.command(JointState(name=names, position=angles_rad))
         self.controller.received_command(command_rad, now_s)
         self.command_rad = command_rad
         self.rest()
