@@ -102,11 +102,13 @@ class QuasiStaticArm:
         self._longer_m = longer_m
         rest_m = rest_m + longer_m
         self._hold(rest_m)
-        arms = kinematics.load_arms(self._mechanism, forces)
+        with np.errstate(all="ignore" if self._some_may_fail else "warn"):
+            return self._rested(time_s, rest_m, kinematics.load_arms(self._mechanism, forces))
+
+    def _rested(self, time_s: float, rest_m: Array, arms: Array) -> Array:
         while True:
             try:
-                with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
-                    pose = self._next(rest_m, arms)
+                pose = self._next(rest_m, arms)
                 self._require_room(pose.angles_rad)
                 break
             except EquilibriumError as error:
