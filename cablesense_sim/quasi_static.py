@@ -102,7 +102,7 @@ class QuasiStaticArm:
         self._longer_m = longer_m
         rest_m = rest_m + longer_m
         self._hold(rest_m)
-        with np.errstate(all="ignore" if self._some_may_fail else "warn"):
+        with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
             return self._rested(time_s, rest_m, kinematics.load_arms(self._mechanism, forces))
 
     def _rested(self, time_s: float, rest_m: Array, arms: Array) -> Array:
