@@ -74,7 +74,7 @@ def _searched(path: Path) -> dict[str, object]:
             "left": [h.held_out_rmse for h in hypotheses],
             "sizes": [h.sizes for h in hypotheses],
             "strains": [h.tolerance_chi2 for h in hypotheses],
-            "tolerances": len(problem.tolerance_terms),
+            "tolerances": int(problem.acting_tolerances.sum()),
         }
         kept.write_text(json.dumps(content))
     return dict(json.loads(kept.read_text()))

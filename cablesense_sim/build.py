@@ -43,6 +43,7 @@ def mechanism_of(arm: Arm) -> Mechanism:
         run_m=arm.cables.run_m,
         joint_damping_n_m_s=arm.segments.joint_damping_n_m_s,
         joint_stiffness_n_m_rad=np.zeros(count),
+        relative_friction=np.ones(segment.shape),
     )
 
 

@@ -32,6 +32,7 @@ class Mechanism:
         run_m: straight run from actuator to base plate.
         joint_damping_n_m_s: of each joint axis, for dynamics.
         joint_stiffness_n_m_rad: (N,) of a spring in each joint axis that is at rest straight.
+        relative_friction: (M,) of a cable at its guides, over what is stated for all; one each.
         segment_hole_y_m, segment_hole_z_m: (M, N) holes in the plates that segment n carries, or
             None where every plate has them in the same place.
     """
@@ -52,6 +53,7 @@ class Mechanism:
     run_m: float
     joint_damping_n_m_s: float
     joint_stiffness_n_m_rad: Array
+    relative_friction: Array
     segment_hole_y_m: Array | None = None
     segment_hole_z_m: Array | None = None
 
@@ -126,7 +128,7 @@ class Mechanism:
 
 _STACKED = (
     "gravity_m_s2", "mass_kg", "centre_of_mass_m", "contact_m", "hole_y_m", "hole_z_m",
-    "stiffness_n_m", "pretension_n", "joint_stiffness_n_m_rad",
+    "stiffness_n_m", "pretension_n", "joint_stiffness_n_m_rad", "relative_friction",
 )  # fmt: skip
 
 

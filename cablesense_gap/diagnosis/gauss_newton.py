@@ -228,7 +228,13 @@ class _Fit:
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
-            tolerances=dict(zip(problem.tolerance_terms, tolerances, strict=True)),
+            tolerances={
+                term: value
+                for term, value, acts in zip(
+                    problem.tolerance_terms, tolerances, problem.acting_tolerances, strict=True
+                )
+                if acts
+            },
             prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
             without_tolerances=predicted,
             columns=columns,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,12 +92,17 @@ class Problem:
         """Root mean square of what the sensors add."""
         return self.simulator.floor
 
+    @cached_property
+    def acting_tolerances(self) -> NDArray[np.bool_]:
+        """(K,) which tolerances change anything; those of friction do only where there is some."""
+        return np.asarray(self.tolerance_columns.any(axis=(1, 2)))
+
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
         """Excess over the floor, larger where tolerances would have to be unusually far off.
 
         The search ranks explanations by it; the posterior weighs both by calibrated powers.
         """
-        usual = max(len(self.tolerance_terms), 1)
+        usual = max(int(self.acting_tolerances.sum()), 1)
         return float(
             excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0) ** _CHI2_POWER
         )

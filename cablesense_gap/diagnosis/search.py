@@ -282,20 +282,18 @@ def _starts(
 
 
 def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], float]]:
-    """Combinations of the shapes that screening has not distinguished."""
-    shapes = [
-        (candidate.effect, p)
-        for candidate in with_history
-        for p in candidate.parameters
-        if p.role == "shape" and p.trials
-    ]
-    return [
-        {
-            (effect, p.name): to_scaled(p, value)
-            for (effect, p), value in zip(shapes, values, strict=True)
-        }
-        for values in product(*(p.trials for _, p in shapes))
-    ]
+    """Combinations of the shapes that screening has not distinguished, of one effect at a time."""
+    combinations: list[dict[tuple[str, str], float]] = []
+    for candidate in with_history:
+        shapes = [p for p in candidate.parameters if p.role == "shape" and p.trials]
+        combinations += [
+            {
+                (candidate.effect, p.name): to_scaled(p, value)
+                for p, value in zip(shapes, values, strict=True)
+            }
+            for values in product(*(p.trials for p in shapes))
+        ]
+    return combinations or [{}]
 
 
 def reselect_places(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Hypothesis:

@@ -71,6 +71,9 @@ class _Guides(Transmission):
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
         none = np.zeros_like(self._values["coefficient"])
+        self._coefficient = (self._values["coefficient"][:, None] * mechanism.relative_friction)[
+            ..., None
+        ]
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
         start = np.stack([self._values.get(name, none) for name in names], axis=-1)
         limit = self._limit(rest.bends_rad)
@@ -112,5 +115,5 @@ class _Guides(Transmission):
         wraps = bends_rad[..., 0].copy()
         wraps[..., 1:] += bends_rad[..., :-1, 1] + self._values["guide_wrap_rad"][:, None, None]
         wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
-        limit = self._values["coefficient"][:, None, None] * wraps
+        limit = self._coefficient * wraps
         return np.minimum(limit, _LOCKED)

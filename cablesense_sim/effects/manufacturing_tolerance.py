@@ -10,7 +10,7 @@ from cablesense_sim.mechanism import Mechanism, with_cables_moved
 
 
 class CableTolerance(Effect):
-    """Scatter of pretensions, hole angles and zeros."""
+    """Scatter of pretensions, hole angles, zeros and friction."""
 
     name = "cable_tolerance"
     acts_on = "arm"
@@ -22,13 +22,17 @@ class CableTolerance(Effect):
         Parameter("pretension_n", "N", -1.5, 1.5, 0.15, "of the pretension, in excess"),
         Parameter("angle_rad", "rad", -0.009, 0.009, 8.727e-4, "of its holes, turned"),
         Parameter("zero_n", "N", -0.5, 0.5, 0.05, "of the sensor's zero"),
+        Parameter(
+            "friction_share", "1", -0.9, 2.0, 0.1, "of the friction at its guides, in excess"
+        ),
     )
     tolerance = True
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         here = chosen(place, mechanism.cable_count)
         tensioned = mechanism.pretension_n + here * values["pretension_n"]
-        mechanism = replace(mechanism, pretension_n=tensioned)
+        friction = mechanism.relative_friction * (1.0 + here * values["friction_share"])
+        mechanism = replace(mechanism, pretension_n=tensioned, relative_friction=friction)
         if not values["angle_rad"]:
             return mechanism
         return with_cables_moved(mechanism, 0.0 * here, here * values["angle_rad"])
