@@ -50,8 +50,9 @@ def search(
     """Every hypothesis that was fitted, that of tolerances alone first.
 
     History-dependent effects are expensive to simulate: they are left alone where one of the
-    others, or two of them, leave next to nothing. With more than one worker, candidates are
-    screened and fitted in as many processes.
+    others, or two of them, leave next to nothing, and pairs with them where one of them leaves
+    little above the floor. With more than one worker, candidates are screened and fitted in as
+    many processes.
     """
     none = refine(problem, {}, [[]])
     assert none is not None
@@ -95,7 +96,8 @@ class _Search:
         best = min(best, self._least(screened))
         self._fit(promising(problem, screened, best), "history-dependent effects", 0.6)
         self._refine_best(1)
-        if self._is_resolved():
+        left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
+        if self._is_resolved() or left <= _BARELY * problem.floor:
             return
         offered = {**cheap, **expensive}
         enough = _WORTH_PAIRING * min(map(problem.cost_of, [self._none, *self._found.values()]))
