@@ -1,0 +1,56 @@
+"""The plant beside the simulator: no code is shared, and friction does the same to both arms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant_arm import ARM_FILE, NOMINAL
+
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.plant.arm import SteppedArms, ideal_arm
+from cablesense_gap.plant.body import Friction
+from cablesense_gap.plant.protocol import draw_schedule
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.simulator import Term
+from cablesense_sim.arm import open_arm
+
+pytestmark = pytest.mark.slow
+
+WHOLE = draw_schedule(NOMINAL, np.random.default_rng(3))
+ROWS = np.append(np.arange(53), np.arange(820, 890))
+SCHEDULE = type(WHOLE)._make(column[ROWS] for column in WHOLE)
+
+
+def plant_n(friction: Friction) -> np.ndarray:
+    arm, loads = replace(ideal_arm(NOMINAL), friction=friction), SCHEDULE.forces_n
+    held = arm.held_m(SCHEDULE.command_rad)
+    stepped = SteppedArms(arm, SCHEDULE.command_rad[:1], held[:1], loads[:1])
+    return np.concatenate(
+        [stepped.step(held[i, None], loads[i, None]) for i in range(1, len(held))]
+    )
+
+
+def simulated_n(**parameters: float) -> np.ndarray:
+    columns = SCHEDULE._asdict()
+    recording = Recording(name="", **columns, tensions_n=np.full((len(ROWS), 12), 50.0))
+    arm = ArmSimulator(open_arm(ARM_FILE), recording)
+    terms = {Term("capstan_friction", "arm", name): x for name, x in parameters.items()}
+    return arm.predict([terms])[0][1:]
+
+
+@pytest.mark.parametrize(
+    ("plant", "simulator"),
+    [({}, {"give_m": 0.0}), ({"reach_m": 4e-5}, {"give_m": 4e-5})],
+    ids=["rigid", "bristles"],
+)
+def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[str, float]) -> None:
+    """To within a twentieth: their pieces are not quite the same."""
+    without = plant_n(Friction())
+    np.testing.assert_allclose(simulated_n(coefficient=1e-9), without, atol=1e-3)
+    rough = plant_n(Friction(np.full(12, 0.2), **plant))
+    apart = simulated_n(coefficient=0.2, **simulator) - rough
+    assert rms(apart) < 0.05 * rms(rough - without)
+
+
+def rms(difference_n: np.ndarray) -> float:
+    return float(np.sqrt((difference_n**2).mean()))
