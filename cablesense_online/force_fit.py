@@ -98,8 +98,10 @@ class Fit(NamedTuple):
     @property
     def consistent(self) -> bool:
         """Whether no cable that was taken as slack would be taut."""
-        slack = self.response.slack
-        return not slack or float(self.elastic_n[slack].max()) <= 0.0
+        if not self.response.slack:
+            return True
+        tension_n = self.elastic_n.tolist()
+        return all(tension_n[cable] <= 0.0 for cable in self.response.slack)
 
     @property
     def near(self) -> bool:
@@ -110,8 +112,9 @@ class Fit(NamedTuple):
     def turn_rad(self) -> Array:
         """(2N,) how the joints turn from its pose, where that is not at rest with this set."""
         assert self.response.turned is not None
-        by_force, by_set = np.split(self.response.turned, [3], axis=1)
-        return np.asarray(by_force @ self.fitted[-3:] + by_set[:, 0])
+        return np.asarray(
+            self.response.turned[:, :3] @ self.fitted[-3:] + self.response.turned[:, 3]
+        )
 
     def holds(self, largest: float) -> bool:
         """Whether the misfit is `largest` at most, under a force that makes this set slack."""
@@ -146,8 +149,12 @@ class _Pose:
         self.segment, self.force_n, self.angles_rad = segment, force_n, angles_rad
         self._fits, self._at_rest = fits, at_rest
         self._stiffness_n_m = mechanism.stiffness_n_m
-        self._spans = kinematics.spans(mechanism, angles_rad)
-        self._jacobian_m = kinematics.interleave(self._spans)
+        span = kinematics.spans(mechanism, angles_rad)
+        self._jacobian_m = kinematics.interleave(span)
+        curvature_m = (0.5 * span.by_pitch_pitch, span.by_pitch_yaw, 0.5 * span.by_yaw_yaw)
+        self._curvature = (mechanism.stiffness_n_m / fits.spread_n)[:, None] * np.hstack(
+            curvature_m
+        )
         stretch_m = held_lengths_m(mechanism, angles_rad) - statics.held_m(command)
         self._elastic_n = mechanism.stiffness_n_m * stretch_m + mechanism.pretension_n
         self._taut = self._elastic_n > 0.0
@@ -162,12 +169,13 @@ class _Pose:
     def fit(self, difference_n: Array, y_n: float, z_n: float, largest: float) -> Fit | None:
         """What readings less unloaded tensions (M,) leave over; none where nothing holds the arm.
 
-        Which cables are taut follows by Newton's method from the estimated force, and where that
-        leads nowhere from the force that fits, then from the readings; it ends where the misfit is
-        `largest` at most and the set is that of its force, or where no set is new.
+        Which cables are taut is read first; else it follows from this pose, then by Newton's
+        method from the estimated force, and where that leads nowhere from the force that fits. It
+        ends where the misfit is `largest` at most and the set is that of its force, or where no
+        set is new.
         """
         best, count, tried = None, len(difference_n), set[bytes]()
-        candidates = [self._taut]
+        candidates = [difference_n > self._fits.taut_from_n, self._taut]
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
             response = None if taut.tobytes() in tried else self._response(taut)
@@ -184,19 +192,14 @@ class _Pose:
                 best = fit
             away_n = (y_n - self.force_n[0], z_n - self.force_n[1])
             estimated_n = response.elastic_n + response.gain @ away_n
-            read = self._fits.read_taut(difference_n)
-            candidates = [estimated_n > 0.0, fit.elastic_n > 0.0, read]
+            candidates += (estimated_n > 0.0, fit.elastic_n > 0.0)
         return best
 
     def linear_over(self, turn_rad: Array) -> bool:
         """Whether the tensions of taut cables are, within their spread, over a turn (2N,)."""
-        turns = turn_rad.reshape(-1, 2)
-        off_m = sum(
-            by_angles @ (turns[:, row] * turns[:, column])
-            for row, column, by_angles in self._spans.second_derivatives
-        )
-        off_n = float(np.abs(0.5 * self._stiffness_n_m * off_m).max())
-        return off_n <= self._fits.spread_n
+        pitch, yaw = turn_rad[0::2], turn_rad[1::2]
+        off = self._curvature @ np.concatenate((pitch * pitch, pitch * yaw, yaw * yaw))
+        return float(np.abs(off).max()) <= 1.0
 
     def _response(self, taut: NDArray[np.bool_]) -> _Response | None:
         key = taut.tobytes()
@@ -249,23 +252,20 @@ class ForceFits:
         spread_n: standard deviation of a reading less the unloaded one, N.
         command_rad: (2N,) the command in force.
         unloaded_n: (M,) its unloaded tensions.
+        taut_from_n: (M,) changes of readings from which on a cable is read as taut.
     """
 
     def __init__(self, statics: UnloadedTensions, spread_n: float) -> None:
         self.statics, self.spread_n = statics, spread_n
-        self.command_rad = self.unloaded_n = np.zeros(0)
+        self.command_rad = self.unloaded_n = self.taut_from_n = np.zeros(0)
         self._poses: dict[tuple[int, tuple[float, float]], _Pose | None] = {}
 
     def command(self, command_rad: Array) -> None:
         """The arm rests at another command (2N,)."""
         self.command_rad = command_rad
         self.unloaded_n = self.statics.predict_n(command_rad)
+        self.taut_from_n = _TAUT_SPREADS * self.spread_n - self.unloaded_n
         self._poses.clear()
-
-    def read_taut(self, difference_n: Array) -> NDArray[np.bool_]:
-        """(M,) which cables are taut by readings less unloaded tensions (M,)."""
-        taut: NDArray[np.bool_] = difference_n + self.unloaded_n > _TAUT_SPREADS * self.spread_n
-        return taut
 
     def best(
         self, difference_n: Array, segment: int, y_n: float, z_n: float, largest: float
