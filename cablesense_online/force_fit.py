@@ -121,11 +121,35 @@ class Fit(NamedTuple):
         return self.misfit <= largest and self.consistent and self.near
 
     def without(self, cables: Sequence[int]) -> float:
-        """Sum of squares that would be left over without the readings of some cables."""
+        """The misfit without the readings of some cables."""
         count = len(self.response.elastic_n)
         over, of = self.fitted[:count], self.response.to_fit[:count, cables]
         left = over - of @ np.linalg.lstsq(of, over, rcond=1e-9)[0]
-        return float(left @ left)
+        return math.sqrt(float(left @ left) / max(count - 2 - len(cables), 1))
+
+    def hidden_n(self, difference_n: Array, largest: float) -> Array:
+        """(M,) how far the force may be wrong by one reading, and a misfit of `largest` pass.
+
+        Where a cable reads slack, it may be taut and its reading zero.
+        """
+        count = len(difference_n)
+        left_over, to_force = self.response.to_fit[:count], self.response.to_fit[-3:-1]
+        sizes = np.maximum(np.linalg.norm(left_over, axis=0), 1e-9)
+        passes = largest * math.sqrt(max(count - 2, 1))
+        hidden_n = passes * np.linalg.norm(to_force, axis=0) / sizes
+        for cable in self.response.slack:
+            taut = self.response.taut.copy()
+            taut[cable] = True
+            other = self.pose.beside(difference_n, taut)
+            if other is None:
+                continue
+            of, over = other.response.to_fit[:, cable], other.fitted[:count]
+            size = max(float(of[:count] @ of[:count]), 1e-18)
+            fitted = other.fitted - of * (float(of[:count] @ over) / size)
+            tension_n = other.response.elastic_n[cable] + fitted[count + cable]
+            if np.linalg.norm(fitted[:count]) <= passes and tension_n > 0.0:
+                hidden_n[cable] = math.hypot(*(fitted - self.fitted)[-3:-1])
+        return np.asarray(hidden_n)
 
 
 class _Pose:
@@ -174,26 +198,33 @@ class _Pose:
         ends where the misfit is `largest` at most and the set is that of its force, or where no
         set is new.
         """
-        best, count, tried = None, len(difference_n), set[bytes]()
+        best, tried = None, set[bytes]()
         candidates = [difference_n > self._fits.taut_from_n, self._taut]
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
-            response = None if taut.tobytes() in tried else self._response(taut)
+            fit = None if taut.tobytes() in tried else self.beside(difference_n, taut)
             tried.add(taut.tobytes())
-            if response is None:
+            if fit is None:
                 continue
-            fitted = response.to_fit @ (difference_n - response.change_n)
-            over = fitted[:count]
-            misfit = math.sqrt(float(over @ over) / max(count - 2, 1))
-            fit = Fit(misfit, fitted, response, self)
             if fit.holds(largest):
                 return fit
-            if best is None or misfit < best.misfit:
+            if best is None or fit.misfit < best.misfit:
                 best = fit
+            response = fit.response
             away_n = (y_n - self.force_n[0], z_n - self.force_n[1])
             estimated_n = response.elastic_n + response.gain @ away_n
             candidates += (estimated_n > 0.0, fit.elastic_n > 0.0)
         return best
+
+    def beside(self, difference_n: Array, taut: NDArray[np.bool_]) -> Fit | None:
+        """What readings (M,) leave over with a set of taut cables; none where it holds no arm."""
+        response = self._response(taut)
+        if response is None:
+            return None
+        fitted = response.to_fit @ (difference_n - response.change_n)
+        over = fitted[: len(difference_n)]
+        misfit = math.sqrt(float(over @ over) / max(len(over) - 2, 1))
+        return Fit(misfit, fitted, response, self)
 
     def linear_over(self, turn_rad: Array) -> bool:
         """Whether the tensions of taut cables are, within their spread, over a turn (2N,)."""

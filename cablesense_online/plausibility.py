@@ -75,7 +75,9 @@ class PlausibilityCheck:
         self._cable_names = cable_names
         self.withheld_until_ns = self.misfit_since_ns = 0
         self.misfit = self._worst = 0.0
-        self._withheld, self._last_problem = 0, ""
+        self._withheld, self._last_problem, self._suspects = 0, "", ""
+        self._fit: Fit | None = None
+        self._passed: tuple[Fit, Array] | None = None
 
     def check(
         self, difference_n: Array, command_rad: Array, contact: Contact, stamp_ns: int
@@ -91,6 +93,8 @@ class PlausibilityCheck:
         self._worst = max(self._worst, self.misfit)
         until_ns = min(self.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
+            if self._fit is not None:
+                self._passed = (self._fit, difference_n)
             return
         if not self.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
             self.misfit_since_ns = stamp_ns
@@ -98,7 +102,8 @@ class PlausibilityCheck:
         if misfit:
             hold_ns = round(min(max(lasted_s, LEAST_WITHHELD_S), WITHHELD_S) * 1e9)
             if until_ns - stamp_ns < hold_ns // 2:
-                until_ns = stamp_ns + hold_ns
+                until_ns, self._suspects = stamp_ns + hold_ns, self._suspected(difference_n)
+            misfit += self._suspects
         self.withheld_until_ns = until_ns
         self._withheld += 1
         misfit = misfit or "the readings fit again, and not yet for long enough"
@@ -118,69 +123,94 @@ class PlausibilityCheck:
         level, message = Level.OK, "readings fit the estimates"
         if self._withheld:
             level, message = Level.ERROR, self._last_problem
-        self._worst, self._withheld = 0.0, 0
+            values["no force since stamp (s)"] = f"{self.misfit_since_ns * 1e-9:.3f}"
+        elif hidden := self._hidden():
+            level, message = Level.WARN, f"readings fit, but {hidden}"
+        self._worst, self._withheld, self._passed = 0.0, 0, None
         return Status("plausibility", level, message, values)
 
     def _misfit_text(self, difference_n: Array, contact: Contact) -> str:
         """What does not fit, as text; empty where all does."""
+        self._fit = None
         if not contact.segment:
             free = difference_n / self._fits.spread_n
             self.misfit = math.sqrt(float(free @ free) / len(free))
-            if self.misfit <= self._largest:
-                return ""
-            return self._described("no contact", difference_n)
+            return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
         segment, force = contact.segment, contact.magnitude_n
         where = f"a force on segment {segment}"
         if force > self._largest_force_n:
             return (
                 f"an estimate of {force:.0f} N is beyond the {self._largest_force_n:.0f} N that "
-                f"are vouched for{self._suspects(difference_n)}"
+                "are vouched for"
             )
         y, z = (force * part for part in contact.direction)
-        fit = self._fits.best(difference_n, segment, y, z, self._largest)
+        self._fit = fit = self._fits.best(difference_n, segment, y, z, self._largest)
         if fit is None:
             return f"the arm cannot rest under the {force:.0f} N estimated on segment {segment}"
         self.misfit = fit.misfit
         if fit.misfit > self._largest:
-            return self._described(where, difference_n, fit)
-        if not fit.holds(self._largest):
-            return self._slack_text(fit, where)
+            return self._described(where)
         best_y, best_z = fit.force_n
         off_n = math.hypot(best_y - y, best_z - z)
         if off_n > FORCE_OFF_N:
             return f"{where} that fits lies {off_n:.1f} N from the estimate"
-        return ""
+        return "" if fit.holds(self._largest) else self._slack_text(fit, where)
 
     def _slack_text(self, fit: Fit, where: str) -> str:
         """Which cable reads slack that would not be under the force that fits all others."""
+        if fit.consistent or not fit.near:
+            return f"the arm cannot rest under {where} with the cables slack that read so"
         tension_n = fit.elastic_n
         cable = max(fit.response.slack, key=tension_n.__getitem__)
-        if fit.consistent or not fit.near:
-            return (
-                f"the arm cannot rest under {where} with the cables slack that read so; no one "
-                "cable explains it"
-            )
         return (
             f"{self._cable_names[cable]} is slack and would carry {tension_n[cable]:.1f} N under "
             f"{where} that fits all others: a broken cable, or a channel that reads zero"
         )
 
-    def _described(self, contact: str, difference_n: Array, fit: Fit | None = None) -> str:
+    def _described(self, contact: str) -> str:
         return (
             f"readings lie {self.misfit:.1f} times as far from {contact} as by their noise (at "
-            f"most {self._largest:g}){self._suspects(difference_n, fit)}"
+            f"most {self._largest:g})"
         )
 
-    def _suspects(self, difference_n: Array, fit: Fit | None = None) -> str:
-        """Cables without whose reading all others fit: no contact, or the one estimated."""
-        free = difference_n / self._fits.spread_n
-        left = [(free @ free - free**2, len(free) - 1)]
-        if fit is not None:
-            cables = range(len(free))
-            left.append((np.array([fit.without([i]) for i in cables]), len(free) - 3))
-        fits = np.any([chi <= max(n, 1) * self._largest**2 for chi, n in left], axis=0)
-        names = [name for name, fit_it in zip(self._cable_names, fits, strict=True) if fit_it]
-        if not names:
-            return "; no one cable explains it"
-        return f"; all but the reading of {' or '.join(names)} would fit"
+    def _suspected(self, difference_n: Array) -> str:
+        """The cable, or a segment's cables, without whose readings all others fit."""
+        if self.misfit <= self._largest:
+            return ""
+        ends_on = self._fits.statics.mechanism.cable_segment
+        for cables in (
+            [[cable] for cable in range(len(ends_on))],
+            [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)],
+        ):
+            names = [
+                ", ".join(self._cable_names[cable] for cable in some)
+                for some in cables
+                if self._fit_without(difference_n, some)
+            ]
+            if names:
+                return f"; all but the reading of {' or '.join(names)} would fit"
+        return "; the cables of no one segment explain it"
+
+    def _fit_without(self, difference_n: Array, cables: Sequence[int]) -> bool:
+        """Whether all other readings fit no contact, or the one estimated."""
+        free = np.delete(difference_n, cables) / self._fits.spread_n
+        misfits = [math.sqrt(float(free @ free) / max(len(free), 1))]
+        if self._fit is not None:
+            misfits.append(self._fit.without(cables))
+        return min(misfits) <= self._largest
+
+    def _hidden(self) -> str:
+        """Which cables' readings no others confirm in the last contact, as text; else empty."""
+        if self._passed is None:
+            return ""
+        fit, difference_n = self._passed
+        hidden_n = fit.hidden_n(difference_n, self._largest)
+        of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
+        if not of:
+            return ""
+        names = " or ".join(self._cable_names[cable] for cable in of)
+        return (
+            f"in this contact no others confirm that of {names}: if it is wrong, the force is, by "
+            f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
+        )
