@@ -53,10 +53,11 @@ class _Response(NamedTuple):
         gain: (M, 2) their derivative by the force.
         taut: (M,) which cables are.
         slack: positions of the others.
-        turned: (2 N, 4) how the joints turn by the force to be added, y, z and x, and to rest;
-            none where the pose is at rest with this set.
-        to_fit: (2 M + 3, M) takes readings less `change_n` to what is left over of them, in its
-            expected spread; to what that adds to `elastic_n`; and to the force to be added, N.
+        to_rest_rad: (2 N,) how the joints turn from the pose to rest at that force; none where
+            they are at rest with this set.
+        to_fit: (2 M + 2 N + 3, M) takes readings less `change_n` to what is left over of them, in
+            its expected spread; to the force to be added, y, z and x, N; to what that adds to
+            `elastic_n`; and to how far it turns the joints.
     """
 
     change_n: Array
@@ -64,7 +65,7 @@ class _Response(NamedTuple):
     gain: Array
     taut: NDArray[np.bool_]
     slack: list[int]
-    turned: Array | None
+    to_rest_rad: Array | None
     to_fit: Array
 
 
@@ -73,7 +74,7 @@ class Fit(NamedTuple):
 
     Attributes:
         misfit: root mean square of what is left over, in its expected spread.
-        fitted: (2 M + 3,) what `to_fit` of the response makes of the readings.
+        fitted: (2 M + 2 N + 3,) what `to_fit` of the response makes of the readings.
         response: the tensions near a force.
         pose: the arm that the response is of.
     """
@@ -86,35 +87,35 @@ class Fit(NamedTuple):
     @property
     def force_n(self) -> tuple[float, float]:
         """The force that fits best, y and z in the segment's frame."""
-        y, z, _ = self.fitted[-3:].tolist()
-        return self.pose.force_n[0] + y, self.pose.force_n[1] + z
+        (y, z), count = self.pose.force_n, len(self.response.elastic_n)
+        return y + self.fitted.item(count), z + self.fitted.item(count + 1)
 
     @property
     def elastic_n(self) -> Array:
         """(M,) tensions under that force, negative where a slack cable lacks length."""
-        elastic = self.response.elastic_n
-        return np.asarray(elastic + self.fitted[len(elastic) : -3])
+        elastic, begin = self.response.elastic_n, len(self.response.elastic_n) + 3
+        return np.asarray(elastic + self.fitted[begin : begin + len(elastic)])
 
     @property
     def consistent(self) -> bool:
         """Whether no cable that was taken as slack would be taut."""
-        if not self.response.slack:
-            return True
-        tension_n = self.elastic_n.tolist()
-        return all(tension_n[cable] <= 0.0 for cable in self.response.slack)
+        response, begin = self.response, len(self.response.elastic_n) + 3
+        for cable in response.slack:
+            if response.elastic_n.item(cable) + self.fitted.item(begin + cable) > 0.0:
+                return False
+        return True
 
     @property
     def near(self) -> bool:
         """Whether tensions are linear, within their spread, from its pose to this one."""
-        return self.response.turned is None or self.pose.linear_over(self.turn_rad)
+        return self.response.to_rest_rad is None or self.pose.linear_over(self.turn_rad)
 
     @property
     def turn_rad(self) -> Array:
         """(2N,) how the joints turn from its pose, where that is not at rest with this set."""
-        assert self.response.turned is not None
-        return np.asarray(
-            self.response.turned[:, :3] @ self.fitted[-3:] + self.response.turned[:, 3]
-        )
+        assert self.response.to_rest_rad is not None
+        to_rest = self.response.to_rest_rad
+        return np.asarray(to_rest + self.fitted[-len(to_rest) :])
 
     def holds(self, largest: float) -> bool:
         """Whether the misfit is `largest` at most, under a force that makes this set slack."""
@@ -133,7 +134,7 @@ class Fit(NamedTuple):
         Where a cable reads slack, it may be taut and its reading zero.
         """
         count = len(difference_n)
-        left_over, to_force = self.response.to_fit[:count], self.response.to_fit[-3:-1]
+        left_over, to_force = np.split(self.response.to_fit[: count + 2], [count])
         sizes = np.maximum(np.linalg.norm(left_over, axis=0), 1e-9)
         passes = largest * math.sqrt(max(count - 2, 1))
         hidden_n = passes * np.linalg.norm(to_force, axis=0) / sizes
@@ -146,9 +147,9 @@ class Fit(NamedTuple):
             of, over = other.response.to_fit[:, cable], other.fitted[:count]
             size = max(float(of[:count] @ of[:count]), 1e-18)
             fitted = other.fitted - of * (float(of[:count] @ over) / size)
-            tension_n = other.response.elastic_n[cable] + fitted[count + cable]
+            tension_n = other.response.elastic_n[cable] + fitted[count + 3 + cable]
             if np.linalg.norm(fitted[:count]) <= passes and tension_n > 0.0:
-                hidden_n[cable] = math.hypot(*(fitted - self.fitted)[-3:-1])
+                hidden_n[cable] = math.hypot(*(fitted - self.fitted)[count : count + 2])
         return np.asarray(hidden_n)
 
 
@@ -179,6 +180,7 @@ class _Pose:
         self._curvature = (mechanism.stiffness_n_m / fits.spread_n)[:, None] * np.hstack(
             curvature_m
         )
+        self._most_curved = 1.5 * float(np.abs(self._curvature).max())
         stretch_m = held_lengths_m(mechanism, angles_rad) - statics.held_m(command)
         self._elastic_n = mechanism.stiffness_n_m * stretch_m + mechanism.pretension_n
         self._taut = self._elastic_n > 0.0
@@ -198,8 +200,13 @@ class _Pose:
         ends where the misfit is `largest` at most and the set is that of its force, or where no
         set is new.
         """
-        best, tried = None, set[bytes]()
-        candidates = [difference_n > self._fits.taut_from_n, self._taut]
+        read = difference_n > self._fits.taut_from_n
+        best = self.beside(difference_n, read)
+        if best is not None and best.holds(largest):
+            return best
+        tried, candidates = {read.tobytes()}, [self._taut]
+        if best is not None:
+            candidates += self._estimated(best, y_n, z_n)
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
             fit = None if taut.tobytes() in tried else self.beside(difference_n, taut)
@@ -210,11 +217,14 @@ class _Pose:
                 return fit
             if best is None or fit.misfit < best.misfit:
                 best = fit
-            response = fit.response
-            away_n = (y_n - self.force_n[0], z_n - self.force_n[1])
-            estimated_n = response.elastic_n + response.gain @ away_n
-            candidates += (estimated_n > 0.0, fit.elastic_n > 0.0)
+            candidates += self._estimated(fit, y_n, z_n)
         return best
+
+    def _estimated(self, fit: Fit, y_n: float, z_n: float) -> tuple[NDArray[np.bool_], ...]:
+        """(M,) which cables are taut under an estimated force, and under the one that fits."""
+        away_n = (y_n - self.force_n[0], z_n - self.force_n[1])
+        estimated_n = fit.response.elastic_n + fit.response.gain @ away_n
+        return estimated_n > 0.0, fit.elastic_n > 0.0
 
     def beside(self, difference_n: Array, taut: NDArray[np.bool_]) -> Fit | None:
         """What readings (M,) leave over with a set of taut cables; none where it holds no arm."""
@@ -228,6 +238,9 @@ class _Pose:
 
     def linear_over(self, turn_rad: Array) -> bool:
         """Whether the tensions of taut cables are, within their spread, over a turn (2N,)."""
+        size = float(turn_rad @ turn_rad)
+        if size * self._most_curved <= 1.0:
+            return True
         pitch, yaw = turn_rad[0::2], turn_rad[1::2]
         off = self._curvature @ np.concatenate((pitch * pitch, pitch * yaw, yaw * yaw))
         return float(np.abs(off).max()) <= 1.0
@@ -270,8 +283,8 @@ class _Pose:
             gain,
             taut,
             np.flatnonzero(~taut).tolist(),
-            None if self._at_rest and not other.any() else turned,
-            np.vstack([whiten @ left, to_elastic, to_force]),
+            None if self._at_rest and not other.any() else turned[:, 3],
+            np.vstack([whiten @ left, to_force, to_elastic, turned[:, :3] @ to_force]),
         )
 
 
