@@ -84,8 +84,8 @@ def main() -> None:
 
 
 def measured(estimator: TorqueEstimator, parts: Sequence[Part]) -> dict[str, Any]:
-    """Errors by tool, with and without adapting, and by recording."""
-    tools, recordings = {}, {}
+    """Errors in all, by tool with and without adapting, and by recording."""
+    tools, recordings, every = {}, {}, []
     for part in parts:
         unadapted = errors_nm(estimator, part.test)
         found = unadapted
@@ -101,12 +101,13 @@ def measured(estimator: TorqueEstimator, parts: Sequence[Part]) -> dict[str, Any
         )
         for recording, error in zip(part.test, found, strict=True):
             recordings[recording.name] = sizes(error)
-    return {"tools": tools, "recordings": recordings}
+        every += found
+    return {"all": sizes(np.concatenate(every)), "tools": tools, "recordings": recordings}
 
 
 def diagnosis(physics: PhysicsEstimator, parts: Sequence[Part]) -> dict[str, Any]:
     """The verdict on the tool that was trained on, judged on its recordings that were not."""
-    unseen = [r for part in parts if not part.adapt for r in part.test]
+    unseen = [r for part in parts if part.tool == physics.tool for r in part.test]
     unseen_problem = problem_of(unseen, physics.signs) if unseen else physics.problem
     return described(physics.ranked, physics.problem, unseen_problem)
 
@@ -146,15 +147,22 @@ def sizes(error_nm: Array) -> dict[str, float]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """Markdown: RMSE and MAE of each estimator by tool, then by recording."""
-    estimators = result["estimators"]
-    lines = []
+    """Markdown: the verdict; RMSE and MAE of each estimator by tool, in all, and by recording."""
+    verdict, estimators = result["diagnosis"], result["estimators"]
+    lines = [
+        f"{' + '.join(verdict['effects'])} ({verdict['probability']:.2f}); gap of the drive's "
+        f"torque on recordings that were not fitted: {verdict['gap before']} to "
+        f"{verdict['gap after']} mN·m, {verdict['removed']:.0%} removed",
+        "",
+    ]
     for kind in ("tools", "recordings"):
         heading = f"{kind[:-1]}, RMSE / MAE in mN·m | " + " | ".join(estimators)
         rows = [
             " | ".join([name, *(_cell(found[kind][name]) for found in estimators.values())])
             for name in next(iter(estimators.values()))[kind]
         ]
+        if kind == "tools":
+            rows.append(" | ".join(["all", *(_cell(e["all"]) for e in estimators.values())]))
         lines += [*harness.markdown_table(heading, rows), ""]
     return lines
 

@@ -36,7 +36,8 @@ class PhysicsEstimator:
     """A transmission that a diagnosis has amended, and a filter for its load.
 
     Attributes:
-        problem: what was diagnosed, and `ranked` the explanations.
+        tool: that was diagnosed.
+        problem: its recordings beside the simulator, and `ranked` the explanations.
         signs: which way its tool counts.
         values: numbers of the effects and tolerances.
     """
@@ -44,6 +45,7 @@ class PhysicsEstimator:
     def __init__(self, recordings: Sequence[JawRecording]) -> None:
         """Diagnose the reference tool; the filter's pace is the best of three on it."""
         own = reference(recordings)
+        self.tool = own[0].tool
         self.problem = problem_of(own)
         self.ranked = diagnose(self.problem)
         self._take(self.problem, best_of(self.ranked), own)
