@@ -38,7 +38,7 @@ def test_the_answer_to_a_tare_is_shown(page, success, title):
         answer = Trigger.Response(success=success, message="50 samples")
         estimator.create_service(Trigger, "~/tare", lambda *_: answer)
         assert page._tare.wait_for_service(10.0)
-        page._ask_for_tare()
+        page._actions.tare()
         for _ in range(200):
             executor.spin_once(timeout_sec=0.05)
             if page.shown:
