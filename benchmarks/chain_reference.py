@@ -82,7 +82,8 @@ def _admissible(
     low, high = np.sort(np.stack([tension[:, 1:], tension[:, :-1]]), axis=0)
     holds = high <= np.exp(bound) * low + _CLOSE * scale_n
     onward = patterns * (passed - before) >= -_CLOSE * scale_m
-    right_ones = np.flatnonzero((np.where(stick, holds, onward) & (low >= 0.0)).all(axis=-1))
+    taut = low >= -_CLOSE * scale_n
+    right_ones = np.flatnonzero((np.where(stick, holds, onward) & taut).all(axis=-1))
     if not len(right_ones):
         raise ValueError("no pattern of sticking and sliding is admissible")
     if np.ptp(tension[right_ones], axis=0).max() > 1e3 * _CLOSE * scale_n:
