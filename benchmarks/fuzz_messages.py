@@ -272,4 +272,4 @@ def _command(rng: random.Random) -> SimpleNamespace:
     names, angles = list(ARM.joint_names), [rng.uniform(-0.15, 0.15) for _ in ARM.joint_names]
     for _ in range(rng.randint(0, 2)):
         _mutate(rng, names, angles)
-    return SimpleNamespace(name=names, position=angles)
+    return SimpleNamespace(header=SimpleNamespace(frame_id=""), name=names, position=angles)

@@ -58,8 +58,13 @@ def test_a_push_elsewhere_releases_the_one_before(live):
     assert pushed.segment == 4
 
 
+def command(first_rad):
+    names, others = list(ARM.joint_names), [0.0] * 7
+    return Message(header=Message(frame_id=""), name=names, position=[first_rad, *others])
+
+
 def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
-    live.on_joint_commands(Message(name=list(ARM.joint_names), position=[np.pi / 6] + [0.0] * 7))
+    live.on_joint_commands(command(np.pi / 6))
     for now_s in (0.0, 30.0):
         live.snapshot(now_s)
     live.on_tensions(tensions(), 30.0)
@@ -90,7 +95,7 @@ def test_a_load_in_an_unknown_frame_is_refused(live, frame):
 
 def test_a_command_that_the_arm_refuses_is_not_shown(live):
     with pytest.raises(CableSenseError, match="plates touch"):
-        live.on_joint_commands(Message(name=list(ARM.joint_names), position=[0.6] + [0.0] * 7))
+        live.on_joint_commands(command(0.6))
     for now_s in (0.0, 30.0):
         assert not live.snapshot(now_s).joint_angles_rad.any()
 
