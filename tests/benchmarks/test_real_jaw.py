@@ -121,6 +121,7 @@ def test_stops_do_not_depend_on_the_speed_and_stay_within_their_radius(angles, s
     np.testing.assert_allclose(stops(slowly)[::steps], shares, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1, 2, 7, 64])
 def test_the_scan_is_the_recursion(length):
     drawn = torch.Generator().manual_seed(length)

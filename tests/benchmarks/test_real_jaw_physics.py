@@ -88,6 +88,7 @@ def test_what_the_drive_shows_of_a_load_is_the_slope():
     assert slope == pytest.approx(np.exp(0.4), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_mirrored_tool_has_other_signs_and_the_same_problem():
     recordings = planted(tuple(FRICTION.items()))
     mirrored = [

@@ -168,6 +168,7 @@ def test_info_of_the_bundled_model_says_what_it_was_made_for():
     assert description["metadata"]
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):

@@ -121,6 +121,7 @@ def test_a_state_comes_with_the_first_sample_after_a_change():
     assert feed.estimation.gate.rest_from_ns > feed.now_ns
 
 
+@pytest.mark.slow
 def test_changes_without_samples_stay_bounded_and_the_last_of_each_kind_is_kept():
     feed = every_bit()
     feed.sample()

@@ -106,6 +106,7 @@ def histories(draw):
     return cable, compliance, lengths, limit, steps, give
 
 
+@pytest.mark.slow
 @given(histories())
 @settings(max_examples=50, deadline=None)
 def test_every_step_is_admissible_and_keeps_the_material(history) -> None:

@@ -59,6 +59,7 @@ def _force(output):
     return output.magnitude_n[:, None] * output.direction
 
 
+@pytest.mark.slow
 def test_untrained_it_answers_as_the_closed_form(untrained):
     tension, command, segment = _readings(CDSM, 200)
     with torch.no_grad():

@@ -76,6 +76,7 @@ def test_the_paper_is_within_reach_of_a_few_seconds(single):
     assert history.best_validation < 0.3 * history.epochs[0].validation
 
 
+@pytest.mark.slow
 def test_the_rate_falls_on_a_plateau_and_training_stops_there(single):
     network = _two_stage()
     seen = []

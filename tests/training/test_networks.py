@@ -58,6 +58,7 @@ def test_nothing_at_all_is_answered_with_finite_numbers(name):
     assert all(bool(torch.isfinite(part).all()) for part in output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLE_NETWORKS)
 def test_the_seed_fixes_the_initial_weights_and_nothing_else(name):
     torch.manual_seed(5)
