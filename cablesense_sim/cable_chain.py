@@ -60,7 +60,6 @@ class CableChains:
             give_m: broadcast to (..., K - 1): cable that passes a node while the share grows by
                 one before it slips (bristles); zero sticks rigidly.
         """
-        self._compliance_m_n = compliance_m_n
         exists = compliance_m_n > 0.0
         self._stiffness_n_m = np.where(exists, 1.0 / np.where(exists, compliance_m_n, 1.0), 0.0)
         self._evenly = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
@@ -77,7 +76,7 @@ class CableChains:
         self._natural_m = lengths_m - parts * whole
 
     def pull(self, lengths_m: Array, limit: Array) -> Pull:
-        """At lengths (..., K) and limits (..., K - 1) of now, from the state as it is."""
+        """At lengths (..., K), m, and limits (..., K - 1) of now, from the state as it is."""
         stretch, taut = self._stretch(lengths_m)
         passed, rows = self._passed(stretch, limit, taut)
         by_length = np.eye(stretch.shape[-1]) + _gained(rows.by_stretch(), -2)
@@ -194,7 +193,9 @@ class CableChains:
 class _Rows(NamedTuple):
     """Equations of the passed lengths: T_k = ratio T_(k+1) where a node moves, else zero.
 
-    Bristles make a row steeper by what they stiffen with the cable passed, about an `offset`.
+    The shapes are those of the nodes (..., K - 1), and (..., K) of the pieces' stiffness, N/m.
+    Bristles make a row steeper, N/m, by what they stiffen with the cable passed, about an
+    `offset`, N.
     """
 
     moves: NDArray[np.bool_]

@@ -34,8 +34,8 @@ class CapstanFriction(Effect):
     about = "friction of the cables over guides and pulleys"
     source = "equation (2) of the paper: T_out = T_in exp(-μ θ); see cablesense_sim.cable_chain"
     advice = (
-        "Look for worn, dry or misaligned guides. The estimator is blind to loads within the "
-        "loop that friction opens; train it on the amended arm."
+        "Look for worn, dry or misaligned guides. Readings do not show loads within the loop that "
+        "friction opens: let the arm breathe (docs/breathing.md) before a force is trusted."
     )
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
@@ -77,10 +77,10 @@ class _Guides(Transmission):
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
         start = np.stack([self._values.get(name, none) for name in names], axis=-1)
         limit = self._limit(rest.bends_rad)
-        self._compliance_m_n = self._pieces_m_n(mechanism)
-        self._longer = self._compliance_m_n / self._compliance_m_n.sum(-1, keepdims=True)
+        compliance_m_n = self._pieces_m_n(mechanism)
+        self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
         self._chains = CableChains(
-            self._compliance_m_n,
+            compliance_m_n,
             self._lengths_m(rest.spans_m),
             limit,
             np.broadcast_to(start[..., None], limit.shape),
