@@ -28,13 +28,13 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import Sequences, draw_sequences
 from cablesense_training.evaluation.metrics import (
-    NORMAL_95,
     ContactAnswer,
     SequenceMetrics,
     sequence_answer,
     sequence_metrics,
     unsettled,
 )
+from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 

@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Enum, IntEnum
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -195,6 +195,8 @@ class Contact(NamedTuple):
 
 
 NO_CONTACT = Contact()
+UNKNOWN_WRENCH = (math.nan,) * 6
+"""Where an unknown force is published as not a number."""
 
 
 def put_contact_point(message: Any, contact: Contact, frames: Frames) -> None:
@@ -298,6 +300,60 @@ class Level(IntEnum):
     WARN = 1
     ERROR = 2
     STALE = 3
+
+
+class ForceState(Enum):
+    """What an estimator's wrench stands for; the value is the message of `~/status`."""
+
+    FREE = "free"
+    CONTACT = "contact"
+    HIDDEN = "hidden"
+    MOVING = "moving"
+    UNTARED = "untared"
+    REFUSED = "refused"
+    IMPLAUSIBLE = "implausible"
+    STALE = "stale"
+    SILENT = "silent"
+
+    @property
+    def known(self) -> bool:
+        """Whether the wrench is the force on the arm, within the stated uncertainty."""
+        return self in (ForceState.FREE, ForceState.CONTACT)
+
+    @property
+    def level(self) -> Level:
+        """As severe as the status is."""
+        return _LEVELS.get(self, Level.WARN)
+
+
+_LEVELS = {
+    ForceState.FREE: Level.OK,
+    ForceState.CONTACT: Level.OK,
+    ForceState.REFUSED: Level.ERROR,
+    ForceState.IMPLAUSIBLE: Level.ERROR,
+    ForceState.STALE: Level.STALE,
+    ForceState.SILENT: Level.STALE,
+}
+
+
+def read_force_state(message: Any) -> tuple[ForceState, int]:
+    """State and stamp, ns, in a `DiagnosticArray` of `~/status`.
+
+    Raises:
+        ContractError: not one status, or one whose message is no state.
+    """
+    texts = [str(status.message) for status in message.status]
+    try:
+        (text,) = texts
+        state = ForceState(text)
+    except ValueError:
+        given = ", ".join(repr(text[:40]) for text in texts[:4]) or "nothing"
+        raise ContractError(
+            f"status: its message is {given}; it must be one of "
+            f"{', '.join(known.value for known in ForceState)}"
+        ) from None
+    stamp = message.header.stamp
+    return state, stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ _ESTIMATOR: Final = "estimator"
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER_TYPE: Final = "std_msgs/msg/Int32"
+_DIAGNOSTICS_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,16 @@ CONTRACT: Final = {
     **INPUTS,
     topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
     topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED, LATCHED),
-    topics.DIAGNOSTICS: TopicType("diagnostic_msgs/msg/DiagnosticArray", PUBLISHER),
+    topics.DIAGNOSTICS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),
     topics.WRENCH: TopicType(WRENCH_TYPE, PUBLISHER),
+    topics.STATUS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),
+    topics.WRENCH_LOWER: TopicType(WRENCH_TYPE, PUBLISHER),
+    topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
     topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),
-    topics.JOURNAL: TopicType("diagnostic_msgs/msg/DiagnosticArray", JOURNAL, JOURNAL),
+    topics.JOURNAL: TopicType(_DIAGNOSTICS_TYPE, JOURNAL, JOURNAL),
     "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER),
     "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED, Qos(100, True, True)),
 }

@@ -38,6 +38,16 @@ FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 WRENCH: Final = "~/wrench"
 """`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
+STATUS: Final = "~/status"
+"""`diagnostic_msgs/DiagnosticArray`: what every wrench stands for, with the wrench's stamp: one
+status, whose message is a `messages.ForceState`. The only standard message that has a stamp and a
+state in words."""
+WRENCH_LOWER: Final = "~/wrench_lower"
+WRENCH_UPPER: Final = "~/wrench_upper"
+"""`geometry_msgs/WrenchStamped`, with every estimate: the ends of the 95 % intervals. Their
+magnitudes are those between which the force lies, their directions those between which it points,
+from the lower's on with a growing angle; where the lower is zero every direction may be true. Two
+wrenches, as an interval that friction makes is lopsided, and no covariance states that."""
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 """`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one."""
 MARKERS: Final = "~/markers"

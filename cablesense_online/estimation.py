@@ -16,7 +16,9 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import (
     BREATH_END,
     NO_CONTACT,
+    UNKNOWN_WRENCH,
     Contact,
+    ForceState,
     NamedOrder,
     breath_turn,
     cable_offsets_m,
@@ -26,7 +28,13 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.breath_readings import BreathReadings
 from cablesense_online.drift import DriftWatch
-from cablesense_online.models import LARGEST_MISFIT, ContactModel, HistoryDependentModel, decide
+from cablesense_online.models import (
+    LARGEST_MISFIT,
+    ContactModel,
+    HistoryDependentModel,
+    decide,
+    force_bounds,
+)
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import (
@@ -57,14 +65,20 @@ MOST_EVENTS = 256
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
 _INCOMPLETE = "the arm file lists effects of actuators, friction or sensors"
 _NOTHING = np.zeros(0)
+_REFUSED = {
+    ProblemKind.CLOCK: ForceState.STALE,
+    ProblemKind.MISFIT: ForceState.IMPLAUSIBLE,
+}
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
 
 class Answer(NamedTuple):
-    """The answer to one sample.
+    """The answer to one sample; by default that of none.
 
     Attributes:
-        contact: `NO_CONTACT` also when the sample could not be used.
+        contact: `NO_CONTACT` also when the force is not known.
+        force: what is known of it.
+        bounds: ends of the 95 % intervals of force and direction; none without an estimate.
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
         stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
         problem: why the sample could not be used.
@@ -73,11 +87,22 @@ class Answer(NamedTuple):
     """
 
     contact: Contact = NO_CONTACT
+    force: ForceState = ForceState.SILENT
+    bounds: tuple[Contact, Contact] | None = None
     probabilities: Sequence[float] = ()
     stamp_ns: int = 0
     problem: SampleError | None = None
     new_tare: Tare | None = None
     state: EstimatorState | None = None
+
+    def wrench(self, unknown_force: str) -> Sequence[float] | None:
+        """Force, N, and torque, N·m, to be published (6,); none where none is.
+
+        `unknown_force` as in `EstimationSettings`.
+        """
+        if self.force.known or unknown_force == "zero":
+            return self.contact.wrench
+        return UNKNOWN_WRENCH if unknown_force == "nan" else None
 
 
 class Estimation:
@@ -197,21 +222,22 @@ class Estimation:
             if moving:
                 self.drift.interrupt()
             if moving and not self._model.in_motion:
-                return Answer(stamp_ns=stamp_ns, state=state)
+                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             tensions = self.breathing.without_friction(picked, stamp_ns)
             if self.breathing.learnt:
                 self._note(EventKind.BREATH)
             if tensions is None:
-                return Answer(stamp_ns=stamp_ns, state=state)
+                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             stage = ProblemKind.ESTIMATE
             if not moving and (self.breathing.known or not self._settings.await_breath):
                 self.tares.add(tensions)
             estimate = self._model.estimate(tensions, stamp_ns)
             if self.tares.automatic and not moving and self.tares.ready:
                 tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
-                return Answer(stamp_ns=stamp_ns, new_tare=tare, state=state)
+                untared = ForceState.UNTARED
+                return Answer(force=untared, stamp_ns=stamp_ns, new_tare=tare, state=state)
             if estimate is None:
-                return Answer(stamp_ns=stamp_ns, state=state)
+                return Answer(force=ForceState.UNTARED, stamp_ns=stamp_ns, state=state)
             probabilities = estimate.probabilities.tolist()
             contact = decide(
                 probabilities,
@@ -227,10 +253,16 @@ class Estimation:
         except CableSenseError as error:
             problem = error if isinstance(error, SampleError) else SampleError(stage, str(error))
             self.health.refused(problem)
-            return Answer(stamp_ns=stamp_ns, problem=problem, state=state)
+            force = _REFUSED.get(problem.kind, ForceState.REFUSED)
+            return Answer(force=force, stamp_ns=stamp_ns, problem=problem, state=state)
         if contact.magnitude_n > self.largest_force_n:
             self.largest_force_n = contact.magnitude_n
-        return Answer(contact, probabilities, stamp_ns, state=state)
+        bounds = force_bounds(estimate, contact, self._contact_m)
+        force = ForceState.CONTACT
+        if not contact.segment:
+            hidden = bounds[1].magnitude_n > self._settings.hidden_above_n
+            force = ForceState.HIDDEN if hidden else ForceState.FREE
+        return Answer(contact, force, bounds, probabilities, stamp_ns, state=state)
 
     def stale(self, now_s: float) -> bool:
         """Whether the last message is too long ago for its answer to stand."""

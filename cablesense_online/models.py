@@ -21,7 +21,7 @@ from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.inference.estimator import Estimate, Estimator
+from cablesense_training.inference.estimator import NORMAL_95, Estimate, Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import model_sha256
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
@@ -34,6 +34,9 @@ PREDICTED_EVERY_RAD = 2e-3
 
 On the arm `cdsm` they change by less than 0.1 N over this.
 """
+
+_HALF_TURN_DEG = 179.9
+"""Half the widest interval of a direction: the ends of a whole turn could not be told apart."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,27 @@ class HistoryDependentModel(ContactModel):
             self._predicted_n = self._predict_n(angle_rad)
         tare = self._tares.present
         return None if tare is None else tare.unloaded_n(self._predicted_n)
+
+
+def force_bounds(
+    estimate: Estimate, contact: Contact, contact_m: Sequence[float]
+) -> tuple[Contact, Contact]:
+    """The ends of the 95 % intervals of force and direction, as contacts.
+
+    Where no contact was decided on, the lower is none, and the upper is on the segment that would
+    be touched most likely: so much may act unseen.
+    """
+    low_n, high_n = estimate.interval_n
+    half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
+    segment = contact.segment
+    if not segment:
+        low_n, (_, *touched) = 0.0, estimate.probabilities.tolist()
+        segment = 1 + touched.index(max(touched))
+    at_m = contact_m[segment - 1]
+    upper = Contact(segment, estimate.angle_deg + half_deg, high_n, at_m)
+    if low_n <= 0.0:
+        return NO_CONTACT, upper
+    return Contact(segment, estimate.angle_deg - half_deg, low_n, at_m), upper
 
 
 def decide(

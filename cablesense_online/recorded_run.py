@@ -209,8 +209,10 @@ class RecordedRun:
 
 
 def shows_contact(answer: bytes) -> bool:
-    """Whether a serialized `WrenchStamped` is anything but zero."""
-    return len(answer) < _WRENCH.size or any(_WRENCH.unpack(answer[-_WRENCH.size :]))
+    """Whether a serialized `WrenchStamped` is a force: anything but zero or not a number."""
+    if len(answer) < _WRENCH.size:
+        return True
+    return any(abs(part) > 0.0 for part in _WRENCH.unpack(answer[-_WRENCH.size :]))
 
 
 def _stamp(raw: bytes) -> int:

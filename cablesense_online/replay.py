@@ -123,6 +123,7 @@ class RebuiltEstimation:
         self._built_for: object = None
         self._estimation: Estimation | None = None
         self._writers: list[WrenchWriter] = []
+        self._unknown_force = "zero"
         self.answer = Answer()
 
     @property
@@ -146,16 +147,19 @@ class RebuiltEstimation:
             self._estimation = Estimation(
                 self.loaded.arm, self.loaded.estimator, state.settings, 0.0
             )
+            self._unknown_force = state.settings.unknown_force
             self._built_for = wanted
         self._estimation.adjust(**{name: getattr(state.settings, name) for name in LIVE_SETTINGS})
         self._estimation.restore(state)
 
-    def wrench(self, sample: bytes, stamp_ns: int) -> bytes:
-        """The wrench that answers a sample with this stamp."""
+    def wrench(self, sample: bytes, stamp_ns: int) -> bytes | None:
+        """The wrench that answers a sample with this stamp; none where none is published."""
         assert self._estimation is not None
         self.answer = self._estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
-        contact = self.answer.contact
-        return self._writers[contact.segment].write(stamp_ns, contact.wrench)
+        wrench = self.answer.wrench(self._unknown_force)
+        if wrench is None:
+            return None
+        return self._writers[self.answer.contact.segment].write(stamp_ns, wrench)
 
     def _load(self, origin: dict[str, str]) -> LoadedModel:
         recorded = {key: origin.get(key, "") for key in ("model", "model SHA-256")}

@@ -23,7 +23,7 @@ from enum import Enum
 from functools import partial
 from math import tau
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -65,6 +65,8 @@ class EstimationSettings(BaseModel):
     tare_deviation_n: _NotNegative = 0.0
     tare_drift_n: _NotNegative = 0.0
     largest_misfit: _NotNegative = 0.0
+    unknown_force: Literal["zero", "nan", "none"] = "zero"
+    hidden_above_n: _NotNegative = 1.0
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
@@ -206,7 +208,7 @@ class EstimatorState(BaseModel):
 
     def settings_text(self) -> dict[str, str]:
         """Origin and settings as one mapping, as both serialisations have them."""
-        return {**self.origin, **{name: repr(value) for name, value in self.settings}}
+        return {**self.origin, **{name: _text(value) for name, value in self.settings}}
 
 
 def _validated(values: Mapping[str, Any]) -> EstimatorState:
@@ -324,7 +326,7 @@ def _values(status: Any) -> dict[str, str]:
     return {str(value.key): str(value.value) for value in status.values}
 
 
-def _text(value: int | tuple[float, ...]) -> str:
+def _text(value: float | str | tuple[float, ...]) -> str:
     return " ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
 
 

@@ -31,10 +31,8 @@ from cablesense_online.breathing import (
     offsets_m,
 )
 from cablesense_ros.node_process import RefusalLog, overridable, publish_diagnostics, run_node
-from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
-
-_WAYS = (topics.JOINT_COMMANDS, topics.CABLE_OFFSETS)
 
 
 class BreatherNode(Node):
@@ -43,10 +41,6 @@ class BreatherNode(Node):
     def __init__(self) -> None:
         super().__init__("breather")
         self._given = given = declare_parameters(self, parameter_table("breather"))
-        if given["over"] not in _WAYS:
-            raise ParameterError(
-                f"parameter over is {given['over']!r}; it must be {' or '.join(_WAYS)}"
-            )
         self._arm = arm = open_arm(given["arm"])
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._by_joints = given["over"] == topics.JOINT_COMMANDS

@@ -90,7 +90,9 @@ class EstimatorNode(ConfiguredNode):
         self._state = StateFile(given["state_file"], given["state_within_s"])
         self._restore_state(given)
         frames = Frames(arm.segment_count, given["frame_prefix"])
-        self._outputs = EstimatorOutputs(self, frames, given["markers"])
+        self._outputs = EstimatorOutputs(
+            self, frames, arm.identity, given["markers"], given["unknown_force"]
+        )
         self._entities.callback(self._outputs.destroy)
         for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
             service = self.create_service(Trigger, name, partial(self._on_request, answer))
@@ -210,7 +212,7 @@ class EstimatorNode(ConfiguredNode):
             self._publish_zero()
             silence_s = self._estimation.health.silence_s(now_s)
             self.get_logger().warning(
-                f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; the wrench is zero",
+                f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; no force is known",
                 throttle_duration_sec=WARN_EVERY_S,
             )
 

@@ -6,6 +6,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -13,13 +14,16 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Contact,
     ContactMarkers,
+    ForceState,
+    Status,
     describe_probabilities,
+    diagnostic_statuses,
     put_contact_point,
     put_force_direction,
     put_probabilities,
 )
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
-from cablesense_msgs_py.serialized import wrench_writers
+from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer
 from cablesense_online.state import put_state
@@ -32,13 +36,30 @@ DISPLAY_PERIOD_S = 1.0 / 30.0
 class EstimatorOutputs:
     """The publishers of a configured estimator; messages are made once and reused."""
 
-    def __init__(self, node: LifecycleNode, frames: Frames, markers: bool) -> None:
+    def __init__(
+        self,
+        node: LifecycleNode,
+        frames: Frames,
+        hardware_id: str,
+        markers: bool,
+        unknown_force: str,
+    ) -> None:
+        """`hardware_id` is the arm's identity, `unknown_force` as in `EstimationSettings`."""
         self._node = node
+        self._unknown_force = unknown_force
         self._frames = frames
         self._publishers: list[LifecyclePublisher] = []
         self._next_display_s = float("-inf")
         self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
         self._wrench_in = wrench_writers(frames)
+        self._status_out = self._create(DiagnosticArray, topics.STATUS)
+        self._status = {
+            state: _status_message(state, node.get_name(), hardware_id) for state in ForceState
+        }
+        self._bounds_out = [
+            self._create(WrenchStamped, topic)
+            for topic in (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
+        ]
         self._point, self._direction = PointStamped(), Vector3Stamped()
         self._point_out = self._create(PointStamped, topics.CONTACT_POINT)
         self._direction_out = self._create(Vector3Stamped, topics.FORCE_DIRECTION)
@@ -52,9 +73,17 @@ class EstimatorOutputs:
 
     def publish(self, answer: Answer, stamp_ns: int, now_s: float) -> None:
         """Publish the answer to a sample, stamped `stamp_ns`, at monotonic time `now_s`."""
-        contact = answer.contact
-        writer = self._wrench_in[contact.segment]
-        self._wrench_out.publish(writer.write(stamp_ns, contact.wrench))
+        contact, wrench = answer.contact, answer.wrench(self._unknown_force)
+        if wrench is not None:
+            writer = self._wrench_in[contact.segment]
+            self._wrench_out.publish(writer.write(stamp_ns, wrench))
+        if self._status_out.get_subscription_count():
+            self._status_out.publish(restamped(self._status[answer.force], stamp_ns))
+        if answer.bounds is not None:
+            for out, bound in zip(self._bounds_out, answer.bounds, strict=True):
+                if out.get_subscription_count():
+                    writer = self._wrench_in[bound.segment]
+                    out.publish(writer.write(stamp_ns, bound.wrench))
         if answer.state is not None:
             message = DiagnosticArray()
             message.header.frame_id = self._frames.base
@@ -93,6 +122,16 @@ class EstimatorOutputs:
         if self._markers and self._markers_out and self._markers_out.get_subscription_count():
             self._markers.put(answer.contact, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
+
+
+def _status_message(state: ForceState, node_name: str, hardware_id: str) -> bytes:
+    """Serialized, as it is published for every sample; only its stamp is another each time."""
+    message = DiagnosticArray()
+    status = Status("force", state.level, state.value)
+    message.status = diagnostic_statuses(
+        [status], node_name, hardware_id, DiagnosticStatus, KeyValue
+    )
+    return bytes(serialize_message(message))
 
 
 def _time(stamp_ns: int) -> Time:

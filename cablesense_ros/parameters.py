@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -36,16 +37,20 @@ class NodeParameter:
         default: also fixes the type.
         description: what it does, with its unit.
         bounds: least and greatest value of a number.
+        choices: the texts that are allowed; empty for any.
     """
 
     name: str
     default: bool | int | float | str
     description: str
     bounds: Sequence[float] = ()
+    choices: Sequence[str] = ()
 
     def descriptor(self, read_only: bool) -> ParameterDescriptor:
         """The description that `ros2 param describe` shows."""
         descriptor = ParameterDescriptor(description=self.description, read_only=read_only)
+        if self.choices:
+            descriptor.additional_constraints = self.valid()
         if self.bounds:
             low, high = self.bounds
             if isinstance(self.default, float):
@@ -57,6 +62,8 @@ class NodeParameter:
 
     def valid(self) -> str:
         """What would be right, for errors."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
         kinds = {
             bool: "true or false",
             int: "a whole number",
@@ -77,7 +84,7 @@ def parameter_table(node: str) -> list[NodeParameter]:
 
 
 def declare_parameters(
-    node: Node, table: Iterable[NodeParameter], read_only: bool = True
+    node: Node, table: Sequence[NodeParameter], read_only: bool = True
 ) -> dict[str, Any]:
     """Declare all of a table, give their values; `read_only` ones keep the value given at start.
 
@@ -91,9 +98,11 @@ def declare_parameters(
             value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
         except ParameterException as error:
             raise ParameterError(f"parameter {parameter.name}: {error}; {must}") from error
-        if isinstance(value, float) and not math.isfinite(value):
+        not_finite = isinstance(value, float) and not math.isfinite(value)
+        if not_finite or (parameter.choices and value not in parameter.choices):
             raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
-    node.add_on_set_parameters_callback(_refuse_not_finite)
+    choices = {parameter.name: parameter.choices for parameter in table if parameter.choices}
+    node.add_on_set_parameters_callback(partial(_refuse, choices))
     return parameter_values(node)
 
 
@@ -106,11 +115,17 @@ def parameter_values(node: Node) -> dict[str, Any]:
     }
 
 
-def _refuse_not_finite(parameters: list[Parameter]) -> SetParametersResult:
+def _refuse(
+    choices: Mapping[str, Sequence[str]], parameters: list[Parameter]
+) -> SetParametersResult:
     """NaN passes rclpy's own check of ranges, as it compares false with both ends."""
     for parameter in parameters:
+        must, allowed = "", choices.get(parameter.name, ())
         if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
-            return SetParametersResult(
-                successful=False, reason=f"{parameter.name} must be finite, not {parameter.value}"
-            )
+            must = "finite"
+        elif allowed and parameter.value not in allowed:
+            must = f"one of {', '.join(allowed)}"
+        if must:
+            reason = f"{parameter.name} must be {must}, not {parameter.value}"
+            return SetParametersResult(successful=False, reason=reason)
     return SetParametersResult(successful=True)

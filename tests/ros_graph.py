@@ -14,11 +14,13 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.time import Time
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from cablesense_msgs_py.messages import ForceState, read_force_state
 from cablesense_ros.processes import Process, node_command
 
 PATIENCE_S = 60.0
@@ -55,20 +57,37 @@ class Graph:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.wrenches: list[WrenchStamped] = []
+        self.states: dict[int, ForceState] = {}
         self.tensions: list[JointState] = []
         self.descriptions: list[String] = []
         self.statuses: dict[str, object] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         listen = self.node.create_subscription
         listen(WrenchStamped, "/estimator/wrench", self.wrenches.append, 100)
+        listen(DiagnosticArray, "/estimator/status", self._on_state, 100)
         listen(JointState, "/cable_tensions", self.tensions.append, qos_profile_sensor_data)
         listen(String, "/robot_description", self.descriptions.append, latched)
         listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.load = self.node.create_publisher(WrenchStamped, "/applied_wrench", 10)
         self.command = self.node.create_publisher(JointState, "/joint_commands", 10)
 
+    def _on_state(self, message: DiagnosticArray) -> None:
+        state, stamp_ns = read_force_state(message)
+        self.states[stamp_ns] = state
+
+    def state_of(self, wrench: WrenchStamped) -> ForceState | None:
+        """What a wrench stands for, once that has come."""
+        return self.states.get(Time.from_msg(wrench.header.stamp).nanoseconds)
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.statuses.update({status.name: status for status in message.status})
+
+    def listen(self, kind: type, topic: str) -> list:
+        """The messages of a topic, from when its publisher is known on."""
+        received: list = []
+        subscription = self.node.create_subscription(kind, topic, received.append, 100)
+        self.until(lambda: self.node.count_publishers(subscription.topic_name), topic)
+        return received
 
     def until(self, condition, what: str) -> None:
         """Spin until something is true."""

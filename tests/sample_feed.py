@@ -1,7 +1,5 @@
 """Samples for an estimation, one after the other, with a stand-in for the model."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from estimation_settings import estimation_settings
@@ -11,6 +9,7 @@ from cablesense_online.estimation import Estimation
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_training.inference.estimator import Estimate
 
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
@@ -27,18 +26,16 @@ class AnyDifference:
 
     pose_aware = True
 
-    def __init__(self, probability=0.9, magnitude_n=40.0):
-        self.probability, self.magnitude_n = probability, magnitude_n
+    def __init__(self, probability=0.9, magnitude_n=40.0, std_n=0.1):
+        self.probability, self.magnitude_n, self.std_n = probability, magnitude_n, std_n
         self.asked = []
 
     def estimate(self, tension_difference_n, joint_command_rad):
         self.asked.append((tension_difference_n, joint_command_rad))
         touched = self.probability if np.abs(tension_difference_n).max() > 1.0 else 0.0
-        return SimpleNamespace(
-            probabilities=np.array([1.0 - touched, 0.0, 0.0, touched, 0.0]),
-            angle_deg=70.0,
-            magnitude_n=self.magnitude_n,
-        )
+        probabilities = np.array([1.0 - touched, 0.0, 0.0, touched, 0.0])
+        magnitude_n = self.magnitude_n if touched else 0.0
+        return Estimate(probabilities, 3 if touched else 0, 70.0, magnitude_n, self.std_n, 5.0)
 
 
 def message_bytes(tensions, stamp_ns, names=ARM.cable_names):

@@ -16,7 +16,8 @@ from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostin
 from cablesense_base import Array
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.metrics import NORMAL_95, ContactAnswer, angle_difference_deg
+from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
+from cablesense_training.inference.estimator import NORMAL_95
 
 _SEED, _HELD_OUT = 0, 0.1
 """Of the share of the samples that the stated deviations are taken from."""

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.metrics import NORMAL_95
+from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.losses import (
     LossTerms,
     MultiContactTarget,

@@ -14,10 +14,12 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
+from rclpy.time import Time
 from ros_graph import Graph, NodeProcess, force
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from cablesense_msgs_py.messages import ForceState
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -82,10 +84,29 @@ def test_a_push_of_40_n_is_estimated_and_its_end_as_well(tared):
     assert np.linalg.norm(np.subtract(force(tared.wrenches[-1]), (0.0, 40.0, 0.0))) < 1.0
     torque = tared.wrenches[-1].wrench.torque
     assert torque.z == pytest.approx(0.065 * 40.0, abs=0.1)
+    assert tared.state_of(tared.wrenches[-2]) is ForceState.CONTACT
     tared.push(3, (0.0, 0.0, 0.0))
     tared.until(touched(tared, 0), "the contact to end")
     tared.spin(0.3)
     assert force(tared.wrenches[-1]) == (0.0, 0.0, 0.0)
+    assert tared.state_of(tared.wrenches[-2]) is ForceState.FREE
+
+
+def test_every_wrench_lies_within_its_published_bounds(tared):
+    ends = [tared.listen(WrenchStamped, f"/estimator/wrench_{end}") for end in ("lower", "upper")]
+    tared.push(3, (0.0, 40.0, 0.0))
+    tared.until(touched(tared), "a contact on segment 3")
+    tared.spin(0.2)
+    tared.push(3, (0.0, 0.0, 0.0))
+    tared.until(touched(tared, 0), "the contact to end")
+    tared.spin(0.3)
+    lower, force_n, upper = (
+        {Time.from_msg(m.header.stamp).nanoseconds: np.linalg.norm(force(m)) for m in messages}
+        for messages in (ends[0], tared.wrenches, ends[1])
+    )
+    stamps = set(lower) & set(force_n) & set(upper)
+    assert max(force_n[stamp] for stamp in stamps) > 39.0
+    assert all(lower[stamp] <= force_n[stamp] <= upper[stamp] for stamp in stamps)
 
 
 def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimator):
@@ -125,6 +146,7 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     moved = solve_equilibrium(mechanism_of(ARM), np.full(8, 0.05)).tensions_n
     tared.until(lambda: np.abs(tared.tensions[-1].effort - moved).max() < 0.5, "the new pose")
     assert {force(wrench) for wrench in tared.wrenches} == {(0.0, 0.0, 0.0)}
+    assert ForceState.MOVING in map(tared.state_of, tared.wrenches)
     tared.push(2, (0.0, 0.0, 30.0))
     tared.until(touched(tared, 2), "a contact at the new pose")
     tared.push(2, (0.0, 0.0, 0.0))
@@ -170,6 +192,7 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.until(lambda: "no sample for" in estimator.log, "silence to be noticed")
     tared.wrenches.clear()
     tared.until(lambda: len(tared.wrenches) > 5, "zero wrenches in the silence")
+    tared.until(lambda: ForceState.SILENT in tared.states.values(), "the state in the silence")
     source = tared.node.create_publisher(JointState, "/cable_tensions", 10)
     tared.until(lambda: source.get_subscription_count() == 2, "estimator and test")
     tared.spin(0.5)  # that they know of the publisher as well
@@ -194,6 +217,7 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.until(
         lambda: int(_values(tared, "cable_tensions")["refused in all"]) >= 3, "the diagnostics"
     )
+    assert ForceState.REFUSED in tared.states.values()
     publish(names[::-1], UNLOADED[::-1].tolist())
     tared.spin(0.2)
     assert estimator.alive

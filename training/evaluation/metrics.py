@@ -14,16 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.estimator import NORMAL_95, Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 Integers = NDArray[np.int64]
 
 FORCE_EDGES_N = (0.0, 2.0, 10.0, 50.0, 100.0, 200.0)
 """Edges of the force bins; the last bin takes its upper edge and everything beyond."""
-
-NORMAL_95 = 1.959964
-"""Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,9 @@ from cablesense_training.inference.single_run import SingleRun
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
 MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
 
+NORMAL_95 = 1.959964
+"""Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
+
 NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
 
 
@@ -48,6 +51,12 @@ class Estimate(NamedTuple):
     magnitude_n: float
     magnitude_std_n: float
     angle_std_deg: float
+
+    @property
+    def interval_n(self) -> tuple[float, float]:
+        """Between which the force lies with 95 %, where there is a contact."""
+        half_n = NORMAL_95 * self.magnitude_std_n
+        return max(0.0, self.magnitude_n - half_n), self.magnitude_n + half_n
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
