@@ -35,7 +35,7 @@ from cablesense_sim.replay import read_tensions_n
 
 ARMS = ("cdsm", "cdsm_lab")
 BAR_DEG = 0.5
-RATE_HZ, DISPLAY_TICKS = 50.0, 2
+RATE_HZ = 50.0
 FAULT_S, MOVED_S, END_S = 3.0, 5.0, 9.0
 DRIFT_S = 14.0
 LOOSE_N = -1e5
@@ -160,10 +160,8 @@ class Run:
         self._message.effort = np.maximum(read_n, 0.0).tolist()
         answer = self.estimation.sample(serialize_message(self._message), now_ns, now_s)
         contact, controller = answer.contact, self.controller
-        if len(answer.probabilities) and number % DISPLAY_TICKS == 0:
-            controller.watch.received_probabilities(now_s)
         force_n = np.array(contact.wrench[:3])
-        given = controller.received_wrench(contact.segment, force_n, now_ns, now_ns, now_s)
+        given = controller.received(answer.force, contact.segment, force_n, now_ns, now_ns, now_s)
         for command in (given, controller.repeated(now_s)):
             if command is not None:
                 self.commanded(command, now_s)

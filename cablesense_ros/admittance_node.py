@@ -9,28 +9,29 @@ from dataclasses import fields
 from functools import partial
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
+    ForceState,
     Level,
     NamedOrder,
     Status,
     breath_turn,
     joint_command_rad,
     put_joint_angles,
+    read_force_state,
 )
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER, SENSOR, Qos
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.controller import AdmittanceController
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
-    check_probabilities,
-    input_is_stale,
+    ForcePairs,
     read_wrench,
 )
 from cablesense_online.admittance.law import AdmittanceSettings
@@ -67,9 +68,9 @@ class AdmittanceNode(ConfiguredNode):
         names = {field.name for field in fields(AdmittanceSettings)}
         settings = AdmittanceSettings(**{name: given[name] for name in names & set(given)})
         self._controller = AdmittanceController(self._mechanism, settings, time.monotonic())
+        self._pairs = ForcePairs()
         self._frames = Frames(arm.segment_count, given["frame_prefix"])
         self._joints = NamedOrder(arm.joint_names, "joints")
-        self._estimator = given["estimator"]
         self._command = JointState(name=list(arm.joint_names))
         self._commands_out = self.create_publisher(
             JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
@@ -77,13 +78,12 @@ class AdmittanceNode(ConfiguredNode):
         self._entities.callback(self.destroy_publisher, self._commands_out)
         inputs: tuple[tuple[type, str, Qos, Callable[[Any], None]], ...] = (
             (WrenchStamped, topics.WRENCH, SENSOR, self._on_wrench),
-            (Float64MultiArray, topics.CONTACT_PROBABILITIES, SENSOR, self._on_probabilities),
-            # these two stop nothing: arm and estimator refuse a command as well
+            (DiagnosticArray, topics.STATUS, SENSOR, self._on_status),
+            # this stops nothing: arm and estimator refuse a command as well
             (JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command),
-            (DiagnosticArray, topics.DIAGNOSTICS, COMMAND, self._on_diagnostics),
         )
         for kind, topic, quality, handle in inputs:
-            name, publisher, accept = of_node(self._estimator, topic), None, None
+            name, publisher, accept = of_node(given["estimator"], topic), None, None
             if quality is SENSOR:
                 publisher = FollowedPublisher(settings.stale_after_s)
                 accept = partial(self._stopping, name, publisher.accept)
@@ -106,13 +106,19 @@ class AdmittanceNode(ConfiguredNode):
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         segment, force_n, stamp_ns = read_wrench(message, self._frames)
-        if self._active:
-            now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
-            self._send(self._controller.received_wrench(segment, force_n, stamp_ns, now_ns, now_s))
+        if segment and self._pairs.force(stamp_ns, segment, force_n):
+            self._on_force(ForceState.CONTACT, stamp_ns)
 
-    def _on_probabilities(self, message: Float64MultiArray) -> None:
-        check_probabilities(message, self._mechanism.segment_count)
-        self._controller.watch.received_probabilities(time.monotonic())
+    def _on_status(self, message: DiagnosticArray) -> None:
+        self._on_force(*read_force_state(message))
+
+    def _on_force(self, force: ForceState, stamp_ns: int) -> None:
+        found: tuple[int, Array] | None = (0, np.zeros(3))
+        if force is ForceState.CONTACT:
+            found = self._pairs.take(stamp_ns)
+        if self._active and found is not None:
+            now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
+            self._send(self._controller.received(force, *found, stamp_ns, now_ns, now_s))
 
     def _on_command(self, message: JointState) -> None:
         if breath_turn(message) is not None:
@@ -123,11 +129,6 @@ class AdmittanceNode(ConfiguredNode):
                 "another node commands: that pose is home from now on",
                 throttle_duration_sec=WARN_EVERY_S,
             )
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        stale = input_is_stale(message, self._estimator)
-        if stale is not None:
-            self._controller.watch.received_input_state(stale, time.monotonic())
 
     def _check_silence(self) -> None:
         now_s, watch = time.monotonic(), self._controller.watch

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import Level, Status
+from cablesense_msgs_py.messages import ForceState, Level, Status
 from cablesense_online.admittance.estimate_watch import ContactState, EstimateWatch
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
@@ -28,8 +28,6 @@ from cablesense_sim.mechanism import Mechanism
 OWN_COMMANDS_KEPT = 16
 REPEAT_S = 0.5
 """While estimates are awaited, the command in force is repeated this often."""
-_LEAST_PROBABILITIES = 2
-"""One message of probabilities could still be of the time before the command."""
 
 
 class AdmittanceController:
@@ -49,7 +47,7 @@ class AdmittanceController:
         self.law = AdmittanceLaw(mechanism, Reach(mechanism, settings.joint_limit_rad), settings)
         self.command_rad = np.zeros(mechanism.joint_count)
         self.home_rad = self.command_rad.copy()
-        self.watch = EstimateWatch(self.command_rad, settings, now_s)
+        self.watch = EstimateWatch(settings, now_s)
         self._average = ForceAverage(settings.measure_s, settings.stale_after_s)
         self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
         self._arrived_s = self._stepped_s = now_s
@@ -73,23 +71,27 @@ class AdmittanceController:
         self._go_on_from(command_rad, now_s)
         return True
 
-    def received_wrench(
-        self, segment: int, force_n: Array, stamp_ns: int, clock_ns: int, now_s: float
+    def received(
+        self,
+        force: ForceState,
+        segment: int,
+        force_n: Array,
+        stamp_ns: int,
+        clock_ns: int,
+        now_s: float,
     ) -> Array | None:
-        """An estimate came; gives the next command.
+        """What is known of the force came; gives the next command.
 
-        `force_n` (3,) is in the axes of the touched segment, from 1, or 0 for a wrench in the base
-        frame; `stamp_ns` is the sample's, `clock_ns` the present time of the clock that sets it.
+        During a contact `force_n` (3,) is in the axes of the touched `segment`, from 1; else that
+        is 0. `stamp_ns` is the sample's, `clock_ns` the present time of the clock that sets it.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
-        fresh = self.watch.received_wrench(bool(segment), age_s, now_s)
+        fresh = self.watch.received(force, age_s, now_s) and force.known
         state = self.watch.update(now_s)
         if not fresh or state is ContactState.STOPPED or self._waits_for(now_s):
             self._average.clear()
             return None
         if now_s - age_s < self._arrived_s:
-            return None
-        if not segment and self.watch.probabilities_since(self._arrived_s) < _LEAST_PROBABILITIES:
             return None
         self._average.add(stamp_ns, segment, force_n)
         return self._step(now_s) if self._average.complete else None
@@ -177,5 +179,4 @@ class AdmittanceController:
         turn = float(np.abs(command_rad - self.command_rad).max())
         self._arrived_s = now_s + move_duration_s(turn, self._settings.joint_speed_rad_s)
         self.command_rad = command_rad.copy()
-        self.watch.commanded(command_rad, now_s)
         self._average.clear()

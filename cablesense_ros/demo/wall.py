@@ -15,11 +15,15 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.messages import NamedOrder, joint_command_rad, read_load
+from cablesense_msgs_py.messages import (
+    NamedOrder,
+    joint_command_rad,
+    read_force_state,
+    read_load,
+)
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
@@ -110,9 +114,7 @@ class WallObserver:
         self._frames = Frames(arm.segment_count)
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._command = np.zeros(arm.joint_count)
-        self._watch = EstimateWatch(
-            self._command, AdmittanceSettings(resume_after_s=0.0), time.monotonic()
-        )
+        self._watch = EstimateWatch(AdmittanceSettings(resume_after_s=0.0), time.monotonic())
         self._true_n = self._estimated_n = 0.0
         self._control = ""
         self._lock = threading.Lock()
@@ -121,7 +123,7 @@ class WallObserver:
             (WrenchStamped, topics.APPLIED_WRENCH, self._on_load),
             (JointState, topics.JOINT_COMMANDS, self._on_command),
             (WrenchStamped, topics.WRENCH, self._on_wrench),
-            (Float64MultiArray, topics.CONTACT_PROBABILITIES, self._on_probabilities),
+            (DiagnosticArray, topics.STATUS, self._on_state),
             (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics),
         ):
             refuse.subscribe(kind, of_node("estimator", topic), qos.COMMAND, handle)
@@ -149,17 +151,16 @@ class WallObserver:
     def _on_command(self, message: JointState) -> None:
         with self._lock:
             self._command = joint_command_rad(message, self._joints)
-            self._watch.commanded(self._command, time.monotonic())
 
     def _on_wrench(self, message: WrenchStamped) -> None:
-        segment, force_n, _ = read_wrench(message, self._frames)
+        _, force_n, _ = read_wrench(message, self._frames)
         with self._lock:
             self._estimated_n = float(np.linalg.norm(force_n))
-            self._watch.received_wrench(bool(segment), 0.0, time.monotonic())
 
-    def _on_probabilities(self, _: Float64MultiArray) -> None:
+    def _on_state(self, message: DiagnosticArray) -> None:
+        force, _ = read_force_state(message)
         with self._lock:
-            self._watch.received_probabilities(time.monotonic())
+            self._watch.received(force, 0.0, time.monotonic())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.messages import Level
+from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.admittance.controller import AdmittanceController
 from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_online.admittance.law import AdmittanceSettings
@@ -28,11 +28,12 @@ class Played:
     def run(self, seconds, segment=0, force=NONE, age_s=0.002):
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            seeing = self.now_s >= self.mute_until_s
             clock_ns = CLOCK_OFFSET_NS + round(self.now_s * 1e9)
+            seeing, state = self.now_s >= self.mute_until_s, ForceState.MOVING
             if seeing:
-                self.controller.watch.received_probabilities(self.now_s)
-            command = self.controller.received_wrench(
+                state = ForceState.CONTACT if segment else ForceState.FREE
+            command = self.controller.received(
+                state,
                 segment if seeing else 0,
                 force if seeing else NONE,
                 clock_ns - round(age_s * 1e9),
@@ -89,7 +90,22 @@ def test_old_stamps_stop_it():
     assert not played.run(1.0, 3, PUSH, age_s=0.3)
     assert played.controller.watch.state is ContactState.STOPPED
     assert played.message().level is Level.ERROR
-    assert "no wrench with a fresh stamp" in played.message().message
+    assert "no state of the force with a fresh stamp" in played.message().message
+
+
+def test_no_step_is_taken_while_friction_may_hide_a_force():
+    played = Played(mute_s=0.0)
+    played.run(0.5)
+    played.run(1.0, 3, PUSH)
+    moved = len(played.sent)
+    for _ in range(300):
+        played.now_s += 0.01
+        clock_ns = CLOCK_OFFSET_NS + round(played.now_s * 1e9)
+        hidden = (ForceState.HIDDEN, 0, NONE, clock_ns, clock_ns, played.now_s)
+        assert played.controller.received(*hidden) is None
+    assert moved
+    assert played.message().level is Level.OK
+    assert played.run(1.0)  # free: home
 
 
 def test_another_nodes_command_becomes_home_and_silences_it():

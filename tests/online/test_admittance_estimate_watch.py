@@ -1,4 +1,4 @@
-"""Unknown, free, stale and contact are distinguished, though the wrench is zero in three of them.
+"""Whether the estimator's states can be relied on, and what they say then.
 
 Messages of the estimator that break the contract are refused by name.
 """
@@ -7,38 +7,33 @@ import math
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from std_msgs.msg import Float64MultiArray
 
+from cablesense_msgs_py.messages import ForceState
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.admittance.estimate_watch import (
     ContactState,
     EstimateWatch,
-    check_probabilities,
-    input_is_stale,
+    ForcePairs,
     read_wrench,
 )
 from cablesense_online.admittance.law import AdmittanceSettings
 
 SETTINGS = AdmittanceSettings(stale_after_s=0.2, resume_after_s=1.0, settle_s=0.5)
-REST, MOVED = np.zeros(8), np.full(8, 0.01)
 
 
 class Estimator:
-    """Plays 100 Hz of wrenches, and probabilities beside those that are estimates."""
+    """Plays 100 Hz of states."""
 
     def __init__(self):
         self.now_s = 100.0
-        self.watch = EstimateWatch(REST, SETTINGS, self.now_s)
+        self.watch = EstimateWatch(SETTINGS, self.now_s)
 
-    def publishes(self, seconds, contact=False, estimates=True, age_s=0.001):
+    def publishes(self, seconds, force=ForceState.FREE, age_s=0.001):
         states = []
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
-            self.watch.received_wrench(contact, age_s, self.now_s)
-            if estimates:
-                self.watch.received_probabilities(self.now_s)
+            self.watch.received(force, age_s, self.now_s)
             states.append(self.watch.update(self.now_s))
         return states
 
@@ -64,34 +59,34 @@ def test_estimates_must_come_for_a_while_before_they_are_trusted():
 
 
 def test_a_contact_is_known_at_once(estimator):
-    assert estimator.publishes(0.02, contact=True)[-1] is ContactState.CONTACT
-    assert estimator.publishes(0.5)[-1] is ContactState.FREE
+    assert estimator.publishes(0.01, ForceState.CONTACT)[-1] is ContactState.CONTACT
+    assert estimator.publishes(0.01)[-1] is ContactState.FREE
 
 
-def test_zeros_after_a_command_are_no_estimate_that_the_arm_is_free(estimator):
-    estimator.watch.commanded(MOVED, estimator.now_s)
-    states = estimator.publishes(0.58, estimates=False)
-    assert set(states) == {ContactState.UNKNOWN}
-    assert estimator.publishes(0.1)[-1] is ContactState.FREE
+@pytest.mark.parametrize("force", [ForceState.MOVING, ForceState.HIDDEN])
+def test_what_is_hidden_or_in_motion_is_unknown_and_no_fault(estimator, force):
+    assert set(estimator.publishes(5.0, force)) == {ContactState.UNKNOWN}
+    assert estimator.publishes(0.01)[-1] is ContactState.FREE
 
 
-def test_an_estimator_that_answers_while_the_arm_moves_is_trusted(estimator):
-    estimator.watch.commanded(MOVED, estimator.now_s)
-    assert set(estimator.publishes(0.5, contact=True)) == {ContactState.CONTACT}
-
-
-def test_zeros_for_longer_than_a_move_takes_are_a_fault(estimator):
-    estimator.watch.commanded(MOVED, estimator.now_s)
-    states = estimator.publishes(0.6 + 0.2 + 0.1, estimates=False)
+@pytest.mark.parametrize(
+    "force",
+    [state for state in ForceState if not state.known and state.value not in ("moving", "hidden")],
+)
+def test_a_force_that_stays_unknown_for_another_reason_stops(estimator, force):
+    states = estimator.publishes(0.3, force)
+    assert states[0] is ContactState.UNKNOWN
     assert states[-1] is ContactState.STOPPED
-    assert "no estimate" in estimator.watch.reason
+    assert force.value in estimator.watch.reason
+    assert estimator.publishes(0.9)[-1] is ContactState.STOPPED
+    assert estimator.publishes(0.2)[-1] is ContactState.FREE
 
 
 def test_silence_stops_within_the_limit_and_estimates_resume(estimator):
     states = estimator.silence(0.3)
     assert states[18] is not ContactState.STOPPED
     assert states[21] is ContactState.STOPPED
-    assert "no wrench" in estimator.watch.reason
+    assert "fresh stamp" in estimator.watch.reason
     assert not estimator.watch.publishing(estimator.now_s)
     assert estimator.publishes(0.9)[-1] is ContactState.STOPPED
     assert estimator.publishes(0.2)[-1] is ContactState.FREE
@@ -101,19 +96,26 @@ def test_old_stamps_are_silence(estimator):
     assert estimator.publishes(0.3, age_s=0.25)[-1] is ContactState.STOPPED
 
 
-def test_the_estimators_report_of_stale_samples_stops_until_estimates_come(estimator):
-    estimator.silence(0.05)
-    estimator.watch.received_input_state(True, estimator.now_s)
-    assert estimator.watch.update(estimator.now_s) is ContactState.STOPPED
-    assert "stale" in estimator.watch.reason
-    assert estimator.publishes(1.2)[-1] is ContactState.FREE
-
-
 def test_a_refused_message_stops(estimator):
     estimator.watch.refused("a wrench was refused: nan")
     assert estimator.publishes(0.01)[-1] is ContactState.STOPPED
     assert "nan" in estimator.watch.reason
     assert estimator.publishes(1.2)[-1] is ContactState.FREE
+
+
+def test_forces_and_states_meet_in_any_order():
+    pairs, push = ForcePairs(), np.array([0.0, 5.0, 0.0])
+    assert not pairs.force(1, 3, push)
+    assert pairs.take(1) == (3, push)
+    assert pairs.take(2) is None
+    assert pairs.take(3) is None
+    assert pairs.force(2, 4, push)
+    assert pairs.take(2) == (4, push)
+    assert pairs.force(3, 4, push)
+    for stamp in range(10, 200):
+        assert not pairs.force(stamp, 1, push)
+        assert pairs.take(1000 + stamp) is None
+    assert pairs.take(10) is None  # what never meets is forgotten
 
 
 rclpy = pytest.importorskip("rclpy")
@@ -135,7 +137,11 @@ def test_a_contact_and_no_contact_are_read():
     segment, force_n, stamp_ns = read_wrench(wrench("left/segment_3", 3.0, -4.0), FRAMES)
     assert (segment, stamp_ns) == (3, 7_000_000_005)
     assert np.array_equal(force_n, [0.0, 3.0, -4.0])
-    assert read_wrench(wrench("left/base_link"), FRAMES)[0] == 0
+    for nothing in (0.0, math.nan):
+        unknown = wrench("left/base_link", nothing, nothing)
+        unknown.wrench.force.x = nothing
+        segment, force_n, _ = read_wrench(unknown, FRAMES)
+        assert (segment, force_n.any()) == (0, False)
 
 
 @pytest.mark.parametrize(
@@ -153,20 +159,3 @@ def test_a_contact_and_no_contact_are_read():
 def test_what_breaks_the_contract_is_refused(message, complaint):
     with pytest.raises(ContractError, match=complaint):
         read_wrench(message, FRAMES)
-
-
-@pytest.mark.parametrize("data", [[], [0.5, 0.5], [0.2] * 4 + [math.nan], [0.2] * 4 + [-0.1]])
-def test_probabilities_that_are_none_are_refused(data):
-    with pytest.raises(ContractError, match="5 probabilities"):
-        check_probabilities(Float64MultiArray(data=data), 4)
-    check_probabilities(Float64MultiArray(data=[0.2] * 5), 4)
-
-
-def test_only_the_estimators_report_on_its_samples_counts():
-    def report(name, level):
-        return DiagnosticArray(status=[DiagnosticStatus(name=name, level=bytes([level]))])
-
-    assert input_is_stale(report("estimator: cable_tensions", 3), "estimator") is True
-    assert input_is_stale(report("estimator: cable_tensions", 2), "estimator") is False
-    assert input_is_stale(report("estimator: model", 3), "estimator") is None
-    assert input_is_stale(report("other: cable_tensions", 3), "estimator") is None

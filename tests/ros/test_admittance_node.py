@@ -120,7 +120,7 @@ def _killed_and_back(loop, estimator, processes):
     loop.spin(1.0)
     late = [when for when, _ in loop.commands if when > killed_s + STALE_AFTER_S + LATENESS_S]
     assert not late
-    assert "stopped: no wrench with a fresh stamp" in processes[2].log
+    assert "stopped: no state of the force with a fresh stamp" in processes[2].log
     loop.until(
         lambda: "stopped" in loop.statuses["admittance: control"].message, "the diagnostics"
     )

@@ -10,7 +10,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_msgs_py.messages import Level
@@ -59,16 +58,18 @@ class Estimates:
         self.node = graph.node
         advertise = self.node.create_publisher
         self.wrenches = advertise(WrenchStamped, "/estimator/wrench", 10)
-        kind, topic = Float64MultiArray, "/estimator/contact_probabilities"
-        self.probabilities = advertise(kind, topic, 10)
-        self.wrench, self.likely = WrenchStamped(), Float64MultiArray(data=[0.0] * 5)
+        self.states = advertise(DiagnosticArray, "/estimator/status", 10)
+        state = "contact" if segment else "free"
+        self.wrench = WrenchStamped()
+        self.state = DiagnosticArray(status=[DiagnosticStatus(message=state)])
         self.wrench.header.frame_id = f"segment_{segment}" if segment else "base_link"
-        self.wrench.wrench.force.y, self.likely.data[segment] = force_n, 1.0
+        self.wrench.wrench.force.y = force_n
 
     def publish(self):
-        self.wrench.header.stamp = self.node.get_clock().now().to_msg()
-        self.probabilities.publish(self.likely)
+        now = self.node.get_clock().now().to_msg()
+        self.state.header.stamp = self.wrench.header.stamp = now
         self.wrenches.publish(self.wrench)
+        self.states.publish(self.state)
 
 
 def until(graph, sources, condition, what):
