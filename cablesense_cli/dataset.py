@@ -44,7 +44,10 @@ def dataset(
     force_low_n: Annotated[float, typer.Option(help="Weakest contact force, N.")] = 0.0,
     force_high_n: Annotated[
         float | None,
-        typer.Option(help="Strongest contact force, N.", show_default="200; 60 for multi"),
+        typer.Option(
+            help="Strongest contact force, N.",
+            show_default="200; 60 for multi; less on a weak arm",
+        ),
     ] = None,
     no_contact_fraction: Annotated[
         float | None,
@@ -106,10 +109,10 @@ def dataset(
         "max_contacts": max_contacts,
         "randomise": randomise,
     }
-    drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None})
     arm_file = find_arm(arm)
     output_file(out, force=force, inputs=(arm_file,))
     description = load_arm(arm_file)
+    drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None}, description)
     # what cannot change a byte of the file is left out of its command
     options = drawn.options()
     command = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}

@@ -17,6 +17,7 @@ from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.hidden_force import SHOWS_AT_STD, hidden_force
+from cablesense_sim.load_capacity import SEARCHED_UP_TO_N, contact_range_n, load_capacity
 
 
 def info(
@@ -87,16 +88,16 @@ Description = dict[str, Any]
 
 
 def describe_arm(name: str) -> Description:
-    """An arm's identity, geometry, cables and sensors as drawn, and its effects.
+    """An arm's identity, geometry, cables and sensors as drawn, its effects, and what it bears.
 
     SI units, as the keys say.
 
     Raises:
-        CableSenseError: no such arm file, or one that cannot be true.
+        CableSenseError: no such arm file, one that cannot be true, or an arm that cannot stand.
     """
     path = find_arm(name)
     arm = load_arm(path)
-    mechanism = mechanism_of(arm)
+    mechanism, bears = mechanism_of(arm), load_capacity(arm)
     angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
     return {
         "kind": "arm",
@@ -124,6 +125,13 @@ def describe_arm(name: str) -> Description:
         ],
         "sensors": _picked(arm.sensors, "rate_hz", "noise_std_n", "step_n", "range_n"),
         "joints": list(arm.joint_names),
+        "bears": {
+            "sag_deg": bears.sag_deg,
+            "sag_m": bears.sag_m,
+            "greatest_n": bears.greatest_n.tolist(),
+            "searched_up_to_n": SEARCHED_UP_TO_N,
+            "contact_range_n": contact_range_n(arm),
+        },
         "breath": _breath(arm),
         "effects": [
             {
@@ -163,6 +171,21 @@ def _breath_text(breath: Description) -> str:
     )
 
 
+def _bearing_facts(bears: Description) -> list[tuple[str, str]]:
+    most_n = bears["searched_up_to_n"]
+    greatest = _listed([min(most_n, float(f"{each:.2g}")) for each in bears["greatest_n"]])
+    more = " or more" if max(bears["greatest_n"]) >= most_n else ""
+    return [
+        (
+            "sag",
+            f"{bears['sag_deg']:.2g} degrees in a joint, {1e3 * bears['sag_m']:.2g} mm at the "
+            "last contact point, by its own weight",
+        ),
+        ("bears", f"{greatest} N{more}, segment by segment, straight and from every side"),
+        ("contacts", f"drawn up to {bears['contact_range_n']:g} N unless told otherwise"),
+    ]
+
+
 def _picked(thing: object, *names: str) -> Description:
     return {name: getattr(thing, name) for name in names}
 
@@ -181,6 +204,7 @@ def _arm_tables(arm: Description) -> list[Table]:
             f"{sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N (1 σ), "
             f"step {sensors['step_n']:g} N",
         ),
+        *_bearing_facts(arm["bears"]),
         ("breath", _breath_text(arm["breath"])),
     )
     columns = {

@@ -59,7 +59,7 @@ def train(
         float | None,
         typer.Option(
             help="Strongest contact force, N.",
-            show_default="200; 60 for several contacts, 100 in motion",
+            show_default="200; 60 for several contacts, 100 in motion; less on a weak arm",
         ),
     ] = None,
     randomise: RandomiseOption = None,
@@ -201,6 +201,7 @@ def _tables(report: TrainingReport, arm_identity: str) -> Iterator[Table]:
                 f"{part.errors.magnitude_mae_n:.3f} N",
             )
             for part in single.bins
+            if part.errors.contacts
         ]
         yield titled_table("by force", *headings, right=headings, rows=bins)
     if (motion := report.motion) is not None:

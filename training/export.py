@@ -88,7 +88,8 @@ class _Answers(nn.Module):
 
 def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
     rng = np.random.default_rng(0)
-    tension = torch.as_tensor(rng.normal(0.0, 20.0, (_TRIAL_ROWS, metadata.arm.cable_count)))
+    rows = (_TRIAL_ROWS, metadata.arm.cable_count)
+    tension = torch.as_tensor(rng.normal(0.0, 0.1 * metadata.force_range_n, rows))
     tension[0] = 0.0  # where one zero may be divided by another
     if not metadata.pose_aware:
         return [tension]

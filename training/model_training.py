@@ -17,6 +17,7 @@ from cablesense_base.files import output_file
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
+from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.motion_protocol import MotionProtocol
@@ -116,8 +117,8 @@ def draw_training_data(
     Args:
         arm: the arm.
         network: its name.
-        options: of the protocol, None standing for its default; `samples` counts sequences where
-            the network learns from them.
+        options: of the protocol, None standing for its default, or for what the arm bears if
+            that is less; `samples` counts sequences where the network learns from them.
         seed: of the draw.
         workers: processes.
         show_progress: draw a bar.
@@ -125,14 +126,17 @@ def draw_training_data(
     Raises:
         TrainingError: there is no such network.
         DatasetError: an option out of range, or one that the protocol does not have.
+        WeakArmError: the arm cannot stand.
     """
     recipe = recipe_for(network)
     given = {name: value for name, value in options.items() if value is not None}
     if recipe.learns_from == "motion":
+        if "force_high_n" not in given:
+            given["force_high_n"] = contact_range_n(arm, MotionProtocol.force_high_n)
         motion = MotionProtocol(sequences=given.pop("samples", recipe.samples), **given)
         with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
             return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)
-    protocol = protocol_from_options({"kind": recipe.learns_from, **given})
+    protocol = protocol_from_options({"kind": recipe.learns_from, **given}, arm)
     parts = []
     with progress_bar(protocol.samples, shown=show_progress) as advance:
         for part in generate(arm, protocol, seed, workers=workers):

@@ -28,6 +28,7 @@ from cablesense_online.page.panel import Actions, Controls, TracePlot
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
+from cablesense_sim.load_capacity import contact_range_n
 from cablesense_sim.mechanism import Mechanism
 
 _NUMBERS_EVERY_S = 0.15
@@ -53,6 +54,7 @@ class Page:
             PageError: no port from `port` on can be bound on `host`, or viser cannot be guarded.
         """
         mechanism = mechanism_of(arm)
+        self._force_limit_n = contact_range_n(arm)
         token = secrets.token_urlsafe(16)
         self._server = guarded_server(host, free_port(host, port), token)
         self.port = self._server.get_port()
@@ -132,7 +134,9 @@ class Page:
             if self._controls is None and clients:
                 self._commander = min(clients)
                 gui = clients[self._commander].gui
-                self._controls = Controls(gui, mechanism, actions, self._joints_deg)
+                self._controls = Controls(
+                    gui, mechanism, actions, self._joints_deg, self._force_limit_n
+                )
             for number, shown in self._visitors.items():
                 shown.content = panel.visitors_html(number + 1, self._commander + 1, len(clients))
 

@@ -26,7 +26,6 @@ from cablesense_online.page.drawing import (
 from cablesense_online.page.live_arm import Contact, Errors, Status
 from cablesense_sim.mechanism import Mechanism
 
-FORCE_LIMIT_N = 200.0
 JOINT_LIMIT_DEG = 20.0
 
 
@@ -64,6 +63,7 @@ class Controls:
         mechanism: Mechanism,
         actions: Actions,
         joints_deg: Sequence[float],
+        force_limit_n: float,
     ) -> None:
         """`joints_deg` (2N,) is where the joints' sliders begin."""
         self._actions = actions
@@ -76,7 +76,9 @@ class Controls:
             self._angle = gui.add_slider(
                 "angle, °", 0, 355, 5, 215, hint="direction of the force: 0° up, 90° to +y"
             )
-            self._newtons = gui.add_slider("force, N", 0, int(FORCE_LIMIT_N), 1, 60)
+            self._newtons = gui.add_slider(
+                "force, N", 0.0, force_limit_n, force_limit_n / 200.0, 0.3 * force_limit_n
+            )
             self._button = gui.add_button("Push", color="orange", icon=viser.Icon.HAND_FINGER)
         limit_deg = joint_limit_deg(mechanism)
         with gui.add_folder("Move the joints", expand_by_default=True):

@@ -16,13 +16,15 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Level
 from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot, angle_error_deg
 from cablesense_ros.arm_client import ArmClient, record
+from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
 PUSH_S = 3.0
 """How long each push is held; the pause before it is as long as what is left of its share."""
 SHORTEST_SLOT_S = 4.0
 MOVE_S = 3.0
 """What a move of the joints may take until the arm rests again."""
-WEAKEST_N, STRONGEST_N = 5.0, 120.0
+WEAKEST, STRONGEST = 0.025, 0.6
+"""Pushes, as shares of the strongest contact that the arm's networks learn."""
 POSE_LIMIT_DEG = 8.0
 JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
 SETTLING_S = 1.0
@@ -55,8 +57,12 @@ class ScriptedPush:
     move_s: float
 
 
-def make_script(segment_count: int, duration_s: float, seed: int) -> list[ScriptedPush]:
+def make_script(
+    segment_count: int, duration_s: float, seed: int, range_n: float = USUAL_CONTACT_N
+) -> list[ScriptedPush]:
     """Pushes on one segment after another: at the straight arm first, then at random poses.
+
+    `range_n` is the strongest contact to expect of the arm.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -77,14 +83,14 @@ def make_script(segment_count: int, duration_s: float, seed: int) -> list[Script
         if posed:
             command = np.deg2rad(rng.uniform(-POSE_LIMIT_DEG, POSE_LIMIT_DEG, 2 * segment_count))
             slot_s += MOVE_S
-        magnitude = WEAKEST_N * (STRONGEST_N / WEAKEST_N) ** rng.random()
+        magnitude = range_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
         script.append(
             ScriptedPush(
                 start_s=now_s + slot_s - PUSH_S,
                 end_s=now_s + slot_s,
                 segment=1 + number % segment_count,
                 angle_deg=float(rng.uniform(0.0, 360.0)),
-                magnitude_n=float(round(magnitude, 1)),
+                magnitude_n=float(f"{magnitude:.3g}"),
                 command_rad=command,
                 move_s=now_s,
             )

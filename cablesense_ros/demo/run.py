@@ -24,6 +24,7 @@ from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.load_capacity import contact_range_n
 
 _MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
@@ -151,7 +152,8 @@ def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Con
     from cablesense_ros.demo.pictures import draw_pushes
     from cablesense_ros.node_process import node_in_thread
 
-    script = pushes.make_script(arm.segment_count, duration_s, options.seed)
+    range_n = contact_range_n(arm)
+    script = pushes.make_script(arm.segment_count, duration_s, options.seed, range_n)
     live = LiveArm(arm, joint_speed_rad_s=pushes.JOINT_SPEED_RAD_S)
 
     def estimated() -> bool:

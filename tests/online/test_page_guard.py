@@ -15,10 +15,11 @@ from websockets.sync.client import connect
 from cablesense_online.page import guard
 from cablesense_online.page.guard import MOST_CLIENTS, MOST_MESSAGE_BYTES, PageError
 from cablesense_online.page.page import Page
-from cablesense_online.page.panel import FORCE_LIMIT_N, Actions, joint_limit_deg
+from cablesense_online.page.panel import Actions, joint_limit_deg
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
+from cablesense_sim.load_capacity import USUAL_CONTACT_N as FORCE_LIMIT_N
 
 pytestmark = pytest.mark.slow
 

@@ -4,8 +4,10 @@ import importlib
 import json
 
 import pytest
+from arm_variants import variant
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.sequences import draw_sequences
 from cablesense_training.errors import DatasetError, TrainingError
@@ -23,6 +25,7 @@ from cablesense_training.model_training import (
     draw_training_data,
     train_model,
 )
+from cablesense_training.recipes import adjusted, recipe_for
 
 ARM = open_arm("cdsm")
 QUICK = FitSettings(epochs=2, batch_size=256, threads=1)
@@ -42,6 +45,21 @@ def stub_export(monkeypatch):
 @pytest.fixture(scope="module")
 def single():
     return draw_training_data(ARM, "two-stage", FEW, seed=0)
+
+
+@pytest.mark.slow  # a symbolic export
+def test_an_arm_that_bears_two_newtons_is_trained_on_two_newtons(tmp_path):
+    forces = {"cables.stiffness_n_m": 1e3, "cables.pretension_n": 0.5, "segments.mass_kg": 0.005}
+    sensors = {"sensors.noise_std_n": 1e-3, "sensors.step_n": 0.0}
+    weak = variant({"segments.count": 2} | forces | sensors, "cdsm_lab")
+    name = "closed-form-corrected"
+    data = draw_training_data(weak, name, FEW, seed=0)
+    assert data.protocol.force_high_n == contact_range_n(weak) < 10.0
+    assert not data.redrawn.any()
+    path = tmp_path / "model.onnx"
+    settings = adjusted(recipe_for(name).settings, epochs=1, threads=1)
+    report = train_model(path, name, data, settings, command="", test_samples=200)
+    assert report.single.contact_accuracy > 0.9
 
 
 @pytest.mark.slow

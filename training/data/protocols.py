@@ -25,8 +25,10 @@ from scipy.stats import qmc
 
 from cablesense_base import Array
 from cablesense_base.plain_yaml import describe_problem
+from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
+from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.errors import DatasetError
 
 CHUNK_SAMPLES = 2048
@@ -289,16 +291,25 @@ class MultiContact(Protocol):
 _PROTOCOLS = (SingleContact, MultiContact)
 
 
-def protocol_from_options(options: dict[str, Any]) -> Protocol:
+def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Protocol:
     """The protocol with the options that `Protocol.options` gave.
+
+    Where they name no `force_high_n`, it is the protocol's own, or on an `arm` that bears less,
+    what follows from that (`cablesense_sim.load_capacity`).
 
     Raises:
         DatasetError: unknown protocol, unknown option, or a value out of range.
+        WeakArmError: the arm cannot stand.
     """
     given = dict(options)
     kind = given.pop("kind", None)
     for protocol in _PROTOCOLS:
-        if protocol.kind == kind:
-            return protocol(**given)
+        if protocol.kind != kind:
+            continue
+        if arm is not None and "force_high_n" not in given:
+            at_once = given.get("max_contacts") or arm.segment_count
+            contacts = at_once if protocol is MultiContact else 1
+            given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
+        return protocol(**given)
     kinds = ", ".join(protocol.kind for protocol in _PROTOCOLS)
     raise DatasetError(f"protocol {kind!r}: must be one of {kinds}")

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.compact import CompactKinematics, Pose
 
@@ -47,12 +47,15 @@ def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
     """Gauss-Newton steps that this arm's give under a force at its tip calls for.
 
     Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
-    below the tolerance.
+    below the tolerance. An arm that does not bear the force gives way as far as it can.
     """
     forces = np.zeros((2, mechanism.segment_count, 3))
     forces[0, -1, 1] = forces[1, -1, 2] = force_n
     straight = np.zeros(mechanism.joint_count)
-    give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
+    try:
+        give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
+    except EquilibriumError:
+        return _MOST_POSE_CORRECTIONS
     steps = 0
     while give > _POSE_TOLERANCE_RAD and steps < _MOST_POSE_CORRECTIONS:
         give, steps = give * give, steps + 1
