@@ -12,9 +12,10 @@ stretch s of the whole; with it, every span has its own (`cablesense_sim.cable_c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
@@ -34,6 +35,7 @@ _LONGEST_TURN_RAD = 0.05
 _FOLLOWED_FROM_N = 10.0
 _FOLLOWING_STEPS = 2
 _SMALL_STEPS = 5
+_WHOLE_STEPS = 6
 
 
 class _Pose(NamedTuple):
@@ -45,6 +47,8 @@ class _Pose(NamedTuple):
     tensions_by_run_n_m: Array
     torque_n_m: Array
     slope_n_m: Array
+    uncabled_n_m: Array
+    held_slope_n_m: Array
 
 
 class QuasiStaticArm:
@@ -169,10 +173,23 @@ class QuasiStaticArm:
         if self._last is None or start is not self._angles_rad:
             return start
         last_m, last_arms, pose = self._last
-        along = pose.tensions_by_run_n_m * (last_m - rest_m)[..., None]
-        torque = _cable_torques_n_m(pose.span, along)
-        torque -= kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
-        return pose.angles_rad + _step_rad(pose._replace(torque_n_m=torque))
+        loads = kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
+        turn = self._balancing_turn_rad(pose._replace(uncabled_n_m=pose.uncabled_n_m - loads))
+        if turn is None:
+            along = pose.tensions_by_run_n_m * (last_m - rest_m)[..., None]
+            torque = _cable_torques_n_m(pose.span, along) - loads
+            turn = _step_rad(pose._replace(torque_n_m=torque))
+        return pose.angles_rad + turn
+
+    def _balancing_turn_rad(self, pose: _Pose) -> Array | None:
+        """The turn from a pose to rest as transmissions tell it, (P, 2N), if they do."""
+        by_turn = np.stack([pose.span.by_pitch, pose.span.by_yaw], axis=-1)
+        given = pose.span.length_m, pose.bends_rad, by_turn, pose.uncabled_n_m, pose.held_slope_n_m
+        for transmission in self._transmissions:
+            turn = transmission.balancing_turn_rad(*given)
+            if turn is not None:
+                return _shortened(np.where(np.isfinite(turn), turn, 0.0))
+        return None
 
     def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
         """The same rest by way of others, which change no state."""
@@ -208,6 +225,18 @@ class QuasiStaticArm:
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
+        for _ in range(_WHOLE_STEPS):
+            if np.abs(pose.torque_n_m).max() <= _ENOUGH_N_M:
+                return pose
+            turn = self._balancing_turn_rad(pose)
+            if turn is None:
+                break
+            ahead = self._pose(pose.angles_rad + turn, rest_m, arms)
+            left = np.abs(ahead.torque_n_m).max(-1)
+            better = left < np.abs(pose.torque_n_m).max(-1)
+            if not better.any():
+                break
+            pose = _chosen(better, ahead, pose)
         step, driven = np.zeros_like(start), np.zeros(len(start))
         fraction, near, far = (
             np.ones_like(driven),
@@ -264,21 +293,23 @@ class QuasiStaticArm:
         bends = _bends_rad(mechanism, angles, span.length_m)
         pull = self._pull(span.length_m, bends, rest_m)
         tension, along = pull.tensions_n[..., 0], pull.tensions_n[..., 1:]
-        torque = _cable_torques_n_m(span, along) - kinematics.axis_torques_n_m(chain, arms)
-        by_span = pull.by_length_n_m[..., 1:, 1:]
-        slope = _cable_slopes_n_m(span, along, by_span) - load_hessian(chain, arms)
+        held_slope = _held_slopes_n_m(span, along) - load_hessian(chain, arms)
         spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
-        torque += spring * angles
+        uncabled = spring * angles - kinematics.axis_torques_n_m(chain, arms)
         diagonal = np.arange(angles.shape[-1])
-        slope[..., diagonal, diagonal] += spring
+        held_slope[..., diagonal, diagonal] += spring
         for transmission in self._transmissions:
             resisted = transmission.joint_torque_n_m(angles)
             if resisted is not None:
-                torque += resisted[0]
-                slope[..., diagonal, diagonal] += resisted[1]
+                uncabled += resisted[0]
+                held_slope[..., diagonal, diagonal] += resisted[1]
+        torque = _cable_torques_n_m(span, along) + uncabled
+        slope = held_slope + _elastic_slopes_n_m(span, pull.by_length_n_m[..., 1:, 1:])
         torque[self._lost], slope[self._lost] = 0.0, np.eye(angles.shape[-1])
         by_run = pull.by_length_n_m[..., 1:, 0]
-        return _Pose(angles, span, chain, bends, tension, by_run, torque, slope)
+        return _Pose(
+            angles, span, chain, bends, tension, by_run, torque, slope, uncabled, held_slope
+        )
 
     def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> Pull:
         for transmission in self._transmissions:
@@ -300,17 +331,38 @@ def _cable_torques_n_m(span: kinematics.Spans, along_n: Array) -> Array:
     return np.stack(both, axis=-1).reshape(len(along_n), -1)
 
 
-def _cable_slopes_n_m(span: kinematics.Spans, along_n: Array, by_span: Array) -> Array:
-    """Their derivative (P, 2N, 2N) by the joint angles."""
-    joints = np.arange(along_n.shape[-1])
-    slope = np.empty((len(along_n), 2 * len(joints), 2 * len(joints)))
-    for row, left in enumerate((span.by_pitch, span.by_yaw)):
-        for column, right in enumerate((span.by_pitch, span.by_yaw)):
-            block = (left[..., :, None] * by_span * right[..., None, :]).sum(-3)
-            slope[..., row::2, column::2] = block
-    for row, column, second in span.second_derivatives:
-        slope[..., 2 * joints + row, 2 * joints + column] += (along_n * second).sum(-2)
+def _elastic_slopes_n_m(span: kinematics.Spans, by_span: Array) -> Array:
+    """Derivative (P, 2N, 2N) of their torques by the joint angles, by what they stretch."""
+    joints = by_span.shape[-1]
+    slope = np.empty((len(by_span), 2 * joints, 2 * joints))
+    for column, right in enumerate((span.by_pitch, span.by_yaw)):
+        pulled = by_span * right[..., None, :]
+        for row, left in enumerate((span.by_pitch, span.by_yaw)):
+            slope[..., row::2, column::2] = (left[..., :, None] * pulled).sum(-3)
     return slope
+
+
+def _held_slopes_n_m(span: kinematics.Spans, along_n: Array) -> Array:
+    """The same (P, 2N, 2N) of cables that keep their tensions."""
+    joints = np.arange(along_n.shape[-1])
+    slope = np.zeros((len(along_n), 2 * len(joints), 2 * len(joints)))
+    for row, column, second in span.second_derivatives:
+        slope[..., 2 * joints + row, 2 * joints + column] = (along_n * second).sum(-2)
+    return slope
+
+
+def _chosen(which: NDArray[np.bool_], one: Any, other: Any) -> Any:
+    """A (nested) tuple of arrays (P, …) with the rows of one where `which` (P,), else other's."""
+    if which.all():
+        return one
+    return type(one)(
+        *(
+            _chosen(which, *parts)
+            if isinstance(parts[0], tuple)
+            else np.where(which.reshape(-1, *[1] * (parts[0].ndim - 1)), *parts)
+            for parts in zip(one, other, strict=True)
+        )
+    )
 
 
 def _step_rad(pose: _Pose) -> Array:
@@ -322,6 +374,10 @@ def _step_rad(pose: _Pose) -> Array:
         symmetric = 0.5 * (slope + np.swapaxes(slope, -1, -2))
         none = np.zeros(len(symmetric), dtype=bool)
         step[uphill] = descent_step(symmetric, pose.torque_n_m[uphill], stable=none)
+    return _shortened(np.asarray(step))
+
+
+def _shortened(step: Array) -> Array:
     longest = np.abs(step).max(-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
 
