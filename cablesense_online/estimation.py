@@ -148,7 +148,9 @@ class Estimation:
         self.publisher = FollowedPublisher(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
         self.health = InputHealth(self.clock, now_s)
-        self.gate = MotionGate(straight, speed_rad_s, settings.settle_s)
+        self.gate = MotionGate(
+            straight, speed_rad_s, settings.settle_s, settings.still_rad, settings.follow_rad_s
+        )
         self.tares = Tares(
             unloaded.predict_n,
             straight,
@@ -174,6 +176,7 @@ class Estimation:
         self.reproducible = not self._model.in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
+        self._angles_rad = self.gate.angles_rad
         self.command_received = False
         self.largest_force_n = 0.0
         self._events: list[Event] = []
@@ -214,6 +217,8 @@ class Estimation:
             if self.gate.step:
                 self.breathing.moved()
                 self._note(_STEPS[self.gate.step])
+            if not moving and self.gate.angles_rad is not self._angles_rad:
+                self._follow()
             if self._events:
                 state = self._changed_state(stamp_ns)
             stage = ProblemKind.NAMES
@@ -222,6 +227,7 @@ class Estimation:
             if moving:
                 self.drift.interrupt()
             if moving and not self._model.in_motion:
+                self.gate.estimated(known=False)
                 return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             tensions = self.breathing.without_friction(picked, stamp_ns)
             if self.breathing.learnt:
@@ -252,9 +258,13 @@ class Estimation:
                 self.tares.touched(contact)
         except CableSenseError as error:
             problem = error if isinstance(error, SampleError) else SampleError(stage, str(error))
+            if problem.kind is ProblemKind.MISFIT and self.gate.turning:
+                self.gate.estimated(known=False)
+                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             self.health.refused(problem)
             force = _REFUSED.get(problem.kind, ForceState.REFUSED)
             return Answer(force=force, stamp_ns=stamp_ns, problem=problem, state=state)
+        self.gate.estimated(known=True)
         if contact.magnitude_n > self.largest_force_n:
             self.largest_force_n = contact.magnitude_n
         bounds = force_bounds(estimate, contact, self._contact_m)
@@ -320,8 +330,8 @@ class Estimation:
                 seem to be those of the unloaded arm.
         """
         by_itself = how is EventKind.AUTO_TARE
-        command = self.gate.command_rad
-        tare = self.tares.take(command, now_ns, by_itself=by_itself, forced=forced)
+        angles = self.gate.angles_rad
+        tare = self.tares.take(angles, now_ns, by_itself=by_itself, forced=forced)
         self._tared(how)
         return tare
 
@@ -370,10 +380,12 @@ class Estimation:
             np.array(state.tared_n),
             np.array(state.tare_command_rad),
             by_itself=state.pose_assumed,
+            linear_at_rad=np.array(state.linear_at_rad) if state.linear_at_rad else None,
         )
         self.drift.tared()
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
-        self.gate.restore(command, lowest, highest, state.rest_from_ns)
+        self.gate.restore(command, lowest, highest, state.rest_from_ns, state.course)
+        self._angles_rad = self.gate.angles_rad
         self.plausibility.withheld_until_ns = state.withheld_until_ns
         self.plausibility.misfit_since_ns = state.misfit_since_ns
         self.breathing.restore(state.breath)
@@ -388,7 +400,14 @@ class Estimation:
     def _go_to(self, command_rad: Array) -> bool:
         """As `command`, with angles (2N,)."""
         dropped = False
-        if not np.array_equal(command_rad, self.gate.command_rad):
+        if np.array_equal(command_rad, self.gate.command_rad):
+            if self._pose_assumed:
+                self._note(EventKind.POSE_CONFIRMED)
+        elif self.gate.follows(command_rad):
+            self.gate.command(command_rad)
+            self._model.command(command_rad)
+            self._note(EventKind.COMMAND, command_rad)
+        else:
             dropped = self.tares.command(command_rad, first=not self.command_received)
             if dropped:
                 self.drift.tared()
@@ -396,10 +415,18 @@ class Estimation:
             self.breathing.moved()
             self._model.command(command_rad)
             self._note(EventKind.COMMAND, command_rad)
-        elif self._pose_assumed:
-            self._note(EventKind.POSE_CONFIRMED)
         self.command_received = True
         return dropped
+
+    def _follow(self) -> None:
+        """Go with the arm to the set-point of a motion that is followed, or to its end."""
+        gate = self.gate
+        self._angles_rad = gate.angles_rad
+        if gate.angles_rad is not gate.command_rad or self.tares.linear_at_rad is not None:
+            self.tares.follow(gate.angles_rad)
+        if gate.turning:
+            self.breathing.moved()
+            self.drift.interrupt()
 
     def _mark(self, turn: int, message: Any, *, lasting: bool = False) -> None:
         stamp = message.header.stamp
@@ -443,7 +470,7 @@ class Estimation:
             return
         before_ns = check.withheld_until_ns
         try:
-            check.check(difference_n, self.gate.command_rad, contact, stamp_ns)
+            check.check(difference_n, self.gate.pose_rad, contact, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
                 self._note(EventKind.MISFIT)
@@ -484,6 +511,7 @@ class Estimation:
     def _changed_state(self, stamp_ns: int) -> EstimatorState:
         events, self._events = tuple(self._events), []
         gate, tare, unloaded = self.gate, self.tares.present, self.tares.unloaded_n
+        linear_at = self.tares.linear_at_rad
         return EstimatorState(
             before_ns=stamp_ns,
             events=events,
@@ -494,6 +522,8 @@ class Estimation:
             lowest_rad=gate.lowest_rad.tolist(),
             highest_rad=gate.highest_rad.tolist(),
             rest_from_ns=gate.rest_from_ns,
+            course=gate.course,
+            linear_at_rad=() if linear_at is None else linear_at.tolist(),
             unloaded_n=() if unloaded is None else unloaded.tolist(),
             tared_n=() if tare is None else tare.measured_n.tolist(),
             tare_command_rad=() if tare is None else tare.command_rad.tolist(),

@@ -97,7 +97,7 @@ def load_model(arm: str, model: str) -> LoadedModel:
 
 
 class ContactModel:
-    """A memoryless estimator, asked at the command in force; the caller sees to it that it rests.
+    """A memoryless estimator, asked at the gate's pose; the caller sees to it that it rests.
 
     Attributes:
         in_motion: whether it estimates while the arm moves.
@@ -118,8 +118,8 @@ class ContactModel:
         unloaded = self._tares.unloaded_n
         if unloaded is None:
             return None
-        command = self._gate.command_rad if self._pose_aware else None
-        return self._estimator.estimate(tensions_n - unloaded, command)
+        pose = self._gate.pose_rad if self._pose_aware else None
+        return self._estimator.estimate(tensions_n - unloaded, pose)
 
     def command(self, command_rad: Array) -> None:
         """Commanded angles (2N,) count from the next sample on."""

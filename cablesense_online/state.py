@@ -62,6 +62,8 @@ class EstimationSettings(BaseModel):
     await_breath: bool = False
     joint_speed_rad_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     settle_s: _NotNegative
+    still_rad: _NotNegative = 0.0
+    follow_rad_s: _NotNegative = 0.0
     tare_deviation_n: _NotNegative = 0.0
     tare_drift_n: _NotNegative = 0.0
     largest_misfit: _NotNegative = 0.0
@@ -146,6 +148,9 @@ class EstimatorState(BaseModel):
         command_rad: (2N,) the command in force.
         lowest_rad, highest_rad: (2N,) between which the joints may be until the arm rests.
         rest_from_ns: samples stamped earlier are from an arm in motion.
+        course: pose (2N,) and set-points of a motion that is followed; empty where the arm is at
+            the command.
+        linear_at_rad: (2N,) angles about which unloaded tensions are taken as linear; or empty.
         unloaded_n: (M,) unloaded tensions at this command; empty without a tare.
         tared_n: (M,) as they were measured at the tare.
         tare_command_rad: (2N,) the command at which it was taken.
@@ -166,6 +171,8 @@ class EstimatorState(BaseModel):
     lowest_rad: Numbers
     highest_rad: Numbers
     rest_from_ns: WholeNumber
+    course: Numbers = ()
+    linear_at_rad: Numbers = ()
     unloaded_n: Numbers = ()
     tared_n: Numbers = ()
     tare_command_rad: Numbers = ()
@@ -190,17 +197,22 @@ class EstimatorState(BaseModel):
             ("tared tensions", self.tared_n, cables),
             ("unloaded tensions", self.unloaded_n, cables),
         )
-        breath = [
+        given = [
             (f"of {name} of the breath", numbers, cables)
             for name, numbers in self.breath
             if isinstance(numbers, tuple) and numbers
         ]
-        for what, numbers, wanted in (*(lengths if self.tared_n else lengths[:3]), *breath):
+        if self.course:
+            given.append(("numbers of the course", self.course, 8 * joints + 2))
+        if self.linear_at_rad:
+            given.append(("angles of the linear tensions", self.linear_at_rad, joints))
+        for what, numbers, wanted in (*(lengths if self.tared_n else lengths[:3]), *given):
             if len(numbers) != wanted:
                 raise ContractError(
                     f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
                 )
-        widest_rad = max(map(abs, (*self.lowest_rad, *self.highest_rad)))
+        poses = (self.lowest_rad, self.highest_rad, self.course[:joints], self.linear_at_rad)
+        widest_rad = max(abs(angle) for pose in poses for angle in pose)
         if widest_rad > tau:
             raise ContractError(
                 f"journal: a joint at {widest_rad:g} rad; none turns by more than {tau:.3f}"
@@ -234,6 +246,8 @@ _PARTS: Final = {
         "lowest (rad)": "lowest_rad",
         "highest (rad)": "highest_rad",
         "at rest from stamp (ns)": "rest_from_ns",
+        "course": "course",
+        "tensions linear about (rad)": "linear_at_rad",
     },
     "tare": {
         "unloaded (N)": "unloaded_n",
@@ -247,8 +261,16 @@ _PARTS: Final = {
     },
 }
 """Statuses of a journal message, with the state's field for each of their keys."""
-_LATER: Final = ("pose_assumed", "withheld_until_ns", "misfit_since_ns")
+_LATER: Final = (
+    "pose_assumed",
+    "withheld_until_ns",
+    "misfit_since_ns",
+    "course",
+    "linear_at_rad",
+)
 """Fields that journals of earlier versions lack."""
+_SEVERAL: Final = ("_rad", "_n", "course")
+"""Names of fields with several numbers end so."""
 
 
 def put_state(
@@ -312,7 +334,7 @@ def state_of(message: Any) -> EstimatorState:
         for key, field in keys.items():
             if key in given or field not in _LATER:
                 text = given.get(key, "")
-                values[field] = text.split() if field.endswith(("_rad", "_n")) else text
+                values[field] = text.split() if field.endswith(_SEVERAL) else text
     breath = _values(statuses[_BREATH]) if _BREATH in statuses else {}
     values["breath"] = {
         field: breath[field].split() if isinstance(of.default, tuple) else breath[field]

@@ -32,6 +32,11 @@ from cablesense_sim.equilibrium import Equilibrium, held_lengths_m, solve_equili
 
 MOST_TARES_KEPT = 16
 """How many times a tare can be undone."""
+_LINEAR_RAD, _DIFFERENCE_RAD = 0.02, 1e-3
+"""How far a joint turns while unloaded tensions are taken as linear, and the step of their numeric
+derivative."""
+_ONE_POSE_RAD = 1e-3
+"""Readings of a tare are of poses within this of the first."""
 
 
 class UnloadedTensions:
@@ -163,6 +168,8 @@ class Tares:
         self._contact: Contact | None = None
         self._since_contact = 0
         self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
+        self._readings_at_rad = command_rad
+        self._near: tuple[Array, Array, Array] | None = None
         self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
         self.present: Tare | None = None
         self.unloaded_n: Array | None = None
@@ -187,6 +194,7 @@ class Tares:
             CableSenseError: the model has no unloaded state at this command; nothing has changed.
         """
         before_n, self._predicted_n = self._predicted_n, self._predict_n(command_rad)
+        self._near = None
         self._readings.clear()
         present, dropped = self.present, self._by_itself
         if first and np.abs(self._predicted_n - before_n).max() > self._deviation_n:
@@ -198,12 +206,42 @@ class Tares:
         self._use(present)
         return lost
 
+    def follow(self, angles_rad: Array) -> None:
+        """The arm is at angles (2N,) on its way: the tare is carried over there.
+
+        The model's tensions are linear between angles at which they are predicted.
+
+        Raises:
+            CableSenseError: the model has no unloaded state there.
+        """
+        if self._near is None or np.abs(angles_rad - self._near[0]).max() > _LINEAR_RAD:
+            self._linearise(angles_rad)
+        assert self._near is not None
+        at_rad, there_n, by_angle = self._near
+        self._predicted_n = there_n + by_angle @ (angles_rad - at_rad)
+        if np.abs(angles_rad - self._readings_at_rad).max() > _ONE_POSE_RAD:
+            self._readings.clear()
+        if not self._readings:
+            self._readings_at_rad = angles_rad
+        self._use(self.present)
+
+    @property
+    def linear_at_rad(self) -> Array | None:
+        """(2N,) where the model's tensions were predicted that are taken as linear; or none."""
+        return None if self._near is None else self._near[0]
+
+    def _linearise(self, at_rad: Array) -> None:
+        step = _DIFFERENCE_RAD * np.eye(len(at_rad))
+        predicted_n = self._predict_n(at_rad + np.vstack([np.zeros_like(at_rad), step, -step]))
+        more, less = np.split(predicted_n[1:], 2)
+        self._near = (at_rad, predicted_n[0], (more - less).T / (2.0 * _DIFFERENCE_RAD))
+
     def forget_readings(self) -> None:
         """Readings before this moment do not belong to the next tare."""
         self._readings.clear()
 
     def add(self, reading_n: Sequence[float]) -> None:
-        """A reading (M,) in N at the present command, with the arm at rest."""
+        """A reading (M,) in N at the present angles, with the arm at rest."""
         self._readings.append(reading_n)
         self._since_contact += 1
 
@@ -228,7 +266,7 @@ class Tares:
     ) -> Tare:
         """Take the average of the last readings as the unloaded state.
 
-        At the present command (2N,), `now_ns` since the epoch. `forced` takes steady readings
+        At the present angles (2N,), `now_ns` since the epoch. `forced` takes steady readings
         whatever they are.
 
         Raises:
@@ -241,7 +279,8 @@ class Tares:
         measured_n = np.mean(self._readings, axis=0)
         if self.present is not None:
             self._earlier.append(self.present)
-        tare = Tare(measured_n, self._predicted_n, command_rad, self._sample_count, now_ns)
+        predicted_n = self._predicted_n if self._near is None else self._predict_n(command_rad)
+        tare = Tare(measured_n, predicted_n, command_rad, self._sample_count, now_ns)
         self._by_itself = tare if by_itself else self._by_itself
         self.automatic = False
         self._use(tare)
@@ -266,6 +305,7 @@ class Tares:
         tare_command_rad: Array,
         *,
         by_itself: bool,
+        linear_at_rad: Array | None = None,
     ) -> None:
         """Be at a command (2N,) with the tare `tared_n` (M,) of another; readings begin anew.
 
@@ -286,6 +326,8 @@ class Tares:
             self._use(tare)
             if unloaded_n is not None:
                 self.unloaded_n = unloaded_n
+        if linear_at_rad is not None:
+            self._linearise(linear_at_rad)
 
     def status(self) -> Status:
         """Whether there is a tare, since when, and how far it lies from the arm's model."""

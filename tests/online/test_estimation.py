@@ -19,7 +19,7 @@ from sample_feed import (
 )
 
 from cablesense_base import CableSenseError
-from cablesense_msgs_py.messages import NO_CONTACT, Load
+from cablesense_msgs_py.messages import NO_CONTACT, ForceState, Load
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind, SampleError
@@ -278,6 +278,39 @@ def contacts_in_motion(push_n=None):
             contacts.append(answer.contact)
     assert estimation.tares.present is not None
     return contacts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("amplitude_deg", "off_n"), [(2e-4, 0.3), (1.0, 0.5)])
+def test_a_push_is_estimated_while_commands_stream_that_hardly_or_slowly_move(
+    amplitude_deg, off_n
+):
+    loaded = load_model("cdsm", "")
+    follow = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
+    parameters = follow | {"joint_speed_rad_s": np.deg2rad(20.0)}
+    estimation = Estimation(
+        loaded.arm, loaded.estimator, SETTINGS.model_copy(update=parameters), 0.0
+    )
+    arm = SimulatedArm(ArmDynamics(ARM), 1e-3, parameters["joint_speed_rad_s"], 0.0, now_s=0.0)
+    touched = []
+    for tick in range(1, 301):
+        now_s, now_ns = tick * 0.01, 10**18 + tick * 10_000_000
+        angles = np.zeros(8)
+        angles[2] = np.deg2rad(amplitude_deg) * np.sin(2.0 * max(0.0, now_s - 0.5))
+        arm.go_to(angles)
+        command = sensor_msgs.JointState(name=list(ARM.joint_names), position=angles.tolist())
+        estimation.command(command)
+        if tick == 100:
+            arm.push(Load(3, np.array([0.0, 30.0, 0.0])), now_s)
+        arm.advance_to(now_s)
+        answer = estimation.sample(
+            message_bytes(arm.reading_n(ARM.sensors, None), now_ns), now_ns, now_s
+        )
+        if tick >= 130:
+            assert answer.force is ForceState.CONTACT
+            touched.append(answer.contact)
+    assert {contact.segment for contact in touched} == {3}
+    assert max(abs(contact.magnitude_n - 30.0) for contact in touched) < off_n
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from cablesense_msgs_py.topics import ContractError
 from cablesense_online.estimation import MOST_EVENTS
 from cablesense_online.state import Event, EventKind
 from cablesense_online.tare import UnloadedTensions
+from cablesense_training.inference.estimator import Estimate
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
@@ -33,15 +34,20 @@ class EveryBit:
 
     def estimate(self, tension_difference_n, joint_command_rad):
         weights = np.arange(1.0, 13.0)
-        return SimpleNamespace(
-            probabilities=np.array([0.25, 0.0, 0.75, 0.0, 0.0]),
-            angle_deg=float(weights[:8] @ joint_command_rad),
-            magnitude_n=100.0 + float(weights @ tension_difference_n),
+        return Estimate(
+            np.array([0.25, 0.0, 0.75, 0.0, 0.0]),
+            2,
+            float(weights[:8] @ joint_command_rad),
+            100.0 + float(weights @ tension_difference_n),
+            1.0,
+            1.0,
         )
 
 
 def every_bit():
-    return Feed(EveryBit(), tare_samples=4, settle_s=0.05)
+    """Some of the commands of a run are followed, some are not."""
+    follow = {"still_rad": 1e-4, "follow_rad_s": 0.04}
+    return Feed(EveryBit(), tare_samples=4, settle_s=0.05, **follow)
 
 
 def live_run(seed, count=120):
@@ -52,7 +58,7 @@ def live_run(seed, count=120):
     for step in range(count):
         chance = rng.random()
         if chance < 0.05:
-            feed.command(rng.uniform(-0.004, 0.004, 8))
+            feed.command(rng.choice([0.5, 1.0]) * rng.uniform(-0.004, 0.004, 8))
         elif chance < 0.15:
             with suppress(CableSenseError):
                 live.take_tare(stamp, forced=True) if chance < 0.12 else live.undo_tare()

@@ -17,8 +17,8 @@ MS = 1_000_000
 class Gate(MotionGate):
     """Its samples arrive at once, by a monotonic clock that goes with the stamps' steps or not."""
 
-    def __init__(self):
-        super().__init__(np.zeros(2), SPEED, SETTLE)
+    def __init__(self, still_rad=0.0, follow_rad_s=0.0):
+        super().__init__(np.zeros(2), SPEED, SETTLE, still_rad, follow_rad_s)
 
     def moving(self, stamp_ns, now_ns=None, now_s=None):
         now_ns = stamp_ns if now_ns is None else now_ns
@@ -134,14 +134,62 @@ def test_a_wait_anew_is_one_of_the_move_that_may_be_under_way():
     assert watched.rest_from_ns == 200 * S + 100 * MS + wait_ns
 
 
+STILL, FOLLOW = 1e-4, 0.05
+
+
+def test_noise_of_a_stream_of_commands_is_no_motion():
+    rng, watched = np.random.default_rng(0), Gate(STILL)
+    for step in range(200):
+        watched.command(rng.uniform(-STILL, STILL, 2))
+        assert not watched.moving(10 * MS * step)
+    np.testing.assert_array_equal(watched.pose_rad, np.zeros(2))
+    watched.command(np.array([0.0, 2.1 * STILL]))
+    assert watched.moving(10 * MS * 200)
+
+
+def test_a_slow_motion_is_followed_along_the_set_points_and_ends_at_the_command():
+    watched, motion = Gate(STILL, FOLLOW), JointMotion(np.zeros(2), SPEED)
+    for step in range(400):
+        target = np.array([0.0, min(0.8 * FOLLOW * 0.01 * step, 0.1)])
+        watched.command(target)
+        motion.advance(0.01)
+        if step < 300:
+            motion.go_to(target)
+        assert not watched.moving(10 * MS * step)
+        np.testing.assert_allclose(watched.angles_rad, motion.state[0], atol=1e-12)
+        assert np.abs(watched.pose_rad - watched.angles_rad).max() < 2.1e-3
+        assert watched.turning or not 10 < step < 250
+    np.testing.assert_array_equal(watched.pose_rad, target)
+    assert not watched.turning
+
+
+def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
+    watched = Gate(STILL, FOLLOW)
+    for step in range(400):
+        watched.command(np.array([0.0, 0.1 * np.sin(4.0 * FOLLOW * 0.1 * step)]))
+        moving = watched.moving(10 * MS * step)
+        watched.estimated(known=not moving)
+        warned = "2.86479 deg/s (follow_deg_s)" in watched.status_now().message
+        assert warned == (step >= 305)
+    for step in range(400, 500):  # what is left of the stream is noise about where it ended
+        watched.command(watched.command_rad + 1e-6)
+        moving = watched.moving(10 * MS * step)
+        watched.estimated(known=not moving)
+    assert not moving
+    assert watched.status_now().level is Level.OK
+
+
 @settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 160))
-def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at):
+@given(st.integers(0, 2**32 - 1), st.integers(0, 160), st.booleans())
+def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
+    def gate():
+        return Gate(STILL, 10.0 * FOLLOW) if follows else Gate()
+
     rng = np.random.default_rng(seed)
     watched, other = gate(), None
     for step in range(200):
         if rng.random() < 0.05:
-            target = rng.uniform(-0.3, 0.3, 2)
+            target = rng.choice([0.1, 1.0]) * rng.uniform(-0.3, 0.3, 2)
             watched.command(target)
             if other is not None:
                 other.command(target)
@@ -149,8 +197,9 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at):
         if other is not None:
             assert other.moving(10 * MS * step) == moving
             assert other.rest_from_ns == watched.rest_from_ns
+            np.testing.assert_array_equal(other.pose_rad, watched.pose_rad)
         if step == restored_at:
             other = gate()
             state = (watched.command_rad, watched.lowest_rad, watched.highest_rad)
-            other.restore(*state, watched.rest_from_ns)
+            other.restore(*state, watched.rest_from_ns, watched.course)
             other.moving(10 * MS * step)

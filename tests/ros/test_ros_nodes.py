@@ -154,6 +154,27 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     tared.spin(1.5)
 
 
+def test_a_stream_of_commands_that_hardly_differ_hides_no_contact(tared):
+    rng = np.random.default_rng(0)
+
+    def stream(count):
+        for _ in range(count):
+            angles = rng.normal(0.0, 1e-6, 8).tolist()
+            tared.command.publish(JointState(name=list(ARM.joint_names), position=angles))
+            tared.spin(0.01)
+
+    stream(30)
+    tared.push(3, (0.0, 30.0, 0.0))
+    stream(50)
+    tared.wrenches.clear()
+    stream(100)
+    told = [wrench.header.frame_id for wrench in tared.wrenches]
+    assert len(told) > 50
+    assert told.count("segment_3") >= len(told) - 2
+    tared.push(3, (0.0, 0.0, 0.0))
+    tared.until(touched(tared, 0), "the contact to end")
+
+
 def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
     tared.push(4, (0.0, 0.0, -20.0))
     tared.until(touched(tared, 4), "a contact on segment 4")
