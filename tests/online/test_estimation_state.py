@@ -46,7 +46,7 @@ class EveryBit:
 
 def every_bit():
     """Some of the commands of a run are followed, some are not."""
-    follow = {"still_rad": 1e-4, "follow_rad_s": 0.04}
+    follow = {"still_rad": 1e-4, "follow_rad_s": 0.015}
     return Feed(EveryBit(), tare_samples=4, settle_s=0.05, **follow)
 
 
@@ -58,7 +58,7 @@ def live_run(seed, count=120):
     for step in range(count):
         chance = rng.random()
         if chance < 0.05:
-            feed.command(rng.choice([0.5, 1.0]) * rng.uniform(-0.004, 0.004, 8))
+            feed.command(rng.choice([0.2, 1.0]) * rng.uniform(-0.004, 0.004, 8))
         elif chance < 0.15:
             with suppress(CableSenseError):
                 live.take_tare(stamp, forced=True) if chance < 0.12 else live.undo_tare()
