@@ -1,7 +1,6 @@
 """States and samples alone give the answers again: whatever happened when, from any state on."""
 
 from contextlib import suppress
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
