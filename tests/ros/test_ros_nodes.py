@@ -157,22 +157,23 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
 def test_a_stream_of_commands_that_hardly_differ_hides_no_contact(tared):
     rng = np.random.default_rng(0)
 
-    def stream(count):
-        for _ in range(count):
-            angles = rng.normal(0.0, 1e-6, 8).tolist()
-            tared.command.publish(JointState(name=list(ARM.joint_names), position=angles))
-            tared.spin(0.01)
+    def stream():
+        angles = rng.normal(0.0, 1e-6, 8).tolist()
+        tared.command.publish(JointState(name=list(ARM.joint_names), position=angles))
 
-    stream(30)
+    streaming = tared.node.create_timer(0.01, stream)
     tared.push(3, (0.0, 30.0, 0.0))
-    stream(50)
-    tared.wrenches.clear()
-    stream(100)
-    told = [wrench.header.frame_id for wrench in tared.wrenches]
-    assert len(told) > 50
-    assert told.count("segment_3") >= len(told) - 2
+    tared.until(touched(tared), "a contact on segment 3")
+    tared.states.clear()
+
+    def told(state):
+        return list(tared.states.values()).count(state)
+
+    tared.until(lambda: told(ForceState.CONTACT) > 50, "more of it")
+    assert told(ForceState.MOVING) == 0
     tared.push(3, (0.0, 0.0, 0.0))
     tared.until(touched(tared, 0), "the contact to end")
+    tared.node.destroy_timer(streaming)
 
 
 def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
