@@ -1,11 +1,13 @@
 """How far the admittance controller moves an arm whose sensors or cables fail.
 
-    python benchmarks/admittance_faults.py [--workers 2] [--write]
+    python benchmarks/admittance_faults.py [--arm cdsm] [--workers 2] [--write]
 
 Estimator and controller in one process, at 50 Hz, beside an arm that goes from rest to rest (no
-swing), with the sensors' noise and step. Nothing touches the arm. After the tare a fault comes;
-2 s later another node commands a bent pose. What counts is how far the controller's commands are
-from the pose that others commanded.
+swing), with the sensors' noise and step. Every fault comes to an arm that nothing touches: after
+the tare, and 2 s later another node commands a bent pose. And to an arm that a weight of 40 N
+pulls, on segment 3, as far as the controller may give way (1.5 degrees). What counts is how far
+the controller's commands are from the pose that others commanded, or in contact from the one
+before the fault.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from cablesense_online.models import load_model
 from cablesense_online.state import EstimationSettings
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 
 ARMS = ("cdsm", "cdsm_lab")
@@ -38,6 +41,9 @@ BAR_DEG = 0.5
 RATE_HZ = 50.0
 FAULT_S, MOVED_S, END_S = 3.0, 5.0, 9.0
 DRIFT_S = 14.0
+TOUCHED = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
+TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_RAD = 3.0, 12.0, float(np.deg2rad(1.5))
+"""When the weight comes, when the fault, and how far the controller may give way."""
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
 
@@ -111,7 +117,7 @@ def faults(cables: int) -> Iterator[Fault]:
 class Run:
     """Arm, estimator and controller; every message is answered as the nodes do."""
 
-    def __init__(self, arm_name: str, seed: int) -> None:
+    def __init__(self, arm_name: str, seed: int, **limits: Any) -> None:
         loaded = opened(arm_name, "")
         self.arm, self.rng = loaded.arm, np.random.default_rng(seed)
         self.mechanism = mechanism_of(self.arm)
@@ -129,7 +135,8 @@ class Run:
             largest_misfit=loaded.largest_misfit(-1.0),
         )
         self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
-        self.controller = AdmittanceController(self.mechanism, AdmittanceSettings(), 0.0)
+        self.controller = AdmittanceController(self.mechanism, AdmittanceSettings(**limits), 0.0)
+        self.forces_n: Array | None = None
         self._message = JointState(name=list(self.arm.cable_names))
         self.commanded(np.zeros(self.arm.joint_count), 0.0)
 
@@ -142,12 +149,13 @@ class Run:
         self.rest()
 
     def rest(self) -> None:
-        """Find the arm's rest at its command.
+        """Find the arm's rest at its command, under its load.
 
         Raises:
             EquilibriumError: it collapses.
         """
-        self._tensions_n = solve_equilibrium(self.mechanism, self.command_rad).tensions_n
+        rest = solve_equilibrium(self.mechanism, self.command_rad, self.forces_n)
+        self._tensions_n = rest.tensions_n
 
     def tick(self, number: int, change: Change | None, since_s: float) -> float:
         """One sample and what follows; gives the force that was estimated, N."""
@@ -168,27 +176,35 @@ class Run:
         return contact.magnitude_n
 
 
-def moved(arm_name: str, fault: Fault, seed: int) -> tuple[float, float]:
+def moved(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> tuple[float, float]:
     """Largest turn of a joint by the controller, degrees, and largest force estimated, N."""
-    run = Run(arm_name, seed)
+    run = Run(arm_name, seed, **({"joint_limit_rad": TOUCHED_LIMIT_RAD} if touched else {}))
     pose = np.deg2rad(run.rng.uniform(-4.0, 4.0, run.arm.joint_count))
     turned_rad = largest_n = 0.0
-    end_s = DRIFT_S if fault.kind == "drift" else END_S
+    fault_s = GIVEN_WAY_S if touched else FAULT_S
+    end_s = fault_s + (DRIFT_S if fault.kind == "drift" else END_S) - FAULT_S
+    before_rad = run.controller.home_rad
     for number in range(1, round(end_s * RATE_HZ)):
         now_s = number / RATE_HZ
-        if math.isclose(now_s, FAULT_S) and fault.broken:
-            pretension_n = run.mechanism.pretension_n.copy()
-            pretension_n[fault.cable] = LOOSE_N
-            run.mechanism = replace(run.mechanism, pretension_n=pretension_n)
+        if touched and math.isclose(now_s, TOUCHED_S):
+            run.forces_n = normal_force_n(run.mechanism, run.command_rad, **TOUCHED)
             run.rest()
-        if math.isclose(now_s, MOVED_S):
+        if math.isclose(now_s, fault_s):
+            before_rad = run.controller.command_rad
+            if fault.broken:
+                pretension_n = run.mechanism.pretension_n.copy()
+                pretension_n[fault.cable] = LOOSE_N
+                run.mechanism = replace(run.mechanism, pretension_n=pretension_n)
+                run.rest()
+        if not touched and math.isclose(now_s, MOVED_S):
             run.commanded(pose, now_s)
-        failing = now_s >= FAULT_S
-        force_n = run.tick(number, fault.change if failing else None, now_s - FAULT_S)
+            before_rad = pose
+        failing = now_s >= fault_s
+        force_n = run.tick(number, fault.change if failing else None, now_s - fault_s)
         if failing:
             largest_n = max(largest_n, force_n)
-        away_rad = run.controller.command_rad - run.controller.home_rad
-        turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
+            away_rad = run.controller.command_rad - before_rad
+            turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
     assert run.estimation.tares.present is not None
     return float(np.rad2deg(turned_rad)), largest_n
 
@@ -196,20 +212,21 @@ def moved(arm_name: str, fault: Fault, seed: int) -> tuple[float, float]:
 Row = tuple[str, str, int, float, float]
 
 
-def cable_rows(arm_name: str, cable: int) -> list[Row]:
+def cable_rows(arm_name: str, touched: bool, cable: int) -> list[Row]:
     """Kind, size, cable, turn (degrees) and largest force (N) of its faults."""
     rows = []
     for number, fault in enumerate(faults(opened(arm_name, "").arm.cable_count)):
         if fault.cable == cable:
             with suppress(EquilibriumError):  # the arm collapses
-                rows.append((fault.kind, fault.size, cable + 1, *moved(arm_name, fault, number)))
+                found = moved(arm_name, fault, number, touched=touched)
+                rows.append((fault.kind, fault.size, cable + 1, *found))
     return rows
 
 
-def measure(arm_name: str, workers: int) -> dict[str, Any]:
+def measure(arm_name: str, workers: int, *, touched: bool) -> dict[str, Any]:
     """All faults of one arm, by kind."""
     count = opened(arm_name, "").arm.cable_count
-    with WorkerPool(workers, arm_name) as pool:
+    with WorkerPool(workers, arm_name, touched) as pool:
         rows = [row for found in pool.map(cable_rows, range(count)) for row in found]
     result = {}
     for kind in dict.fromkeys(row[0] for row in rows):
@@ -231,10 +248,17 @@ def measure(arm_name: str, workers: int) -> dict[str, Any]:
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = harness.parser(__doc__, "results/admittance_faults.json")
+    parser.add_argument("--arm", choices=ARMS, action="append", help="only this one")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     options = parser.parse_args()
     result: dict[str, Any] = {**harness.origin(), "bar_deg": BAR_DEG}
-    result["arms"] = {name: measure(name, options.workers) for name in ARMS}
+    result["arms"] = {
+        name: {
+            state: measure(name, options.workers, touched=touched)
+            for state, touched in (("untouched", False), ("in contact", True))
+        }
+        for name in options.arm or ARMS
+    }
     harness.publish("admittance_faults.json", result, options)
 
 

@@ -42,7 +42,7 @@ ARMS = ("cdsm", "cdsm_lab")
 LARGEST_MISFIT = 2.3
 TARE_SAMPLES, LOADS, READINGS = 50, 20, 50
 WRONG_N = 5.0
-APART_NS = 10_000_000_000
+APART_NS, PERIOD_NS = 10_000_000_000, 10_000_000
 SCALES = (0.5, 0.8, 0.9, 1.1, 2.0)
 OFFSETS_N = (-20.0, -5.0, -2.0, 2.0, 5.0, 20.0, 100.0)
 LOOSE_N = -1e5
@@ -61,7 +61,8 @@ class Bench:
         self.mechanism = statics.mechanism
         self.check = PlausibilityCheck(
             statics,
-            difference_variance_n2(self.arm.sensors, TARE_SAMPLES) ** 0.5,
+            self.arm.sensors,
+            TARE_SAMPLES,
             LARGEST_MISFIT,
             self.estimator.metadata.force_range_n,
             self.arm.cable_names,
@@ -82,9 +83,9 @@ class Bench:
         rows = zip(found.probabilities.tolist(), found.angle_deg, found.magnitude_n, strict=True)
         return [decide(p, float(angle), float(force), 0.5, reach_m) for p, angle, force in rows]
 
-    def passes(self, reading_n: Array, contact: Contact) -> bool:
-        """Whether a reading (M,) vouches for its estimate."""
-        self._stamp_ns += APART_NS
+    def passes(self, reading_n: Array, contact: Contact, after_ns: int = APART_NS) -> bool:
+        """Whether a reading (M,) fits its estimate, so long after the one before."""
+        self._stamp_ns += after_ns
         try:
             self.check.check(reading_n - self.tare, self.command, contact, self._stamp_ns)
         except SampleError:
@@ -120,18 +121,23 @@ def wrong_n(contact: Contact, segment: int, force_n: Array) -> float:
 
 
 def healthy(arm_name: str, number: int) -> Array:
-    """Misfit, error (N), slack cables, whether it passes, and force, N, of each sample."""
+    """Misfit, error (N), slack cables, whether it passes, segment, and which doubt of each sample.
+
+    A doubt is 1 where no other readings confirm one, and 2 where the average does not fit.
+    """
     bench = Bench(arm_name, number)
     segments, forces = bench.loads(LOADS)
     tensions = bench.tensions_n(bench.mechanism, segments, forces)
     rows = []
     for segment, force, true in zip(segments, forces, tensions, strict=True):
         readings = bench.read(np.tile(true, (READINGS, 1)))
+        apart_ns = APART_NS
         for reading, contact in zip(readings, bench.contacts(readings), strict=True):
-            passes = bench.passes(reading, contact)
+            passes, apart_ns = bench.passes(reading, contact, apart_ns), PERIOD_NS
+            doubt = 1 + ("average" in bench.check.doubt) if bench.check.doubt else 0
             error = wrong_n(contact, segment, force)
             slack = int((true <= 0.0).sum())
-            rows.append((bench.check.misfit, error, slack, passes, np.hypot(*force)))
+            rows.append((bench.check.misfit, error, slack, passes, segment, doubt * passes))
     return np.array(rows)
 
 
@@ -254,12 +260,16 @@ def healthy_figures(options: Any, arm_name: str) -> dict[str, Any]:
     """What is withheld of a healthy arm."""
     with WorkerPool(options.workers, arm_name) as pool:
         sound = np.concatenate(list(pool.map(healthy, range(options.commands))))
-    misfit, error, slack, passes, _ = sound.T
+    misfit, error, slack, passes, segment, doubt = sound.T
     at = ("median", "99 %", "99.9 %", "99.99 %", "99.999 %", "worst")
     return {
         **harness.origin(),
         "samples": len(sound),
         "withheld": int((passes == 0).sum()),
+        "contacts": int((segment > 0).sum()),
+        "unconfirmed_as_one_reading_is": int((doubt == 1).sum()),
+        "of_these_on_segment_1": int(((doubt == 1) & (segment == 1)).sum()),
+        "unconfirmed_as_the_average_does_not_fit": int((doubt == 2).sum()),
         "misfit": harness.percentiles(misfit, at),
         "misfit_by_slack_cables": {
             str(int(n)): {"samples": int((slack == n).sum())}

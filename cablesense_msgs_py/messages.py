@@ -307,6 +307,7 @@ class ForceState(Enum):
 
     FREE = "free"
     CONTACT = "contact"
+    UNCONFIRMED = "unconfirmed"
     HIDDEN = "hidden"
     MOVING = "moving"
     UNTARED = "untared"

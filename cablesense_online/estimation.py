@@ -54,7 +54,7 @@ from cablesense_online.state import (
 )
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
-from cablesense_sim.replay import difference_variance_n2, reading_variance_n2
+from cablesense_sim.replay import reading_variance_n2
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
@@ -98,9 +98,9 @@ class Answer(NamedTuple):
     def wrench(self, unknown_force: str) -> Sequence[float] | None:
         """Force, N, and torque, N·m, to be published (6,); none where none is.
 
-        `unknown_force` as in `EstimationSettings`.
+        A contact is, also an unconfirmed one; `unknown_force` as in `EstimationSettings`.
         """
-        if self.force.known or unknown_force == "zero":
+        if self.contact.segment or self.force.known or unknown_force == "zero":
             return self.contact.wrench
         return UNKNOWN_WRENCH if unknown_force == "nan" else None
 
@@ -252,8 +252,7 @@ class Estimation:
                 self._settings.contact_threshold,
                 self._contact_m,
             )
-            if not moving:
-                self._judge(tensions, contact, stamp_ns)
+            doubt = "" if moving else self._judge(tensions, contact, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)
         except CableSenseError as error:
@@ -268,7 +267,7 @@ class Estimation:
         if contact.magnitude_n > self.largest_force_n:
             self.largest_force_n = contact.magnitude_n
         bounds = force_bounds(estimate, contact, self._contact_m)
-        force = ForceState.CONTACT
+        force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
         if not contact.segment:
             hidden = bounds[1].magnitude_n > self._settings.hidden_above_n
             force = ForceState.HIDDEN if hidden else ForceState.FREE
@@ -445,14 +444,14 @@ class Estimation:
             unchecked = "the model is history-dependent"
         elif not unloaded.complete:
             unchecked = _INCOMPLETE
-        variance_n2 = difference_variance_n2(arm.sensors, settings.tare_samples)
         range_n, limit_from = 0.0, ""
         if settings.largest_misfit:  # or the estimator may be any object that answers
             range_n = estimator.metadata.force_range_n
             limit_from = _limit_origin(settings.largest_misfit, estimator.metadata.misfit_limit)
         return PlausibilityCheck(
             unloaded,
-            variance_n2**0.5,
+            arm.sensors,
+            settings.tare_samples,
             settings.largest_misfit,
             range_n,
             arm.cable_names,
@@ -460,20 +459,24 @@ class Estimation:
             limit_from,
         )
 
-    def _judge(self, tensions: Sequence[float], contact: Contact, stamp_ns: int) -> None:
-        """Watch an arm at rest for drift, and require that its readings fit the contact."""
+    def _judge(self, tensions: Sequence[float], contact: Contact, stamp_ns: int) -> str:
+        """Watch an arm at rest for drift, and require that its readings fit the contact.
+
+        Gives why they are doubted nevertheless; empty where they are not.
+        """
         check, unloaded = self.plausibility, self.tares.unloaded_n
         assert unloaded is not None  # or there would be no estimate
         difference_n = tensions - unloaded
         self.drift.add(difference_n, stamp_ns, touched=contact.segment > 0)
         if check.unchecked or self.breathing.known:
-            return
+            return ""
         before_ns = check.withheld_until_ns
         try:
             check.check(difference_n, self.gate.pose_rad, contact, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
                 self._note(EventKind.MISFIT)
+        return check.doubt
 
     def _tared(self, how: EventKind) -> None:
         self._model.tared()

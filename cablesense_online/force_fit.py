@@ -53,6 +53,7 @@ class _Response(NamedTuple):
         gain: (M, 2) their derivative by the force.
         taut: (M,) which cables are.
         slack: positions of the others.
+        unseen_n: (M,) how far the force is off by an error of one reading that leaves over 1.
         to_rest_rad: (2 N,) how the joints turn from the pose to rest at that force; none where
             they are at rest with this set.
         to_fit: (2 M + 2 N + 3, M) takes readings less `change_n` to what is left over of them, in
@@ -65,6 +66,7 @@ class _Response(NamedTuple):
     gain: Array
     taut: NDArray[np.bool_]
     slack: list[int]
+    unseen_n: Array
     to_rest_rad: Array | None
     to_fit: Array
 
@@ -134,10 +136,8 @@ class Fit(NamedTuple):
         Where a cable reads slack, it may be taut and its reading zero.
         """
         count = len(difference_n)
-        left_over, to_force = np.split(self.response.to_fit[: count + 2], [count])
-        sizes = np.maximum(np.linalg.norm(left_over, axis=0), 1e-9)
         passes = largest * math.sqrt(max(count - 2, 1))
-        hidden_n = passes * np.linalg.norm(to_force, axis=0) / sizes
+        hidden_n = passes * self.response.unseen_n
         for cable in self.response.slack:
             taut = self.response.taut.copy()
             taut[cable] = True
@@ -277,14 +277,17 @@ class _Pose:
         to_along = self._along_n / (spread_n * (1.0 + size)) * (along @ left)
         to_force = np.vstack([to_force, to_along])
         to_elastic = np.column_stack([gain, by_x]) @ to_force
+        over = whiten @ left
+        sizes = np.maximum(np.linalg.norm(over, axis=0), 1e-9)
         return _Response(
             taut * elastic - self._fits.unloaded_n,
             elastic,
             gain,
             taut,
             np.flatnonzero(~taut).tolist(),
+            np.linalg.norm(to_force[:2], axis=0) / sizes,
             None if self._at_rest and not other.any() else turned[:, 3],
-            np.vstack([whiten @ left, to_force, to_elastic, turned[:, :3] @ to_force]),
+            np.vstack([over, to_force, to_elastic, turned[:, :3] @ to_force]),
         )
 
 

@@ -30,7 +30,7 @@ from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.session import replace_misfit_limit
@@ -50,7 +50,8 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
     statics, count = UnloadedTensions(arm), arm.segment_count
     check = PlausibilityCheck(
         statics,
-        difference_variance_n2(arm.sensors, metadata.tare_samples) ** 0.5,
+        arm.sensors,
+        metadata.tare_samples,
         _UNLIMITED,
         metadata.force_range_n,
         arm.cable_names,

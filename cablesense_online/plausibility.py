@@ -13,7 +13,9 @@ friction at the contact may add and no estimate has.
 A verdict depends on nothing before its sample, apart from the time that forces are withheld after
 a misfit.
 
-What fits is not proven right: a fault whose pattern is that of a force looks like that force.
+What fits is not proven right: a fault whose pattern is that of a force looks like that force. So
+a contact is doubted, and not vouched for, where one wrong reading would pass, and where readings
+of a steady contact do not fit it on their average, of which less is noise.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.force_fit import Fit, ForceFits
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import UnloadedTensions
+from cablesense_sim.arm import Sensors
+from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
 
 FORCE_OFF_N: Final = 5.0
 """An estimate so far from the force that fits best is not vouched for."""
@@ -40,6 +44,16 @@ LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
 """After misfits no force is given for as long as they lasted, between these; a swing ends soon on
 a stiff arm. The time is renewed when half of it is left."""
 
+AVERAGED_S: Final = 1.0
+"""Readings of a contact are averaged over up to this time."""
+
+_JUDGED_EVERY_NS, _SOONEST_NS = 100_000_000, 20_000_000
+"""How often a contact is doubted, and how soon again where its tensions respond differently."""
+_FEWEST_AVERAGED = 5
+_STEADY_N = 1.0
+"""A force that has changed by more has no average reading."""
+_LONGEST_GAP_NS = 500_000_000
+
 _LEAST_SPREAD_N = 0.01
 """Of a sensor without noise and step."""
 
@@ -49,6 +63,7 @@ class PlausibilityCheck:
 
     Attributes:
         unchecked: why nothing is checked; empty where all is.
+        doubt: why the contact of the last sample that fits is not vouched for; empty where it is.
         withheld_until_ns: samples with earlier stamps give no force.
         misfit_since_ns: stamp from which on readings did not fit, where that has not passed.
         misfit: of the last sample; infinite where no equilibrium was compared with.
@@ -57,7 +72,8 @@ class PlausibilityCheck:
     def __init__(
         self,
         statics: UnloadedTensions,
-        spread_n: float,
+        sensors: Sensors,
+        tare_samples: int,
         largest_misfit: float,
         force_range_n: float,
         cable_names: Sequence[str],
@@ -69,7 +85,9 @@ class PlausibilityCheck:
         `limit_from` states where that limit comes from.
         """
         self._limit_from = limit_from
-        self._fits = ForceFits(statics, max(spread_n, _LEAST_SPREAD_N))
+        spread_n = max(difference_variance_n2(sensors, tare_samples) ** 0.5, _LEAST_SPREAD_N)
+        self._fits = ForceFits(statics, spread_n)
+        self._sensors, self._tare_samples = sensors, tare_samples
         self.unchecked = unchecked if largest_misfit else "switched off (largest_misfit is 0)"
         self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * force_range_n
         self._cable_names = cable_names
@@ -77,7 +95,8 @@ class PlausibilityCheck:
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
         self._fit: Fit | None = None
-        self._passed: tuple[Fit, Array] | None = None
+        self.doubt = self._last_doubt = ""
+        self._steady: _SteadyContact | None = None
 
     def check(
         self, difference_n: Array, command_rad: Array, contact: Contact, stamp_ns: int
@@ -89,13 +108,15 @@ class PlausibilityCheck:
         """
         if command_rad is not self._fits.command_rad:
             self._fits.command(command_rad)
+            self._steady = None
         misfit = self._misfit_text(difference_n, contact)
         self._worst = max(self._worst, self.misfit)
         until_ns = min(self.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
-            if self._fit is not None:
-                self._passed = (self._fit, difference_n)
+            self.doubt = self._doubted(difference_n, contact.segment, stamp_ns)
+            self._last_doubt = self.doubt or self._last_doubt
             return
+        self._steady = None
         if not self.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
             self.misfit_since_ns = stamp_ns
         lasted_s = (stamp_ns - self.misfit_since_ns) * 1e-9
@@ -124,9 +145,9 @@ class PlausibilityCheck:
         if self._withheld:
             level, message = Level.ERROR, self._last_problem
             values["no force since stamp (s)"] = f"{self.misfit_since_ns * 1e-9:.3f}"
-        elif hidden := self._hidden():
-            level, message = Level.WARN, f"readings fit, but {hidden}"
-        self._worst, self._withheld, self._passed = 0.0, 0, None
+        elif self._last_doubt:
+            level, message = Level.WARN, f"readings fit, but {self._last_doubt}"
+        self._worst, self._withheld, self._last_doubt = 0.0, 0, ""
         return Status("plausibility", level, message, values)
 
     def _misfit_text(self, difference_n: Array, contact: Contact) -> str:
@@ -200,11 +221,26 @@ class PlausibilityCheck:
             misfits.append(self._fit.without(cables))
         return min(misfits) <= self._largest
 
-    def _hidden(self) -> str:
-        """Which cables' readings no others confirm in the last contact, as text; else empty."""
-        if self._passed is None:
+    def _doubted(self, difference_n: Array, segment: int, stamp_ns: int) -> str:
+        """Why a contact that fits is not vouched for; empty where it is."""
+        fit, steady = self._fit, self._steady
+        if fit is None:
+            self._steady = None
             return ""
-        fit, difference_n = self._passed
+        if steady is None or not steady.goes_on(segment, stamp_ns):
+            self._steady = steady = _SteadyContact(segment, len(difference_n))
+        steady.add(difference_n, fit.force_n, stamp_ns)
+        passed_ns = stamp_ns - steady.judged_ns
+        soon = fit.response is not steady.response and passed_ns >= _SOONEST_NS
+        if soon or passed_ns >= _JUDGED_EVERY_NS:
+            steady.response, steady.judged_ns = fit.response, stamp_ns
+            steady.hidden = self._hidden(fit, difference_n)
+            if steady.count >= _FEWEST_AVERAGED:
+                self._judge_average(steady, stamp_ns)
+        return steady.hidden or steady.off_average
+
+    def _hidden(self, fit: Fit, difference_n: Array) -> str:
+        """Which cables' readings no others confirm in a contact, as text; else empty."""
         hidden_n = fit.hidden_n(difference_n, self._largest)
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
@@ -214,3 +250,65 @@ class PlausibilityCheck:
             f"in this contact no others confirm that of {names}: if it is wrong, the force is, by "
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
+
+    def _judge_average(self, steady: _SteadyContact, stamp_ns: int) -> None:
+        """Set whether the readings of a contact fit on their average.
+
+        The limit is that of one reading, less what an average has less of noise.
+        """
+        count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
+        variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
+        spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
+        largest = self._largest * spread_n / self._fits.spread_n
+        mean_n, (y, z) = steady.sum_n / count, steady.force_n
+        fit = self._fits.best(mean_n, steady.segment, y, z, largest)
+        if fit is not None and fit.misfit > largest:
+            steady.off_average = (
+                f"on their average of {count} they lie {fit.misfit:.2f} times as far from a force "
+                f"on segment {steady.segment} as one by its noise (at most {largest:.2f})"
+            )
+        elif full:
+            steady.off_average = ""
+        if full:
+            steady.begin(stamp_ns)
+
+
+class _SteadyContact:
+    """The readings of a contact, averaged while it holds still.
+
+    Attributes:
+        segment: that is touched.
+        count, sum_n: readings averaged, and their sum (M,) less unloaded tensions, N.
+        began_ns: stamp of the first of them.
+        force_n: y and z of the first of them.
+        judged_ns: stamp of the last judgement.
+        response: of the fit that was judged.
+        hidden, off_average: what was found, as text; empty where nothing was.
+    """
+
+    def __init__(self, segment: int, cables: int) -> None:
+        self.segment = segment
+        self.sum_n = np.zeros(cables)
+        self.count = self.began_ns = self._last_ns = 0
+        self.judged_ns = -_JUDGED_EVERY_NS
+        self.force_n = (math.inf, math.inf)
+        self.response: object = None
+        self.hidden = self.off_average = ""
+
+    def goes_on(self, segment: int, stamp_ns: int) -> bool:
+        """Whether a sample is of the same contact."""
+        return segment == self.segment and 0 < stamp_ns - self._last_ns <= _LONGEST_GAP_NS
+
+    def add(self, difference_n: Array, force_n: tuple[float, float], stamp_ns: int) -> None:
+        """Readings less unloaded tensions (M,), and the force that fits them, y and z."""
+        if math.hypot(force_n[0] - self.force_n[0], force_n[1] - self.force_n[1]) > _STEADY_N:
+            self.off_average, self.force_n = "", force_n
+            self.begin(stamp_ns)
+        self._last_ns = stamp_ns
+        self.sum_n += difference_n
+        self.count += 1
+
+    def begin(self, stamp_ns: int) -> None:
+        """Average anew."""
+        self.sum_n[:] = 0.0
+        self.count, self.began_ns = 0, stamp_ns

@@ -6,6 +6,7 @@ samples are solved once. With history-dependent effects the samples are solved i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,6 +26,9 @@ from cablesense_sim.effects.registry import (
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.quasi_static import QuasiStaticArm
+
+_HARMONICS = 100
+"""Of the series of rounding; what the others would add is below 1 % of step² / 12."""
 
 
 class Replay:
@@ -128,6 +132,20 @@ def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Gene
 def reading_variance_n2(sensors: Sensors) -> float:
     """Variance of one reading, N²: noise, and rounding uniform over one step (step² / 12)."""
     return sensors.noise_std_n**2 + sensors.step_n**2 / 12.0
+
+
+def mean_variance_n2(sensors: Sensors, count: int) -> float:
+    """Variance of the mean of `count` readings of one tension, N².
+
+    Rounding averages out only as far as noise spreads the readings over steps: the mean of all
+    rounded readings is off by a Fourier series in the tension's place between two steps.
+    """
+    variance, lasting = reading_variance_n2(sensors), 0.0
+    if sensors.step_n > 0.0:
+        wave = math.pi * np.arange(1.0, 1.0 + _HARMONICS) / sensors.step_n
+        sizes_n = np.exp(-2.0 * (wave * sensors.noise_std_n) ** 2) / wave
+        lasting = 0.5 * float(sizes_n @ sizes_n)
+    return lasting + (variance - lasting) / count
 
 
 def difference_variance_n2(sensors: Sensors, tare_samples: int) -> float:

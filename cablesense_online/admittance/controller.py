@@ -17,6 +17,7 @@ from cablesense_online.admittance.estimate_watch import ContactState, EstimateWa
 from cablesense_online.admittance.law import (
     AdmittanceLaw,
     AdmittanceSettings,
+    Confirmation,
     ContactForce,
     ForceAverage,
     Reach,
@@ -48,7 +49,8 @@ class AdmittanceController:
         self.command_rad = np.zeros(mechanism.joint_count)
         self.home_rad = self.command_rad.copy()
         self.watch = EstimateWatch(settings, now_s)
-        self._average = ForceAverage(settings.measure_s, settings.stale_after_s)
+        self._average = ForceAverage(settings.stale_after_s)
+        self._confirmation = Confirmation(settings)
         self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
         self._arrived_s = self._stepped_s = now_s
         self._yield_until_s = self._repeated_s = float("-inf")
@@ -68,6 +70,7 @@ class AdmittanceController:
             return False
         self.home_rad = command_rad.copy()
         self._yield_until_s = now_s + self._settings.yield_s
+        self._confirmation.forget()
         self._go_on_from(command_rad, now_s)
         return True
 
@@ -94,7 +97,8 @@ class AdmittanceController:
         if now_s - age_s < self._arrived_s:
             return None
         self._average.add(stamp_ns, segment, force_n)
-        return self._step(now_s) if self._average.complete else None
+        span_s = self._confirmation.span_s(self.command_rad)
+        return self._step(now_s) if self._average.spans(span_s) else None
 
     def repeated(self, now_s: float) -> Array | None:
         """The command in force, when it should be repeated.
@@ -149,6 +153,8 @@ class AdmittanceController:
         waits = self._waits_for(now_s)
         if waits:
             return Level.WARN, waits
+        if not self._confirmation.confirmed:
+            return Level.OK, f"{self.watch.state.value}, not confirmed in another pose yet"
         if self.contact is not None and self.at_limit:
             return Level.WARN, "at joint_limit_deg: what force is left stays"
         if commanders > 1:
@@ -161,8 +167,10 @@ class AdmittanceController:
         if segment:
             rotation = kinematics.segment_rotations(self._mechanism, self.command_rad)
             self.contact = ContactForce(segment, np.asarray(rotation[segment - 1] @ local_n))
-        target = self.law.step(
-            self.command_rad, self.home_rad, self.contact, now_s - self._stepped_s
+        self._confirmation.seen(self.contact, self.command_rad)
+        target = self._confirmation.shortened(
+            self.command_rad,
+            self.law.step(self.command_rad, self.home_rad, self.contact, now_s - self._stepped_s),
         )
         self._stepped_s = now_s
         bent = np.linalg.norm(target.reshape(-1, 2), axis=1)

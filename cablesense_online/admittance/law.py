@@ -11,7 +11,8 @@ step already taken off (linearly implicit Euler):
 
 docs/controller.md derives when the loop that is closed by the estimator is stable. The joint
 angles that may be commanded are, for each joint, a disc about straight (`Reach`); a force is the
-average of the wrenches that came after the arm had arrived (`ForceAverage`).
+average of the wrenches that came after the arm had arrived (`ForceAverage`); and a new contact is
+yielded to by little until it is seen in the pose after that (`Confirmation`).
 """
 
 from __future__ import annotations
@@ -85,6 +86,9 @@ class AdmittanceSettings:
             estimate.
         joint_limit_rad: radius of each joint's disc of commands.
         measure_s: estimates are averaged over this time.
+        confirm_rad: no joint turns farther for a new contact before it is confirmed, which is seen
+            again after that turn.
+        confirm_s: for so long; readings of a wrong cable fit a contact in one pose.
         yield_s: after a command of another node, none is sent for this long.
         await_command: send nothing before the first command of another node was received.
     """
@@ -103,6 +107,8 @@ class AdmittanceSettings:
     settle_s: float = 0.5
     joint_limit_rad: float = float(np.deg2rad(10.0))
     measure_s: float = 0.1
+    confirm_rad: float = float(np.deg2rad(0.45))
+    confirm_s: float = 1.0
     yield_s: float = 2.0
     await_command: bool = False
 
@@ -201,6 +207,66 @@ class AdmittanceLaw:
 FEWEST_SAMPLES = 3
 
 
+_SAME_N = 5.0
+"""A confirmed contact whose force changes by more, and by more than itself, is a new one."""
+
+
+class Confirmation:
+    """Whether the present contact was seen in two poses, and how far it is yielded to until then.
+
+    What fits a force in one pose may be a fault; in another, readings of most faults do not fit.
+
+    Attributes:
+        confirmed: whether the present contact is; also where there is none.
+    """
+
+    def __init__(self, settings: AdmittanceSettings) -> None:
+        self._turn_rad, self._measure_s = settings.confirm_rad, settings.measure_s
+        self._confirm_s = max(settings.confirm_s, settings.measure_s)
+        self.forget()
+
+    def forget(self) -> None:
+        """There is no contact."""
+        self._contact: ContactForce | None = None
+        self._from_rad = np.zeros(0)
+        self.confirmed = True
+
+    def seen(self, contact: ContactForce | None, command_rad: Array) -> None:
+        """A contact was measured at a command (2N,), or that there is none."""
+        if contact is None:
+            self.forget()
+        elif not self._same(contact):
+            if self.confirmed:
+                self._from_rad = command_rad
+            self._contact, self.confirmed = contact, False
+        elif not self.confirmed and self._turned(command_rad):
+            self.confirmed = True
+
+    def span_s(self, command_rad: Array) -> float:
+        """For how long to measure at a command (2N,)."""
+        waits = not self.confirmed and self._turned(command_rad)
+        return self._confirm_s if waits else self._measure_s
+
+    def shortened(self, command_rad: Array, target_rad: Array) -> Array:
+        """The part of the way to a target (2N,) that may be gone."""
+        step = target_rad - command_rad
+        if self.confirmed or not step.any():
+            return target_rad
+        left = self._turn_rad - np.sign(step) * (command_rad - self._from_rad)
+        share = np.min(left[step != 0.0] / np.abs(step[step != 0.0]))
+        return np.asarray(command_rad + step * float(np.clip(share, 0.0, 1.0)))
+
+    def _same(self, contact: ContactForce) -> bool:
+        before = self._contact
+        if before is None or before.segment != contact.segment:
+            return False
+        changed_n = float(np.linalg.norm(contact.force_base_n - before.force_base_n))
+        return changed_n <= max(_SAME_N, float(np.linalg.norm(before.force_base_n)))
+
+    def _turned(self, command_rad: Array) -> bool:
+        return bool(np.abs(command_rad - self._from_rad).max() >= (1.0 - 1e-6) * self._turn_rad)
+
+
 class ForceAverage:
     """Averages forces in a segment's axes over a stretch of stamps, all of the same command.
 
@@ -208,9 +274,8 @@ class ForceAverage:
     Where samples name several segments, those of the most frequent one count.
     """
 
-    def __init__(self, span_s: float, longest_gap_s: float) -> None:
-        """`span_s` is averaged over; a gap longer than `longest_gap_s` begins anew."""
-        self._span_ns = round(span_s * 1e9)
+    def __init__(self, longest_gap_s: float) -> None:
+        """A gap longer than `longest_gap_s` begins anew."""
         self._longest_gap_ns = round(longest_gap_s * 1e9)
         self._samples: list[tuple[int, int, Array]] = []
 
@@ -224,12 +289,11 @@ class ForceAverage:
             self._samples.clear()
         self._samples.append((stamp_ns, segment, force_n))
 
-    @property
-    def complete(self) -> bool:
-        """Whether the samples span the time."""
+    def spans(self, seconds: float) -> bool:
+        """Whether the samples do."""
         return (
             len(self._samples) >= FEWEST_SAMPLES
-            and self._samples[-1][0] - self._samples[0][0] >= self._span_ns
+            and self._samples[-1][0] - self._samples[0][0] >= seconds * 1e9
         )
 
     def take(self) -> tuple[int, Array]:

@@ -69,7 +69,47 @@ def test_an_estimator_that_is_never_mute_makes_the_cycle_shorter():
     played = Played(mute_s=0.0)
     played.run(0.5)
     sent = played.run(3.0, 3, PUSH)
-    assert np.diff([when for when, _ in sent]).max() < 0.3
+    assert np.sort(np.diff([when for when, _ in sent]))[-2] < 0.3  # one confirms the contact
+
+
+def turned_deg(played):
+    return np.rad2deg(np.abs(played.controller.command_rad - played.controller.home_rad).max())
+
+
+def test_a_contact_is_yielded_to_by_little_until_it_is_seen_in_another_pose():
+    played = Played()
+    played.run(0.5)
+    played.run(1.2, 3, 3.0 * PUSH)
+    assert turned_deg(played) == pytest.approx(0.45)
+    assert "not confirmed" in played.message().message
+    played.run(2.0, 3, 3.0 * PUSH)
+    assert turned_deg(played) > 1.0
+    assert "not confirmed" not in played.message().message
+
+
+@pytest.mark.parametrize("other", [(1, PUSH), (3, -PUSH), (3, 3.0 * PUSH)])
+def test_a_confirmed_contact_does_not_vouch_for_another(other):
+    played = Played()
+    played.run(0.5)
+    played.run(4.0, 3, PUSH)
+    before = played.controller.command_rad
+    played.run(1.5, *other)
+    assert np.rad2deg(np.abs(played.controller.command_rad - before).max()) < 0.46
+
+
+def test_an_unconfirmed_contact_stops_it():
+    played = Played()
+    played.run(0.5)
+    played.run(0.6, 3, PUSH)
+    sent, clock_ns = len(played.sent), CLOCK_OFFSET_NS
+    for _ in range(100):
+        played.now_s += 0.01
+        clock_ns = CLOCK_OFFSET_NS + round(played.now_s * 1e9)
+        doubted = (ForceState.UNCONFIRMED, 3, PUSH, clock_ns, clock_ns, played.now_s)
+        assert played.controller.received(*doubted) is None
+    assert played.controller.watch.state is ContactState.STOPPED
+    assert "unconfirmed" in played.message().message
+    assert len(played.sent) == sent
 
 
 def test_estimates_from_before_the_arm_arrived_do_not_count():

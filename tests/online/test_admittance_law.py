@@ -175,20 +175,20 @@ FORCE = np.array([0.0, 3.0, 4.0])
 
 
 def filled(samples, period_ms=10):
-    average = ForceAverage(0.1, 0.2)
+    average = ForceAverage(0.2)
     for k, (segment, force) in enumerate(samples):
         average.add(1_000_000 * period_ms * k, segment, force)
     return average
 
 
-def test_it_is_complete_once_it_spans_its_time():
-    assert not filled([(3, FORCE)] * 10).complete
-    assert filled([(3, FORCE)] * 11).complete
+def test_samples_span_the_time_from_the_first_to_the_last():
+    assert not filled([(3, FORCE)] * 10).spans(0.1)
+    assert filled([(3, FORCE)] * 11).spans(0.1)
 
 
 def test_slow_sensors_give_three_samples_at_least():
-    assert not filled([(3, FORCE)] * 2, period_ms=150).complete
-    assert filled([(3, FORCE)] * 3, period_ms=150).complete
+    assert not filled([(3, FORCE)] * 2, period_ms=150).spans(0.1)
+    assert filled([(3, FORCE)] * 3, period_ms=150).spans(0.1)
 
 
 def test_the_mean_of_equal_samples_is_the_sample_and_it_begins_anew():
@@ -196,7 +196,7 @@ def test_the_mean_of_equal_samples_is_the_sample_and_it_begins_anew():
     segment, mean = average.take()
     assert segment == 3
     assert mean == pytest.approx(FORCE)
-    assert not average.complete
+    assert not average.spans(0.1)
 
 
 def test_samples_without_contact_or_on_another_segment_weaken_it():
@@ -215,4 +215,4 @@ def test_no_contact_in_any_sample_is_no_contact():
 def test_a_gap_or_a_stamp_that_goes_back_begins_anew(stamp_ns):
     average = filled([(3, FORCE)] * 11)
     average.add(stamp_ns, 3, FORCE)
-    assert not average.complete
+    assert not average.spans(0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm, push
 
-from cablesense_msgs_py.messages import NO_CONTACT, Level
+from cablesense_msgs_py.messages import NO_CONTACT, ForceState, Level
 from cablesense_online.plausibility import LEAST_WITHHELD_S, WITHHELD_S
 from cablesense_online.samples import ProblemKind
 from cablesense_online.state import EventKind
@@ -234,6 +234,39 @@ def test_a_contact_that_all_readings_confirm_is_reported_as_fitting():
     for segment in range(1, 5):
         arm.sample(arm.reading(push(arm.arm, BENT, segment, 30.0, 20.0)))
         assert arm.estimation.plausibility.status().message == "readings fit the estimates"
+
+
+def test_what_no_others_confirm_is_unconfirmed_from_its_first_sample_on():
+    arm = Arm()
+    forces = push(arm.arm, STRAIGHT, 1, 0.0, 170.0)
+    assert arm.sample(arm.reading(forces)).force is ForceState.UNCONFIRMED
+    forces = push(arm.arm, STRAIGHT, 2, 0.0, 30.0)
+    assert arm.sample(arm.reading(forces)).force is ForceState.CONTACT
+
+
+def exchanged(arm):
+    reading = arm.reading()
+    reading[[0, 1]] = reading[[1, 0]]
+    return reading
+
+
+def test_averages_show_what_single_readings_of_a_fault_hide():
+    arm = Arm(command=np.deg2rad([0.6, *[0.0] * 7]))
+    states = [arm.sample(exchanged(arm)).force for _ in range(60)]
+    assert states[0] is ForceState.CONTACT
+    assert states[-1] is ForceState.UNCONFIRMED
+    assert "on their average of" in arm.estimation.plausibility.status().message
+    assert arm.sample().force is ForceState.FREE
+    assert arm.sample(arm.reading(push(arm.arm, arm.command, 3, 0.0, 30.0))).force.known
+
+
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+def test_averages_of_healthy_contacts_fit(name):
+    arm = Arm(name, command=BENT)
+    for segment, angle_deg, size_n in ((1, 0.0, 40.0), (2, 100.0, 120.0), (4, 250.0, 180.0)):
+        forces = push(arm.arm, BENT, segment, angle_deg, size_n)
+        states = {arm.sample(arm.reading(forces)).force for _ in range(120)}
+        assert states == {ForceState.CONTACT}
 
 
 @pytest.mark.parametrize(

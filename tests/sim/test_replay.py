@@ -18,6 +18,7 @@ from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_e
 from cablesense_sim.replay import (
     Replay,
     difference_variance_n2,
+    mean_variance_n2,
     read_tensions_n,
     reading_variance_n2,
     replay_arm,
@@ -167,6 +168,19 @@ def test_mean_and_variance_are_as_stated(noise_std_n: float, step_n: float) -> N
     # five standard deviations of either estimate
     assert abs(error.mean()) <= 5 * np.sqrt(variance / MANY)
     assert error.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / MANY), abs=1e-30)
+
+
+@pytest.mark.parametrize(
+    ("noise_std_n", "step_n"), [(0.05, 0.18), (0.02, 0.2), (0.0, 0.3), (0.1, 0)]
+)
+def test_rounding_does_not_average_out(noise_std_n: float, step_n: float) -> None:
+    rng = np.random.default_rng(4)
+    sensors = with_(noise_std_n=noise_std_n, step_n=step_n)
+    truth = rng.uniform(10, 200, (4000, 1))
+    off = read_tensions_n(np.repeat(truth, 30, axis=1), sensors, rng).mean(1) - truth[:, 0]
+    expected = mean_variance_n2(sensors, 30)
+    assert off.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
+    assert mean_variance_n2(sensors, 1) == pytest.approx(reading_variance_n2(sensors))
 
 
 def test_a_tared_difference_has_the_variance_of_both() -> None:
