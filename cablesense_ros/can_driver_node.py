@@ -6,12 +6,20 @@ import sys
 from functools import partial
 from typing import Any
 
+import numpy as np
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import Level, Status, put_tensions
-from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_msgs_py.messages import (
+    Level,
+    NamedOrder,
+    Status,
+    joint_command_rad,
+    put_joint_angles,
+    put_tensions,
+)
+from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.calibration import (
@@ -25,22 +33,28 @@ from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
 from cablesense_ros.node_process import (
     ConfiguredNode,
+    RefusalLog,
     overridable,
     run_node,
 )
-from cablesense_sim.arm import open_arm
+from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.joint_motion import JointMotion
+
+JOINT_STATES_PERIOD_S = 0.02
 
 
 class CanDriverNode(ConfiguredNode):
     """Configured: map, DBC file and arm read. Active: the bus is read and samples are published.
 
     Nothing downstream can tell it from the sim node: the message, its names, frame and quality of
-    service are the same. Without a whole sample there is no message.
+    service are the same. Without a whole sample there is no message. An arm without sensors in its
+    joints is shown where it was commanded: `joint_states` are the set-points.
     """
 
     def __init__(self) -> None:
         super().__init__("can_driver")
         self._calibration: Calibration | None = None
+        self._refuse = RefusalLog(self)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the bus; an interface that is not there is waited for."""
@@ -63,6 +77,8 @@ class CanDriverNode(ConfiguredNode):
             channel_map = calibrated(
                 channel_map, database, self._calibration, given["calibration"]
             )
+        if given["joint_states"]:
+            self._show_set_points(arm, given["joint_speed_rad_s"])
         interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
         self._tensions = JointState(name=list(arm.cable_names))
         self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
@@ -78,6 +94,29 @@ class CanDriverNode(ConfiguredNode):
             f"channels on {interface.name}, scales and zeros: "
             f"{calibration_status(self._calibration).message}"
         )
+
+    def _show_set_points(self, arm: Arm, speed_rad_s: float) -> None:
+        """Of an arm that is straight until it is commanded."""
+        joints = NamedOrder(arm.joint_names, "joints")
+        motion = JointMotion(np.zeros(arm.joint_count), speed_rad_s)
+        shown = JointState(name=list(arm.joint_names))
+        out = self.create_publisher(JointState, topics.JOINT_STATES, **overridable(PUBLISHER))
+
+        def publish() -> None:
+            put_joint_angles(shown, motion.advance(JOINT_STATES_PERIOD_S))
+            shown.header.stamp = self.get_clock().now().to_msg()
+            out.publish(shown)
+
+        commands = self._refuse.subscribe(
+            JointState,
+            topics.JOINT_COMMANDS,
+            COMMAND,
+            lambda message: motion.go_to(joint_command_rad(message, joints)),
+        )
+        timer = self.create_timer(JOINT_STATES_PERIOD_S, publish)
+        self._entities.callback(self.destroy_publisher, out)
+        self._entities.callback(self.destroy_subscription, commands)
+        self._entities.callback(self.destroy_timer, timer)
 
     def _publish(self, sample: Sample) -> None:
         """In the receiving thread, as a turn through the executor would cost latency."""

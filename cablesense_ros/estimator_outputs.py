@@ -17,7 +17,6 @@ from cablesense_msgs_py.messages import (
     ForceState,
     Status,
     describe_probabilities,
-    diagnostic_statuses,
     put_contact_point,
     put_force_direction,
     put_probabilities,
@@ -27,7 +26,7 @@ from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Answer
 from cablesense_online.state import put_state
-from cablesense_ros.node_process import overridable
+from cablesense_ros.node_process import diagnostic_array, overridable
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""
@@ -40,11 +39,11 @@ class EstimatorOutputs:
         self,
         node: LifecycleNode,
         frames: Frames,
-        hardware_id: str,
+        identity: str,
         markers: bool,
         unknown_force: str,
     ) -> None:
-        """`hardware_id` is the arm's identity, `unknown_force` as in `EstimationSettings`."""
+        """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
         self._node = node
         self._unknown_force = unknown_force
         self._frames = frames
@@ -53,9 +52,10 @@ class EstimatorOutputs:
         self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
         self._wrench_in = wrench_writers(frames)
         self._status_out = self._create(DiagnosticArray, topics.STATUS)
-        self._status = {
-            state: _status_message(state, node.get_name(), hardware_id) for state in ForceState
-        }
+        self._status: dict[ForceState, bytes] = {}
+        for state in ForceState:
+            status = Status("force", state.level, state.value)
+            self._status[state] = serialize_message(diagnostic_array(node, [status], identity))
         self._bounds_out = [
             self._create(WrenchStamped, topic)
             for topic in (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
@@ -122,16 +122,6 @@ class EstimatorOutputs:
         if self._markers and self._markers_out and self._markers_out.get_subscription_count():
             self._markers.put(answer.contact, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
-
-
-def _status_message(state: ForceState, node_name: str, hardware_id: str) -> bytes:
-    """Serialized, as it is published for every sample; only its stamp is another each time."""
-    message = DiagnosticArray()
-    status = Status("force", state.level, state.value)
-    message.status = diagnostic_statuses(
-        [status], node_name, hardware_id, DiagnosticStatus, KeyValue
-    )
-    return bytes(serialize_message(message))
 
 
 def _time(stamp_ns: int) -> Time:

@@ -416,19 +416,31 @@ _PERIOD_S = 1.0
 
 
 def publish_diagnostics(
-    node: Node, report: Callable[[], Sequence[Status]], hardware_id: Callable[[], str]
+    node: Node, report: Callable[[], Sequence[Status]], identity: Callable[[], str]
 ) -> None:
-    """Publish a node's statuses once a second; `hardware_id` is the arm's identity, or empty."""
+    """Publish a node's statuses once a second; `identity` is the arm's, or empty."""
     publisher = node.create_publisher(
         DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
     )
 
     def publish() -> None:
-        message = DiagnosticArray()
+        message = diagnostic_array(node, report(), identity())
         message.header.stamp = node.get_clock().now().to_msg()
-        message.status = diagnostic_statuses(
-            report(), node.get_name(), hardware_id(), DiagnosticStatus, KeyValue
-        )
         publisher.publish(message)
 
     node.create_timer(_PERIOD_S, publish)
+
+
+def diagnostic_array(node: Node, statuses: Sequence[Status], identity: str) -> DiagnosticArray:
+    """Statuses of a node, not stamped, under its name and an arm's identity with the namespace."""
+    hardware_id = "/".join(filter(None, (node.get_namespace().strip("/"), identity)))
+    message = DiagnosticArray()
+    message.status = diagnostic_statuses(
+        statuses, full_name(node, node.get_name()), hardware_id, DiagnosticStatus, KeyValue
+    )
+    return message
+
+
+def full_name(node: Node, name: str) -> str:
+    """A node's name with its namespace, as in diagnostics; a relative `name` is in `node`'s."""
+    return (name if name.startswith("/") else f"{node.get_namespace()}/{name}").strip("/")

@@ -19,10 +19,7 @@ from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.node_process import (
-    of_node,
-    run_node,
-)
+from cablesense_ros.node_process import full_name, of_node, run_node
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
 
@@ -41,7 +38,7 @@ class PageNode(Node):
             arm,
             joint_speed_rad_s=given["joint_speed_rad_s"],
             frame_prefix=given["frame_prefix"],
-            estimator=estimator,
+            estimator=full_name(self, estimator),
         )
         self._client = ArmClient(self, arm, self._live, estimator)
         self._tare, self._breathe = (

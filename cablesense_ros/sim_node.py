@@ -76,15 +76,15 @@ class SimNode(Node):
         self._tensions.header.frame_id = self._joint_states.header.frame_id = frames.base
         self._tick_count = 0
         self._ticks_per_joint_state = max(1, math.ceil(self._rate_hz / JOINT_STATES_HZ))
-        self._tensions_out, self._joint_states_out, description_out = (
-            self.create_publisher(kind, topic, **overridable(qos))
-            for kind, topic, qos in (
-                (JointState, topics.CABLE_TENSIONS, PUBLISHER),
-                (JointState, topics.JOINT_STATES, PUBLISHER),
-                (String, topics.ROBOT_DESCRIPTION, LATCHED),
-            )
+        self._tensions_out, self._joint_states_out = (
+            self.create_publisher(JointState, topic, **overridable(PUBLISHER))
+            for topic in (topics.CABLE_TENSIONS, topics.JOINT_STATES)
         )
-        description_out.publish(String(data=urdf_xml(arm)))
+        if given["description"]:
+            described = self.create_publisher(
+                String, topics.ROBOT_DESCRIPTION, **overridable(LATCHED)
+            )
+            described.publish(String(data=urdf_xml(arm)))
 
         def on_command(message: JointState) -> None:
             self._simulated.go_to(joint_command_rad(message, joints))

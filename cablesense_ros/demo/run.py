@@ -244,7 +244,9 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
         remaps = {topics.CABLE_TENSIONS: topics.SIMULATED_TENSIONS}
         commands = {
             "can_emulator": node_command("can_emulator", amplifier),
-            "can_driver": node_command("can_driver", amplifier | adapter),
+            "can_driver": node_command(
+                "can_driver", amplifier | adapter | {"joint_states": False}
+            ),
             "sim": node_command("sim", simulation, remaps),
         }
     estimator = arm | {"model": options.model, "await_breath": options.breathe}

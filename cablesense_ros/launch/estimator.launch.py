@@ -1,154 +1,215 @@
-"""The estimator, brought up by its lifecycle, and a source of tensions: simulation or CAN bus."""
+"""The estimator and a source of tensions, with what else is wanted beside them.
+
+`demo.launch.py` and `admittance.launch.py` are this one with other defaults.
+"""
+
+import sys
+from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.conditions import IfCondition
-from launch.events import matches_action
-from launch.substitutions import (
-    EqualsSubstitution,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-    PathJoinSubstitution,
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    OpaqueFunction,
+    RegisterEventHandler,
 )
+from launch.events import Shutdown, matches_action
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState
 from launch_ros.parameter_descriptions import ParameterValue
 from lifecycle_msgs.msg import Transition
 
+from cablesense_sim.arm import open_arm
+from cablesense_sim.model import urdf_xml
+
 PACKAGE = "cablesense_ros"
-EMULATED_ADAPTER = "/tmp/cablesense_can"
-ARGUMENTS = (
-    # name, default, choices, description
-    (
-        "source",
-        "sim",
-        ["sim", "can", "emulated_can"],
-        "where cable_tensions come from: the sim, a CAN bus, or the sim through an emulated one",
-    ),
-    ("arm", "cdsm", None, "arm file: the name of a bundled one, or a path"),
-    ("model", "", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
-    (
-        "map",
-        "twelve_channel_amplifier",
-        None,
-        "with source:=can: channel map, the name of a bundled one or the path of a .yaml file",
-    ),
-    ("calibration", "", None, "with source:=can: path of a calibration file, or empty for none"),
-    ("interface", "socketcan", None, "with source:=can: python-can's name of the adapter's kind"),
-    ("channel", "can0", None, "with source:=can: what that kind calls its channels"),
-    ("state_file", "", None, "keeps the estimator's tare and command over a kill; empty: nothing"),
-    (
-        "breathe",
-        "none",
-        ["none", "on_request", "continuous"],
-        "start the breather, whose ~/breathe asks for a breath, or which breathes all the time",
-    ),
-    ("namespace", "", None, "namespace of all nodes"),
-)
+FILES = ("estimator.launch.py", "demo.launch.py", "admittance.launch.py")
+SWITCH = ("true", "false")
+EMULATED_BIT_S = 1_000_000
+ARGUMENTS = {
+    # name: default, choices, description
+    "source": ("sim", ("sim", "can", "emulated_can"),
+               "where cable_tensions come from: the sim, a CAN bus, or the sim through one"),
+    "arm": ("cdsm", None, "arm file: the name of a bundled one, or a path"),
+    "model": ("", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
+    "params_file": ("", None, "parameters of the nodes, YAML; arguments go before what it has"),
+    "auto_tare": ("true", SWITCH, "the first readings of the unloaded arm are its tare"),
+    "state_file": ("", None, "keeps the estimator's tare and command over a kill"),
+    "respawn": ("false", SWITCH, "a node that ends is started again, and activates itself"),
+    "map": ("twelve_channel_amplifier", None, "channel map: the name of a bundled one, or a path"),
+    "calibration": ("", None, "path of a calibration file, or empty for none"),
+    "interface": ("socketcan", None, "python-can's name of the adapter's kind"),
+    "channel": ("can0", None, "what that kind calls its channels"),
+    "bitrate_bit_s": ("0", None, "bit rate of the bus, bit/s; 0 where the system sets it"),
+    "breathe": ("none", ("none", "on_request", "continuous"),
+                "the breather: a breath on ~/breathe, or all the time"),
+    "description": ("true", SWITCH, "robot_state_publisher: robot_description and tf"),
+    "page": ("false", SWITCH, "the page in the browser"),
+    "rviz": ("false", SWITCH, "rviz2"),
+    "controller": ("false", SWITCH, "the admittance node, which yields to contacts"),
+    "obstacle": ("false", SWITCH, "the wall that presses on the simulated arm"),
+    "namespace": ("", None, "of all nodes; two arms have two"),
+    "frame_prefix": ("", None, "goes before every frame name; two arms have two"),
+}  # fmt: skip
+BUS = ("interface", "channel", "bitrate_bit_s", "calibration")
+SOURCES = {
+    **dict.fromkeys(BUS, ("can",)),
+    "map": ("can", "emulated_can"),
+    "obstacle": ("sim", "emulated_can"),
+}
+"""With which sources an argument has an effect, where not with all."""
 
 
 def generate_launch_description() -> LaunchDescription:
     """What to start, and when."""
-    settings = PathJoinSubstitution([get_package_share_directory(PACKAGE), "config", "nodes"])
-    arm, model = _text("arm"), _text("model")
-    bus = {name: _text(name) for name in ("map", "calibration", "interface", "channel")}
-    namespace = LaunchConfiguration("namespace")
-    breathes = NotEqualsSubstitution(LaunchConfiguration("breathe"), "none")
-    estimator = LifecycleNode(
-        package=PACKAGE,
-        executable="estimator",
-        name="estimator",
-        namespace=namespace,
-        output="screen",
-        parameters=[
-            PathJoinSubstitution([settings, "estimator.yaml"]),
-            {"arm": arm, "model": model, "state_file": _text("state_file"), "autostart": False},
-            {"await_breath": ParameterValue(breathes, value_type=bool)},
-        ],
-    )
-    breather = Node(
-        package=PACKAGE,
-        executable="breather",
-        name="breather",
-        namespace=namespace,
-        output="screen",
-        parameters=[
-            PathJoinSubstitution([settings, "breather.yaml"]),
-            {
-                "arm": arm,
-                "continuous": ParameterValue(
-                    EqualsSubstitution(LaunchConfiguration("breathe"), "continuous"),
-                    value_type=bool,
-                ),
-            },
-        ],
-        condition=IfCondition(breathes),
-    )
-    simulation = [PathJoinSubstitution([settings, "sim.yaml"]), {"arm": arm}]
-    driver = [PathJoinSubstitution([settings, "can_driver.yaml"]), {"arm": arm, "map": bus["map"]}]
-    sources = [
-        Node(
+    arguments = []
+    for name, (default, choices, text) in ARGUMENTS.items():
+        where = f"with source:={' or '.join(SOURCES[name])}: " if name in SOURCES else ""
+        allowed = None if choices is None else list(choices)
+        arguments.append(
+            DeclareLaunchArgument(
+                name, default_value=default, choices=allowed, description=where + text
+            )
+        )
+    return LaunchDescription([*arguments, OpaqueFunction(function=start)])
+
+
+def start(context: LaunchContext) -> list:
+    """The nodes for the arguments given, in their order of start."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    refuse_what_has_no_effect(given)
+    changed = {n: as_text(v) for n, v in given.items() if v != ARGUMENTS[n][0]}
+    wanted = {name for name, value in given.items() if value == "true"}
+    settings = Path(get_package_share_directory(PACKAGE)) / "config" / "nodes"
+    respawn = "respawn" in wanted
+    again = {"respawn": True, "respawn_delay": 1.0} if respawn else {}
+    shared = {"arm": as_text(given["arm"])}
+    framed = shared | {n: v for n, v in changed.items() if n == "frame_prefix"}
+
+    def node(name: str, parameters: dict, kind: type = Node, **more: object) -> Node:
+        files = (settings / f"{name}.yaml", Path(given["params_file"]))
+        return kind(
             package=PACKAGE,
-            executable=executable,
-            name=executable,
-            namespace=namespace,
+            executable=name,
+            name=name,
+            namespace=given["namespace"],
             output="screen",
-            parameters=parameters,
-            remappings=remappings,
-            condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), source)),
+            parameters=[*(str(file) for file in files if file.is_file()), parameters],
+            **again,
+            **more,
         )
-        for source, executable, parameters, remappings in (
-            ("sim", "sim", simulation, []),
-            ("can", "can_driver", [*driver, bus], []),
-            ("emulated_can", "sim", simulation, [("cable_tensions", "simulated_tensions")]),
-            (
-                "emulated_can",
-                "can_emulator",
-                [{"arm": arm, "map": bus["map"], "channel": EMULATED_ADAPTER}],
-                [],
+
+    def lifecycle(name: str, parameters: dict) -> list:
+        """Configured, then activated; one that cannot be ends the launch."""
+        if respawn:
+            return [node(name, parameters | {"autostart": True})]
+        one = node(name, parameters | {"autostart": False}, LifecycleNode)
+        activate = change(one, Transition.TRANSITION_ACTIVATE)
+        end = EmitEvent(event=Shutdown(reason=f"{name} cannot be configured; see its log above"))
+        # the handlers stand before the event that sets them off
+        return [
+            *(
+                RegisterEventHandler(
+                    OnStateTransition(
+                        target_lifecycle_node=one,
+                        start_state="configuring",
+                        goal_state=state,
+                        entities=entities,
+                    )
+                )
+                for state, entities in (("inactive", [activate]), ("unconfigured", [end]))
             ),
-            (
-                "emulated_can",
-                "can_driver",
-                [
-                    *driver,
-                    {
-                        "interface": "slcan",
-                        "channel": EMULATED_ADAPTER,
-                        "bitrate_bit_s": 1_000_000,
-                    },
-                ],
-                [],
-            ),
+            one,
+            change(one, Transition.TRANSITION_CONFIGURE),
+        ]
+
+    def some(*names: str) -> dict:
+        return {name: changed[name] for name in names if name in changed}
+
+    source, breathe = given["source"], given["breathe"]
+    started: list = []
+    if source != "can":
+        remappings = [("cable_tensions", "simulated_tensions")] * (source != "sim")
+        described = {"description": "description" not in wanted}
+        started.append(node("sim", framed | described, remappings=remappings))
+    bus = some("map", "calibration", "interface", "channel")
+    if "bitrate_bit_s" in changed:
+        bus["bitrate_bit_s"] = int(given["bitrate_bit_s"])
+    if source == "emulated_can":
+        suffix = given["namespace"].strip("/").replace("/", "_")
+        adapter = {"channel": "_".join(filter(None, ["/tmp/cablesense_can", suffix]))}
+        started.append(node("can_emulator", shared | bus | adapter))
+        bus |= adapter | {"interface": "slcan", "bitrate_bit_s": EMULATED_BIT_S}
+        bus["joint_states"] = False
+    if source != "sim":
+        started += lifecycle("can_driver", framed | bus)
+    if breathe != "none":
+        started.append(node("breather", shared | {"continuous": breathe == "continuous"}))
+    tared = {"await_breath": True} if breathe != "none" else {}
+    if "auto_tare" not in wanted:
+        tared["auto_tare"] = False
+    started += lifecycle("estimator", framed | some("model", "state_file") | tared)
+    if "controller" in wanted:
+        started += lifecycle("admittance", framed)
+    started += [node(name, framed) for name in ("obstacle", "page") if name in wanted]
+    if "description" in wanted:
+        urdf = {"robot_description": as_text(urdf_xml(open_arm(given["arm"])))}
+        started.append(
+            Node(
+                package="robot_state_publisher",
+                executable="robot_state_publisher",
+                namespace=given["namespace"],
+                parameters=[urdf | some("frame_prefix")],
+                **again,
+            )
         )
-    ]
-    activate_when_configured = RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=estimator,
-            start_state="configuring",
-            goal_state="inactive",
-            entities=[_change(estimator, Transition.TRANSITION_ACTIVATE)],
+    if "rviz" in wanted:
+        layout = settings.parent / "layouts" / "cablesense.rviz"
+        seen = ("/robot_description", "/estimator/markers", "/estimator/wrench")
+        started.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=given["namespace"],
+                arguments=["-d", str(layout)],
+                remappings=[(topic, topic[1:]) for topic in seen],
+            )
         )
-    )
-    configure = _change(estimator, Transition.TRANSITION_CONFIGURE)
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
-        for name, default, choices, text in ARGUMENTS
-    ]
-    # the handler stands before the event that sets it off
-    return LaunchDescription(
-        [*arguments, *sources, breather, estimator, activate_when_configured, configure]
-    )
+    return started
 
 
-def _text(argument: str) -> ParameterValue:
-    """As text, whatever it looks like: an empty argument is no null, an arm named 1 no number."""
-    return ParameterValue(LaunchConfiguration(argument), value_type=str)
+def refuse_what_has_no_effect(given: dict[str, str]) -> None:
+    """Raise for an argument of the command line that is unknown, or that would change nothing."""
+    if {Path(word).name for word in sys.argv} & set(FILES):  # else another launch file includes us
+        words = [word.partition(":=")[0] for word in sys.argv if ":=" in word]
+        if unknown := [word for word in words if word not in ARGUMENTS]:
+            raise RuntimeError(
+                f"no argument is named {', '.join(unknown)}; there are {', '.join(ARGUMENTS)}"
+            )
+    source = given["source"]
+    for name, sources in SOURCES.items():
+        if source not in sources and given[name] != ARGUMENTS[name][0]:
+            raise RuntimeError(
+                f"{name} has no effect with source:={source}; it goes with {' or '.join(sources)}"
+            )
+    if given["params_file"] and not Path(given["params_file"]).is_file():
+        raise RuntimeError(f"params_file: there is no file {given['params_file']}")
+    if not given["bitrate_bit_s"].isdecimal():
+        raise RuntimeError(f"bitrate_bit_s is {given['bitrate_bit_s']!r}; it is a whole number")
+    if given["rviz"] == "true" and given["frame_prefix"]:
+        raise RuntimeError("rviz shows one arm whose frames have no prefix; set TF Prefix in it")
 
 
-def _change(node: LifecycleNode, transition: int) -> EmitEvent:
+def as_text(value: str) -> ParameterValue:
+    """As text, whatever it looks like: an empty one is no null, an arm named 1 no number."""
+    return ParameterValue(value, value_type=str)
+
+
+def change(node: LifecycleNode, transition: int) -> EmitEvent:
+    """An event that sends a lifecycle node through a transition."""
     return EmitEvent(
         event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition)
     )

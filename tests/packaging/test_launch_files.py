@@ -16,15 +16,9 @@ MODULES = {
         "OpaqueFunction",
         "RegisterEventHandler",
     ],
-    "launch.conditions": ["IfCondition"],
-    "launch.events": ["matches_action"],
+    "launch.events": ["Shutdown", "matches_action"],
     "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
-    "launch.substitutions": [
-        "EqualsSubstitution",
-        "LaunchConfiguration",
-        "NotEqualsSubstitution",
-        "PathJoinSubstitution",
-    ],
+    "launch.substitutions": ["LaunchConfiguration"],
     "launch_ros": [],
     "launch_ros.actions": ["LifecycleNode", "Node"],
     "launch_ros.event_handlers": ["OnStateTransition"],
@@ -33,6 +27,7 @@ MODULES = {
     "launch_ros.parameter_descriptions": ["ParameterValue"],
     "ament_index_python.packages": [],
 }
+NODES = ("Node", "LifecycleNode")
 
 
 class Described:
@@ -44,15 +39,25 @@ class Described:
     def perform(self, context):
         return context[self.args[0]]
 
+    def parameter(self, name):
+        """A parameter as the node gets it, whichever of the files and mappings has it last."""
+        value = None
+        for mapping in self.given["parameters"]:
+            if isinstance(mapping, dict):
+                value = mapping.get(name, value)
+        return value.args[0] if isinstance(value, Described) else value
+
 
 @pytest.fixture
 def describe(monkeypatch):
+    pytest.importorskip("lifecycle_msgs.msg")
     for name, classes in MODULES.items():
         module = ModuleType(name)
         for kind in classes:
             setattr(module, kind, lambda *args, _kind=kind, **given: Described(_kind, args, given))
         monkeypatch.setitem(sys.modules, name, module)
-    sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: "/share"
+    packages = sys.modules["ament_index_python.packages"]
+    packages.get_package_share_directory = lambda name: str(FOLDER.parents[1])
 
     def load(file):
         code = compile((FOLDER / file).read_text(), file, "exec")
@@ -63,96 +68,145 @@ def describe(monkeypatch):
     return load
 
 
-def of_kind(entities, kind):
-    return [entity for entity in entities if entity.kind == kind]
+@pytest.fixture
+def start(describe):
+    """What is started with some arguments, by the including file's defaults."""
+
+    def started(file="estimator.launch.py", **given):
+        declared = describe(file)
+        if file != "estimator.launch.py":
+            assert of_kind(declared, "IncludeLaunchDescription")
+            declared += describe("estimator.launch.py")
+        context = {}
+        for argument in of_kind(declared, "DeclareLaunchArgument"):
+            context.setdefault(argument.args[0], argument.given["default_value"])
+        assert set(given) <= set(context)
+        (function,) = of_kind(declared, "OpaqueFunction")
+        return function.given["function"](context | given)
+
+    return started
 
 
-def test_the_estimator_is_configured_then_activated(describe):
+def of_kind(entities, *kinds):
+    return [entity for entity in entities if entity.kind in kinds]
+
+
+def nodes(entities):
+    return {node.given["executable"]: node for node in of_kind(entities, *NODES)}
+
+
+def test_the_estimator_is_configured_then_activated_or_the_launch_ends(start):
     transitions = pytest.importorskip("lifecycle_msgs.msg").Transition
-    entities = describe("estimator.launch.py")
+    entities = start()
     (node,) = of_kind(entities, "LifecycleNode")
     assert node.given["executable"] == "estimator"
-    assert node.given["parameters"][1]["autostart"] is False
-    (handler,) = of_kind(entities, "RegisterEventHandler")
-    transition = handler.args[0]
-    assert transition.given["target_lifecycle_node"] is node
-    assert transition.given["goal_state"] == "inactive"
-    (activate,) = transition.given["entities"]
+    assert node.parameter("autostart") is False
+    handlers = [handler.args[0].given for handler in of_kind(entities, "RegisterEventHandler")]
+    assert all(handler["target_lifecycle_node"] is node for handler in handlers)
+    then = {handler["goal_state"]: handler["entities"][0].given["event"] for handler in handlers}
+    assert then["inactive"].given["transition_id"] == transitions.TRANSITION_ACTIVATE
+    assert then["unconfigured"].kind == "Shutdown"
     (configure,) = of_kind(entities, "EmitEvent")
-    wanted = [event.given["event"].given["transition_id"] for event in (configure, activate)]
-    assert wanted == [transitions.TRANSITION_CONFIGURE, transitions.TRANSITION_ACTIVATE]
-    assert entities.index(handler) < entities.index(configure)
+    assert configure.given["event"].given["transition_id"] == transitions.TRANSITION_CONFIGURE
+    assert entities.index(configure) == len(entities) - 2  # before robot_state_publisher
 
 
-def nodes_by_source(entities):
-    found = {}
-    for node in of_kind(entities, "Node"):
-        if node.given["executable"] == "breather":
-            continue
-        source = node.given["condition"].args[0].args[1]
-        found.setdefault(source, {})[node.given["executable"]] = node
-    return found
+def test_a_respawned_node_activates_itself(start):
+    entities = start(respawn="true", state_file="/tmp/state")
+    assert not of_kind(entities, "LifecycleNode", "EmitEvent")
+    estimator = nodes(entities)["estimator"]
+    assert estimator.given["respawn"] is True
+    assert estimator.parameter("autostart") is True
+    assert estimator.parameter("state_file") == "/tmp/state"
 
 
-def test_one_source_runs_by_choice(describe):
-    entities = describe("estimator.launch.py")
-    source = next(e for e in of_kind(entities, "DeclareLaunchArgument") if e.args[0] == "source")
-    found = nodes_by_source(entities)
-    assert source.given["choices"] == list(found) == ["sim", "can", "emulated_can"]
-    assert {name: set(nodes) for name, nodes in found.items()} == {
-        "sim": {"sim"},
-        "can": {"can_driver"},
-        "emulated_can": {"sim", "can_emulator", "can_driver"},
-    }
-
-
-def test_the_breather_runs_by_choice_and_the_tare_waits_for_it(describe):
-    entities = describe("estimator.launch.py")
-    (breather,) = (
-        node for node in of_kind(entities, "Node") if node.given["executable"] == "breather"
-    )
-    (estimator,) = of_kind(entities, "LifecycleNode")
-    (chosen,) = breather.given["condition"].args
-    assert chosen.kind == "NotEqualsSubstitution"
-    assert chosen.args[1] == "none"
-    assert estimator.given["parameters"][-1]["await_breath"].args == (chosen,)
-
-
-def test_an_emulated_bus_stands_between_sim_and_driver(describe):
-    nodes = nodes_by_source(describe("estimator.launch.py"))["emulated_can"]
-    assert nodes["sim"].given["remappings"] == [("cable_tensions", "simulated_tensions")]
-    driver, emulator = (nodes[n].given["parameters"][-1] for n in ("can_driver", "can_emulator"))
-    assert driver["channel"] == emulator["channel"]
-    assert driver["interface"] == "slcan"
-
-
-def test_the_bus_is_read_by_the_map_and_interface_given(describe):
-    entities = describe("estimator.launch.py")
-    declared = {e.args[0] for e in of_kind(entities, "DeclareLaunchArgument")}
-    driver = nodes_by_source(entities)["can"]["can_driver"]
-    given = driver.given["parameters"]
-    assert "arm" in given[1]
-    assert {"map", "calibration", "interface", "channel"} == set(given[2]) <= declared
-
-
-def test_the_demo_includes_the_estimator_and_describes_the_arm(describe):
-    entities = describe("demo.launch.py")
-    (included,) = of_kind(entities, "IncludeLaunchDescription")
-    assert dict(included.given["launch_arguments"])["source"] == "sim"
-    (function,) = of_kind(entities, "OpaqueFunction")
-    (publisher,) = function.given["function"]({"arm": "cdsm"})
-    description = publisher.given["parameters"][0]["robot_description"].args[0]
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("sim", {"sim"}),
+        ("can", {"can_driver"}),
+        ("emulated_can", {"sim", "can_emulator", "can_driver"}),
+    ],
+)
+def test_one_source_runs_by_choice_and_one_node_describes_the_arm(start, source, found):
+    started = nodes(start(source=source))
+    assert set(started) - {"estimator", "robot_state_publisher"} == found
+    description = started["robot_state_publisher"].parameter("robot_description")
     assert "<robot" in description
+    if "sim" in found:
+        assert started["sim"].parameter("description") is False
+    if found == {"sim", "can_emulator", "can_driver"}:
+        assert started["can_driver"].parameter("joint_states") is False
 
 
-def test_the_controller_comes_with_the_estimator_and_a_wall(describe):
-    entities = describe("admittance.launch.py")
-    (included,) = of_kind(entities, "IncludeLaunchDescription")
-    assert set(dict(included.given["launch_arguments"])) == {"source", "arm", "model"}
-    nodes = {node.given["executable"]: node.given for node in of_kind(entities, "Node")}
-    assert set(nodes) == {"admittance", "obstacle", "page"}
-    assert "condition" not in nodes["admittance"]
-    assert nodes["obstacle"]["condition"].args[0].args == ("obstacle",)
+def test_the_breather_runs_by_choice_and_the_tare_waits_for_it(start):
+    assert "breather" not in nodes(start())
+    started = nodes(start(breathe="continuous"))
+    assert started["breather"].parameter("continuous") is True
+    assert started["estimator"].parameter("await_breath") is True
+
+
+def test_an_emulated_bus_of_its_own_stands_between_sim_and_driver(start):
+    links = set()
+    for namespace in ("", "left", "/lab/right"):
+        started = nodes(start(source="emulated_can", namespace=namespace))
+        assert started["sim"].given["remappings"] == [("cable_tensions", "simulated_tensions")]
+        driver, emulator = (started[name] for name in ("can_driver", "can_emulator"))
+        assert driver.parameter("channel") == emulator.parameter("channel")
+        assert driver.parameter("interface") == "slcan"
+        links.add(driver.parameter("channel"))
+    assert links == {f"/tmp/cablesense_can{suffix}" for suffix in ("", "_left", "_lab_right")}
+
+
+def test_arguments_reach_the_node_that_they_are_of(start, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("/**:\n  ros__parameters: {tare_samples: 7}\n")
+    bus = {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate_bit_s": "500000"}
+    started = nodes(
+        start(source="can", params_file=str(file), auto_tare="false", model="mine.onnx", **bus)
+    )
+    driver, estimator = started["can_driver"], started["estimator"]
+    assert {name: str(driver.parameter(name)) for name in bus} == bus
+    assert estimator.parameter("auto_tare") is False
+    assert estimator.parameter("model") == "mine.onnx"
+    assert str(file) in estimator.given["parameters"]
+
+
+@pytest.mark.parametrize("file", ["estimator.launch.py", "demo.launch.py", "admittance.launch.py"])
+def test_a_namespace_and_a_prefix_of_frames_are_of_every_node(start, file):
+    started = nodes(start(file, namespace="left", frame_prefix="left_"))
+    assert {node.given["namespace"] for node in started.values()} == {"left"}
+    assert {node.parameter("frame_prefix") for node in started.values()} == {"left_"}
+
+
+def test_demo_and_controller_are_the_estimator_with_more_beside_it(start):
+    plain = set(nodes(start()))
+    assert set(nodes(start("demo.launch.py"))) - plain == {"page"}
+    assert set(nodes(start("admittance.launch.py"))) - plain == {"admittance", "obstacle"}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"channel": "can1"}, "channel has no effect with source:=sim"),
+        ({"source": "can", "obstacle": "true"}, "obstacle has no effect with source:=can"),
+        ({"source": "can", "bitrate_bit_s": "fast"}, "whole number"),
+        ({"params_file": "/nowhere.yaml"}, "there is no file /nowhere.yaml"),
+        ({"rviz": "true", "frame_prefix": "left_"}, "TF Prefix"),
+    ],
+)
+def test_what_has_no_effect_is_refused(start, given, told):
+    with pytest.raises(RuntimeError, match=told):
+        start(**given)
+
+
+@pytest.mark.parametrize("file", ["estimator.launch.py", "demo.launch.py"])
+def test_an_unknown_argument_is_refused_where_it_is_given_to_these_files(start, monkeypatch, file):
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "cablesense_ros", file, "modle:=mine"])
+    with pytest.raises(RuntimeError, match="no argument is named modle; there are source, arm"):
+        start(file)
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "mine", "all.launch.py", "robots:=2"])
+    assert start(file)
 
 
 @pytest.mark.parametrize(

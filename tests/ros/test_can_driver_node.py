@@ -8,6 +8,7 @@ import pytest
 from can_frames import PACKED, PACKED_DATABASE
 from lifecycle_msgs.msg import Transition
 from ros_graph import Graph, NodeProcess
+from sensor_msgs.msg import JointState
 
 from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
 from cablesense_online.can.channel_map import signal_conversion
@@ -100,6 +101,16 @@ def test_tensions_are_published_as_the_sim_does(graph, adapter, driver):
     assert abs(time.time() - stamp_s) < 1.0
     (info,) = graph.node.get_publishers_info_by_topic("/cable_tensions")
     assert info.qos_profile.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE
+
+
+def test_an_arm_without_sensors_in_its_joints_is_shown_where_it_was_commanded(graph, driver):
+    shown = graph.listen(JointState, "/joint_states")
+    graph.until(lambda: shown, "joint states")
+    np.testing.assert_array_equal(shown[-1].position, np.zeros(8))
+    graph.until(graph.command.get_subscription_count, "a reader of commands")
+    graph.command.publish(JointState(name=list(ARM.joint_names)[::-1], position=[0.05] * 8))
+    graph.until(lambda: np.ptp([*shown[-1].position, 0.05]) == 0.0, "the set-point to arrive")
+    assert any(0.0 < state.position[0] < 0.05 for state in shown)
 
 
 def test_diagnostics_give_the_state_and_the_arm(graph, adapter, driver):
