@@ -31,10 +31,11 @@ from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     SequenceMetrics,
     sequence_answer,
+    sequence_estimates,
     sequence_metrics,
     unsettled,
 )
-from cablesense_training.inference.estimator import NORMAL_95
+from cablesense_training.inference.estimator import Estimates
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -114,9 +115,10 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
     shown = moving & (sequences.segment > 0)
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
-        answer = sequence_answer(estimator, sequences)
+        found = sequence_estimates(estimator, sequences)
+        answer = ContactAnswer.of(found)
         metrics[name] = _plain(sequence_metrics(answer, sequences))
-        metrics[name]["intervals95"] = _intervals(answer, sequences)
+        metrics[name]["intervals95"] = _intervals(found, sequences)
         error_n = _force_error_n(sequence_answer(estimator, long), long)
         metrics[name]["by_tenth_of_the_long_courses"] = [
             float(part.mean()) for part in np.array_split(error_n, 10, axis=1)
@@ -166,35 +168,39 @@ def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
     return np.abs(answer.force_n.reshape(sequences.segment.shape) - sequences.magnitude_n)
 
 
-def _intervals(answer: ContactAnswer, sequences: Sequences) -> dict[str, dict[str, float]]:
+def _intervals(found: Estimates, sequences: Sequences) -> dict[str, dict[str, float]]:
     """Share of the 95 % intervals of the force that hold it, and half their mean width, N.
 
-    Where no contact is answered the interval begins at nothing and ends where that of the
-    likeliest segment does: so much may be hidden.
+    Where no contact is answered the interval begins at nothing: so much may be hidden.
     """
-    half = NORMAL_95 * answer.magnitude_std_n
-    low = np.where(answer.segment > 0, answer.magnitude_n - half, 0.0)
-    high = answer.magnitude_n + half
+    low = np.where(found.segment > 0, found.low_n, 0.0).ravel()
+    high = found.high_n.ravel()
     force, touched = sequences.magnitude_n, sequences.segment > 0
     change = np.diff(force, axis=1, prepend=0.0)
     since = round(RELEASED_S / sequences.protocol.tick_s)
     padded = np.pad(touched, ((0, 0), (since, 0)))
     lately = np.lib.stride_tricks.sliding_window_view(padded, since + 1, axis=1).any(-1)
     phases = {
+        "all": np.ones_like(touched),
+        "touched": touched,
+        "in motion": touched & unsettled(sequences),
+        "at rest": touched & ~unsettled(sequences),
         "rising": touched & (change > 0.0),
         "holding": touched & (change == 0.0),
         "falling": touched & (change < 0.0),
-        "touched": touched,
         f"within {RELEASED_S:g} s of a release": lately & ~touched,
         "untouched for longer": ~lately,
+        "a contact is told": (low > 0.0).reshape(touched.shape),
     }
     holds = (low <= force.ravel()) & (force.ravel() <= high)
     return {
         name: {
+            "share": float(rows.mean()),
             "coverage95": float(holds[rows.ravel()].mean()),
-            "half_width_n": float(0.5 * (high - np.maximum(low, 0.0))[rows.ravel()].mean()),
+            "half_width_n": float(0.5 * (high - low)[rows.ravel()].mean()),
         }
         for name, rows in phases.items()
+        if rows.any()
     }
 
 
@@ -232,14 +238,20 @@ def _tables(result: dict[str, Any]) -> str:
             f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
             for name, m in trained.items()
         )
-        intervals = (
-            f"{name}: "
-            + ", ".join(
-                f"{phase} {i['coverage95']:.1%} (±{i['half_width_n']:.2f} N)"
-                for phase, i in m["intervals95"].items()
+        phases = list(next(iter(trained.values()))["intervals95"])
+        intervals = [
+            " | ".join(
+                [
+                    name,
+                    *(
+                        f"{i['coverage95']:.1%}, {i['half_width_n']:.2f} N" if i else "–"
+                        for phase in phases
+                        for i in [m["intervals95"].get(phase)]
+                    ),
+                ]
             )
             for name, m in trained.items()
-        )
+        ]
         starts = (
             f" {name}, started {', '.join(f'{when}: {n:.2f} N' for when, n in started.items())}."
             for name, m in trained.items()
@@ -249,8 +261,9 @@ def _tables(result: dict[str, Any]) -> str:
             f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
             f"{'; '.join(errors_n)} N.{''.join(starts)}",
             "",
-            f"Stated 95 % intervals that hold the force, and half their mean width. "
-            f"{'; '.join(intervals)}.",
+            "Stated 95 % intervals that hold the force, and half their mean width:",
+            "",
+            *harness.markdown_table(" | ".join(["estimator", *phases]), intervals),
             "",
             "Trained by:",
             "",

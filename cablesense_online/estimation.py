@@ -252,6 +252,8 @@ class Estimation:
                 self._settings.contact_threshold,
                 self._contact_m,
             )
+            if self._model.in_motion and estimate.low_n <= 0.0:
+                contact = NO_CONTACT  # what may be none is not told, however likely it is
             doubt = "" if moving else self._judge(tensions, contact, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)

@@ -200,7 +200,7 @@ def force_bounds(
     Where no contact was decided on, the lower is none, and the upper is on the segment that would
     be touched most likely: so much may act unseen.
     """
-    low_n, high_n = estimate.interval_n
+    low_n, high_n = estimate.low_n, estimate.high_n
     half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
     segment = contact.segment
     if not segment:

@@ -40,10 +40,10 @@ class Step(NamedTuple):
         answer: serialized `WrenchStamped`; none where the estimator was not running, did not
             receive the sample, or refused its stamp.
         states: in their order.
-        taken: whether the estimator took the sample: its answer was recorded, or the sample came
-            after the estimator's start and before the first recorded answer. The recorder
-            receives answers only once it has discovered the estimator; the state of the start
-            waits for it.
+        taken: whether the estimator took the sample: its answer was recorded, or its state, where
+            no wrench of an unknown force is published, or the sample came after the estimator's
+            start and before the first recorded answer. The recorder receives answers only once it
+            has discovered the estimator; the state of the start waits for it.
     """
 
     stamp_ns: int
@@ -142,7 +142,8 @@ class RecordedRun:
             )
             before_first_answer &= step.answer is None
             yield step._replace(
-                states=states, taken=before_first_answer or step.answer is not None
+                states=states,
+                taken=step.taken or before_first_answer or step.answer is not None,
             )
 
     def _answered_samples(self) -> Iterator[Step]:
@@ -150,6 +151,7 @@ class RecordedRun:
         self.unstamped = self.lone_contacts = self.lone_zeros = 0
         samples: deque[Step] = deque()
         answers: dict[int, tuple[int, bytes]] = {}
+        stated: dict[int, None] = {}
         for message in McapMessages(self.path):
             topic = of_contract(message.topic)
             if topic == topics.CABLE_TENSIONS:
@@ -160,10 +162,17 @@ class RecordedRun:
                     self.unstamped += 1
             elif topic == topics.WRENCH:
                 answers[_stamp(message.data)] = (message.log_ns, message.data)
+            elif topic == topics.STATUS:
+                stated[_stamp(message.data)] = None
+                if len(stated) > _MOST_OPEN:
+                    del stated[next(iter(stated))]
+                continue
             else:
                 continue
-            yield from self._settled(samples, answers, message.log_ns - _WINDOW_NS)
-        yield from self._settled(samples, answers, 2**63)
+            for step in self._settled(samples, answers, message.log_ns - _WINDOW_NS):
+                yield step._replace(taken=step.stamp_ns in stated)
+        for step in self._settled(samples, answers, 2**63):
+            yield step._replace(taken=step.stamp_ns in stated)
 
     def _settled(
         self, samples: deque[Step], answers: dict[int, tuple[int, bytes]], before_ns: int

@@ -36,14 +36,21 @@ class MadeRun:
         loaded: arm and model.
     """
 
-    def __init__(self, samples: int = 300, model: str = "", *, breath: bool = False) -> None:
+    def __init__(
+        self,
+        samples: int = 300,
+        model: str = "",
+        *,
+        breath: bool = False,
+        unknown_force: str = "zero",
+    ) -> None:
         """Of the arm `cdsm`, by its own model or another one."""
         self.loaded = load_model("cdsm", model)
         arm = self.loaded.arm
         live = Estimation(
             arm,
             self.loaded.estimator,
-            SETTINGS,
+            SETTINGS.model_copy(update={"unknown_force": unknown_force}),
             0.0,
             {**self.loaded.origin, "frame_prefix": ""},
         )
@@ -77,9 +84,14 @@ class MadeRun:
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
             raw = serialize_message(message)
             answer = live.sample(raw, now, i * STEP_NS * 1e-9)
-            wrench = writers[answer.contact.segment].write(now, answer.contact.wrench)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
-            self.records.append((topics.WRENCH, now + 400_000, wrench))
+            wrench = answer.wrench(unknown_force)
+            if wrench is not None:
+                written = writers[answer.contact.segment].write(now, wrench)
+                self.records.append((topics.WRENCH, now + 400_000, written))
+            status = DiagnosticArray(status=[DiagnosticStatus(message=answer.force.value)])
+            status.header.stamp = message.header.stamp
+            self.records.append((topics.STATUS, now + 450_000, serialize_message(status)))
             if answer.state is not None:
                 state = DiagnosticArray()
                 put_state(state, answer.state, DiagnosticStatus, KeyValue)

@@ -35,7 +35,9 @@ class AnyDifference:
         touched = self.probability if np.abs(tension_difference_n).max() > 1.0 else 0.0
         probabilities = np.array([1.0 - touched, 0.0, 0.0, touched, 0.0])
         magnitude_n = self.magnitude_n if touched else 0.0
-        return Estimate(probabilities, 3 if touched else 0, 70.0, magnitude_n, self.std_n, 5.0)
+        off_n = 2.0 * self.std_n
+        stated = (70.0, magnitude_n, self.std_n, 5.0, magnitude_n - off_n, magnitude_n + off_n)
+        return Estimate(probabilities, 3 if touched else 0, *stated)
 
 
 def message_bytes(tensions, stamp_ns, names=ARM.cable_names):

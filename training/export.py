@@ -19,7 +19,7 @@ from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import TAUT, input_widths
+from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks import MultiContactNetwork, Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
@@ -60,7 +60,7 @@ class _Answers(nn.Module):
         self.network = network
         self.outputs: Sequence[str] = OUTPUTS
         if isinstance(network, TemporalNetwork):
-            self.outputs = TEMPORAL_OUTPUTS
+            self.outputs = (*TEMPORAL_OUTPUTS, INTERVAL)
         elif isinstance(network, MultiContactNetwork):
             self.outputs = MULTI_OUTPUTS
         elif isinstance(network, CorrectedClosedForm):

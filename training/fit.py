@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -36,8 +36,6 @@ from cablesense_training.networks.temporal import TemporalNetwork
 ROWS_AT_ONCE = 8192
 """Samples that a network answers together outside training."""
 
-_HELD_OUT = 0.1
-"""Share of the data held out to choose the best epoch and to calibrate."""
 
 Parts = TypeVar("Parts", bound=NamedTuple)
 
@@ -132,6 +130,15 @@ def take(parts: Parts, index: Tensor | tuple[slice, ...]) -> Parts:
     return each(parts, lambda part: part[index])
 
 
+def joined(rows: Sequence[Parts]) -> Parts:
+    """Named tuples as `take` has them, one after the other."""
+    columns = zip(*rows, strict=True)
+    return rows[0]._make(
+        torch.cat(column) if isinstance(column[0], Tensor) else joined(column)
+        for column in columns
+    )
+
+
 class Objective(ABC, Generic[Parts]):
     """Data and losses that a network is trained with.
 
@@ -141,16 +148,18 @@ class Objective(ABC, Generic[Parts]):
         generator: of all that is drawn.
         optimiser: of the trainable parameters; None where there are none.
         largest_gradient: norm to which the gradients of a step are clipped.
+        held_out_share: of the rows, to choose the best epoch and to calibrate.
     """
 
     network: Network | TemporalNetwork
     optimiser: torch.optim.Optimizer | None = None
     largest_gradient = math.inf
+    held_out_share = 0.1
 
     def __init__(self, samples: Parts, rows: int, settings: LoopSettings) -> None:
         self.generator = torch.Generator().manual_seed(settings.seed)
         order = torch.randperm(rows, generator=self.generator)
-        count = max(1, round(_HELD_OUT * rows))
+        count = max(1, round(self.held_out_share * rows))
         self.training = take(samples, order[count:])
         self.held_out = take(samples, order[:count])
 
@@ -167,8 +176,8 @@ class Objective(ABC, Generic[Parts]):
         """Adapt the learning rate; whether training ends here."""
 
     @abstractmethod
-    def error_ratios(self) -> Tensor:
-        """|error| / stated deviation (rows, outputs) of held-out data; NaN without a contact."""
+    def calibrate(self) -> None:
+        """Make what the trained network states of its errors hold on the held-out data."""
 
 
 def run_epochs(
@@ -208,11 +217,7 @@ def run_epochs(
     if best_state:
         network.load_state_dict(best_state)
     network.eval()
-    with torch.no_grad():
-        # until 95 % of the held-out errors lie within 1.96 stated deviations
-        for column, ratios in enumerate(objective.error_ratios().unbind(1)):
-            if len(known := ratios[torch.isfinite(ratios)]):
-                network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
+    objective.calibrate()
     return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
 
 
@@ -339,9 +344,14 @@ class _SampleObjective(Objective[_Samples]):
         self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
         return self._since_best >= self._settings.stop_patience
 
-    def error_ratios(self) -> Tensor:
+    @torch.no_grad()
+    def calibrate(self) -> None:
         answers = self._answers(self.held_out, self._held_out_batches())
-        return torch.cat([self._ratios(output, target) for output, target in answers])
+        ratios_of = torch.cat([self._ratios(output, target) for output, target in answers])
+        # until 95 % of the errors lie within 1.96 stated deviations
+        for column, ratios in enumerate(ratios_of.unbind(1)):
+            if len(known := ratios[torch.isfinite(ratios)]):
+                self.network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
 
     def _held_out_batches(self) -> tuple[Tensor, ...]:
         return torch.arange(len(self.held_out.tension_difference_n)).split(ROWS_AT_ONCE)

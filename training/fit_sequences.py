@@ -23,20 +23,21 @@ from cablesense_training.fit import (
     Objective,
     OnEpoch,
     each,
+    joined,
     run_epochs,
     take,
     torch_threads,
 )
+from cablesense_training.fit_interval import Answered, fit_interval
 from cablesense_training.losses import (
     LossTerms,
     SingleContactTarget,
     direction_of,
     gaussian_nll,
-    single_contact_ratios,
 )
 from cablesense_training.networks.temporal import CorrectedAnswer, TemporalNetwork, Ticks
 
-_JUDGED_EVERY = 5
+_JUDGED_EVERY = 10
 """The loss takes one tick in so many, as neighbours are alike."""
 
 _RESET_SHARE = 0.05
@@ -152,6 +153,7 @@ class _SequenceObjective(Objective[SequenceSamples]):
 
     network: TemporalNetwork
     largest_gradient = 1.0
+    held_out_share = 0.2
 
     def __init__(
         self, network: TemporalNetwork, sequences: Sequences, settings: SequenceFitSettings
@@ -187,13 +189,16 @@ class _SequenceObjective(Objective[SequenceSamples]):
         self._scheduler.step()
         return False
 
-    def error_ratios(self) -> Tensor:
-        ratios = []
-        state = torch.zeros(len(self.held_out.torque_n_m), self.network.hidden)
-        for part in self._parts(self.held_out):
-            answer, judged, state = self._answers(part, state, 0)
-            ratios.append(single_contact_ratios(answer.output, judged.target))
-        return torch.cat(ratios)
+    def calibrate(self) -> None:
+        rows = []
+        count = len(self.held_out.torque_n_m)
+        state = torch.zeros(count, self.network.hidden)
+        with torch.no_grad():
+            for part in self._parts(self.held_out):
+                answer, judged, state = self._answers(part, state, 0)
+                sequence = torch.arange(count).repeat_interleave(len(answer.seen) // count)
+                rows.append(Answered(sequence, answer.seen, answer.output, judged.target))
+        fit_interval(self.network.interval, joined(rows), self.generator)
 
     def _parts(self, samples: SequenceSamples) -> Iterator[SequenceSamples]:
         size = self._settings.part_ticks
@@ -232,5 +237,10 @@ class _SequenceObjective(Objective[SequenceSamples]):
             return values[:, phase::_JUDGED_EVERY].flatten(0, 1)
 
         seen = each(part, judged)
-        answer = network.answer(network.balance(seen.ticks), judged(encoded), judged(states))
+        answer = network.answer(
+            network.balance(seen.ticks),
+            judged(encoded),
+            judged(states),
+            seen.ticks.joint_speed_rad_s,
+        )
         return answer, seen, following

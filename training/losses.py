@@ -56,6 +56,14 @@ def gaussian_nll(error: Tensor, std: Tensor) -> Tensor:
     return 0.5 * (error / std) ** 2 + torch.log(std)
 
 
+def pinball(error: Tensor, quantile: float) -> Tensor:
+    """Loss of true less stated values that is least where the stated is that quantile.
+
+    Koenker and Bassett, Regression Quantiles, 1978.
+    """
+    return torch.maximum(quantile * error, (quantile - 1.0) * error)
+
+
 def single_contact_loss(
     output: SingleContactOutput, target: SingleContactTarget, magnitude_scale_n: Tensor
 ) -> LossTerms:

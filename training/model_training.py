@@ -38,7 +38,12 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.export import export_model
 from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
 from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
-from cablesense_training.inference.metadata import SEQUENCE_UNITS, UNITS, ModelMetadata
+from cablesense_training.inference.metadata import (
+    SEQUENCE_UNITS,
+    UNITS,
+    ModelMetadata,
+    effect_versions,
+)
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
@@ -254,6 +259,7 @@ def _metadata(
         pose_range_deg=0.0 if straight else protocol.pose_range_deg,
         force_range_n=protocol.force_high_n,
         tare_samples=protocol.tare_samples,
+        effect_versions=effect_versions(arm),
         command=command,
         seed=seed,
         version=package_version(),

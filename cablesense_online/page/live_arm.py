@@ -232,11 +232,11 @@ class LiveArm:
             self._loads[load.segment] = load.force_base_n
 
     def on_wrench(self, message: Any, now_s: float) -> None:
-        """Takes the estimator's `wrench`: a force in the axes of its segment, or zero."""
+        """Takes the estimator's `wrench`: a force in the axes of its segment, else none."""
         force = message.wrench.force
         local_n = np.array([force.x, force.y, force.z])
         estimate = None
-        if local_n.any():
+        if np.abs(local_n).max() > 0.0:  # not a number is no force
             estimate = (self.frames.segment_number(message.header.frame_id), local_n)
         with self._lock:
             self._estimate, self._estimate_s = estimate, now_s

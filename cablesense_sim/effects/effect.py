@@ -84,6 +84,7 @@ class Effect:
             default follows all that change a tension or signal and only add to it.
         needs_time: whether it acts by the time that passes, and not only by the samples' order.
         tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
+        version: of its law; what was trained on another is refused.
     """
 
     name: ClassVar[str]
@@ -96,6 +97,7 @@ class Effect:
     order: ClassVar[int] = 0
     needs_time: ClassVar[bool] = False
     tolerance: ClassVar[bool] = False
+    version: ClassVar[int] = 1
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         """Where it can sit: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""

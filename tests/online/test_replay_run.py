@@ -73,6 +73,17 @@ def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, misse
     assert (got.unanswered, got.compared, got.identical) == (missed, 300 - missed, 300 - missed)
 
 
+@pytest.mark.parametrize("unknown_force", ["nan", "none"])
+def test_what_an_unknown_force_is_published_as_is_repeated(unknown_force, tmp_path):
+    made = MadeRun(200, "cdsm_moving", unknown_force=unknown_force)
+    comparison = replay_in_process(RecordedRun(made.write(tmp_path / "run.mcap")))
+    assert comparison.same, comparison.first_difference
+    unpublished = 200 - sum(topic == topics.WRENCH for topic, *_ in made.records)
+    assert comparison.unanswered == unpublished
+    assert (unpublished > 0) is (unknown_force == "none")
+    assert comparison.contacts > 20
+
+
 def test_begun_anywhere_and_in_any_namespace_it_is_the_same(made, tmp_path):
     """The latest journal entry is latched, and comes first to who joins late."""
     latched = [

@@ -14,6 +14,7 @@ from cablesense_training.losses import (
     direction_of,
     gaussian_nll,
     multi_contact_loss,
+    pinball,
     single_contact_loss,
 )
 from cablesense_training.networks.layers import MultiContactOutput, SingleContactOutput
@@ -127,3 +128,11 @@ def test_multi_contact_loss_by_hand():
     assert float(terms.magnitude) == pytest.approx((1.0 + 0.5) / 2.0)
     assert float(terms.direction) == 0.0
     assert float(terms.spread) == pytest.approx(0.5 * 4.0 + math.log(2.0))
+
+
+@pytest.mark.parametrize("quantile", [0.025, 0.5, 0.975])
+def test_the_pinball_is_least_where_so_many_values_lie_below(quantile):
+    values = torch.linspace(0.0, 1.0, 1001) ** 2
+    stated = torch.linspace(0.0, 1.0, 401)
+    loss = pinball(values - stated[:, None], quantile).mean(1)
+    assert float(stated[loss.argmin()]) == pytest.approx(quantile**2, abs=5e-3)

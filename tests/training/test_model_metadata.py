@@ -6,7 +6,11 @@ import pytest
 from model_fixtures import metadata_for
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.inference.metadata import FORMAT, ModelFileError, ModelMetadata
+from cablesense_training.inference.metadata import (
+    FORMAT,
+    ModelFileError,
+    ModelMetadata,
+)
 
 CDSM = open_arm("cdsm")
 
@@ -32,6 +36,15 @@ def _refused(properties):
 def test_metadata_come_back_as_they_went(arm):
     metadata = metadata_for(open_arm(arm))
     assert ModelMetadata.from_properties(metadata.to_properties(), "x") == metadata
+
+
+def test_a_model_that_was_trained_on_another_law_is_refused_with_the_remedy():
+    metadata = metadata_for(open_arm("cdsm_friction"))
+    assert ModelMetadata.from_properties(metadata.to_properties(), "arm.onnx") == metadata
+    other = metadata.model_copy(update={"effect_versions": {"capstan_friction": 7}})
+    refusal = _refused(other.to_properties())
+    assert "version 7 of the law of capstan_friction" in refusal
+    assert refusal.endswith(f"train it again: {metadata.command}")
 
 
 def test_a_rigid_actuator_passes_through_strict_json():

@@ -31,7 +31,7 @@ def test_a_small_model_opens(tmp_path):
     session = ModelSession.open(written(tmp_path, small_model()), OUTPUTS, CDSM)
     answers = session.run({TENSION: np.ones((3, 12))})
     assert [answer.shape for answer in answers] == [(3, 5), (3, 2), (3,), (3,), (3,)]
-    assert not session.gives_taut
+    assert not session.beside
 
 
 def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
@@ -39,7 +39,7 @@ def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
     taut = value(TAUT, DOUBLE, ["batch", 12])
     model.graph.output.append(taut)
     session = ModelSession.open(written(tmp_path, model), OUTPUTS, CDSM)
-    assert session.gives_taut
+    assert session.beside == [TAUT]
     assert len(session.run({TENSION: np.ones((3, 12))})) == len(OUTPUTS)
     model.graph.output.append(taut)
     assert TAUT in refused(written(tmp_path, model))

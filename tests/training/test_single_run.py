@@ -11,7 +11,7 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_training.inference.estimator import OUTPUTS
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.session import COMMAND, TENSION, ModelSession
+from cablesense_training.inference.session import COMMAND, TAUT, TENSION, ModelSession
 from cablesense_training.inference.single_run import SingleRun
 
 CDSM = open_arm("cdsm")
@@ -21,7 +21,7 @@ POSES, PUSHES = 3, 12
 @pytest.fixture(scope="module")
 def session():
     session = ModelSession.open(find_model("cdsm"), OUTPUTS, CDSM)
-    assert session.gives_taut
+    assert TAUT in session.beside
     return session
 
 

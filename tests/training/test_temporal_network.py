@@ -48,7 +48,7 @@ def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
     protocol = SingleContact(samples=200, pose="random", noise=False, force_low_n=5.0)
     dataset = draw_dataset(CDSM, protocol)
     with torch.no_grad():
-        output, _ = network(_ticks(dataset), torch.zeros(200, network.memory).double())
+        output, *_ = network(_ticks(dataset), torch.zeros(200, network.memory).double())
     touched = dataset.segment > 0
     assert (output.contact_logits.argmax(-1).numpy() == dataset.segment)[touched].mean() > 0.98
     off = np.abs(output.magnitude_n.numpy() - dataset.magnitude_n)[touched]
@@ -63,7 +63,8 @@ def _answered_in_any_state(network):
         balance = network.balance(ticks)
         past = torch.zeros(50, network.drawn.size).double()
         encoded = network.encode(network.joint_torque_n_m(balance), past, ticks)
-        answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double())
+        still = torch.zeros(50, CDSM.joint_count).double()
+        answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double(), still)
     return balance, (answer.torque_n_m - balance.torque_n_m[..., 0]).abs()
 
 
@@ -96,9 +97,32 @@ def test_the_memoryless_baseline_answers_the_same_in_any_state():
     baseline = TemporalNetwork.for_arm(CDSM, recurrent=False).double().eval()
     ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=20, pose="random")))
     with torch.no_grad():
-        here, _ = baseline(ticks, torch.zeros(20, baseline.memory).double())
-        there, _ = baseline(ticks, torch.ones(20, baseline.memory).double())
+        here, *_ = baseline(ticks, torch.zeros(20, baseline.memory).double())
+        there, *_ = baseline(ticks, torch.ones(20, baseline.memory).double())
     torch.testing.assert_close(here.magnitude_n, there.magnitude_n)
+
+
+def _stated(network, none_logit):
+    """Answers to pushes, as stated with about this logit of no contact, and their intervals."""
+    network.interval.heads[-1].bias.data = torch.tensor([none_logit, 0.5, 0.5, 0.0]).double()
+    ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=50, pose="random")))
+    with torch.no_grad():
+        output, _, interval_n = network(ticks, torch.zeros(50, network.memory).double())
+    return output, interval_n.unbind(-1)
+
+
+def test_a_certain_contact_has_an_interval_around_its_force(network):
+    output, (low_n, high_n) = _stated(network, -30.0)
+    assert (output.contact_logits.argmax(-1) > 0).all()
+    assert (low_n > 0.0).any()
+    assert (low_n <= output.magnitude_n).all()
+    assert (output.magnitude_n <= high_n)[low_n > 0.0].all()
+
+
+def test_where_nothing_may_touch_the_interval_begins_at_nothing_and_says_what_may(network):
+    _, (low_n, high_n) = _stated(network, 20.0)
+    assert (low_n == 0.0).all()
+    assert (high_n > 0.0).any()
 
 
 CABLES, JOINTS, HIDDEN = 3, 2, 5

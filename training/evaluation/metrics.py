@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
-from cablesense_training.inference.estimator import NORMAL_95, Estimator
+from cablesense_training.inference.estimator import NORMAL_95, Estimates, Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 Integers = NDArray[np.int64]
@@ -228,24 +228,29 @@ class SequenceMetrics:
     false_force_rest_n: float
 
 
-def sequence_answer(
+def sequence_estimates(
     estimator: Estimator | TemporalEstimator, sequences: Sequences
-) -> ContactAnswer:
-    """Answers (S · T,) of an estimator; a memoryless one receives the set-point at every tick."""
+) -> Estimates:
+    """Estimates (S, T), or (S · T,) of a memoryless estimator, which receives every set-point."""
     if isinstance(estimator, TemporalEstimator):
-        found = estimator.estimate_sequences(
+        return estimator.estimate_sequences(
             sequences.tension_difference_n,
             sequences.joint_command_rad,
             sequences.joint_speed_rad_s,
             sequences.joint_acceleration_rad_s2,
             sequences.before_rad,
         )
-    else:
-        found = estimator.estimate_batch(
-            sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
-            sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
-        )
-    return ContactAnswer.of(found)
+    return estimator.estimate_batch(
+        sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
+        sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
+    )
+
+
+def sequence_answer(
+    estimator: Estimator | TemporalEstimator, sequences: Sequences
+) -> ContactAnswer:
+    """Answers (S · T,) of an estimator, as `sequence_estimates`."""
+    return ContactAnswer.of(sequence_estimates(estimator, sequences))
 
 
 def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:

@@ -43,6 +43,8 @@ class Estimate(NamedTuple):
             angles, from +z towards +y.
         magnitude_n: force; what it would be where `segment` is 0 and the caller thinks otherwise.
         magnitude_std_n, angle_std_deg: stated standard deviations.
+        low_n, high_n: between which the force lies with 95 %, where there is a contact. A
+            history-dependent model answers one only where this does not begin at 0.
     """
 
     probabilities: Array
@@ -51,21 +53,28 @@ class Estimate(NamedTuple):
     magnitude_n: float
     magnitude_std_n: float
     angle_std_deg: float
-
-    @property
-    def interval_n(self) -> tuple[float, float]:
-        """Between which the force lies with 95 %, where there is a contact."""
-        half_n = NORMAL_95 * self.magnitude_std_n
-        return max(0.0, self.magnitude_n - half_n), self.magnitude_n + half_n
+    low_n: float
+    high_n: float
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
-        """From a model's `OUTPUTS` for one sample; what is not finite stays so."""
+        """From a model's `OUTPUTS`, and `INTERVAL` where it has that, for one sample.
+
+        What is not finite stays so.
+        """
         probability, direction, *others = outputs
         probabilities = probability.tolist()
         segment = probabilities.index(max(probabilities))
         angle_deg = math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0
-        return cls(probability.copy(), segment, angle_deg, *(value.item() for value in others))
+        magnitude_n, std_n, angle_std_deg = (value.item() for value in others[:3])
+        if len(others) > 3:
+            low_n, high_n = others[3].tolist()
+            segment = probabilities.index(max(probabilities[1:]), 1) if low_n > 0.0 else 0
+        else:
+            half_n = NORMAL_95 * std_n
+            low_n, high_n = max(0.0, magnitude_n - half_n), magnitude_n + half_n
+        stated = (angle_deg, magnitude_n, std_n, angle_std_deg, low_n, high_n)
+        return cls(probability.copy(), segment, *stated)
 
 
 class Estimates(NamedTuple):
@@ -77,13 +86,23 @@ class Estimates(NamedTuple):
     magnitude_n: Array
     magnitude_std_n: Array
     angle_std_deg: Array
+    low_n: Array
+    high_n: Array
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
-        """From a model's `OUTPUTS` with any leading axes."""
-        probability, direction, *others = outputs
+        """As `Estimate.of_outputs`, with any leading axes."""
+        probability, direction, magnitude_n, std_n, angle_std_deg, *interval_n = outputs
         angle_deg = np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0
-        return cls(probability, probability.argmax(axis=-1), angle_deg, *others)
+        segment = probability.argmax(axis=-1)
+        if interval_n:
+            low_n, high_n = interval_n[0][..., 0], interval_n[0][..., 1]
+            segment = np.where(low_n > 0.0, 1 + probability[..., 1:].argmax(axis=-1), 0)
+        else:
+            half_n = NORMAL_95 * std_n
+            low_n, high_n = np.maximum(0.0, magnitude_n - half_n), magnitude_n + half_n
+        stated = (angle_deg, magnitude_n, std_n, angle_std_deg, low_n, high_n)
+        return cls(probability, segment, *stated)
 
 
 class OpenedModel:
@@ -159,13 +178,15 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
     return table
 
 
-def finite_answers(session: ModelSession, inputs: Mapping[str, Array]) -> list[Array]:
-    """A model's outputs.
+def finite_answers(
+    session: ModelSession, inputs: Mapping[str, Array], names: Sequence[str] | None = None
+) -> list[Array]:
+    """A model's outputs, those of these `names` where some are asked for.
 
     Raises:
         EstimateError: an answer is not finite.
     """
-    outputs = session.run(inputs)
+    outputs = session.run(inputs, names)
     if not all(np.isfinite(output).all() for output in outputs):
         raise EstimateError(NO_ANSWER)
     return outputs

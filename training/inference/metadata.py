@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cablesense_base import CableSenseError
 from cablesense_base.installation import BundledFiles
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of
 
 FORMAT = "cablesense-model/1"
 """Name and version of the format; a reader refuses any other."""
@@ -31,6 +32,7 @@ SEQUENCE_UNITS = {
     **UNITS,
     "joint_speed_rad_s": "rad/s",
     "joint_acceleration_rad_s2": "rad/s²",
+    "interval_n": "N",
     "state": "1",
     "next_state": "1",
 }
@@ -87,6 +89,8 @@ class ModelMetadata(BaseModel):
         hidden: size of its part that belongs to the recurrent unit, see `TemporalState`.
         tick_s: time from tick to tick; 0 of a model without memory.
         joint_speed_deg_s: peak speed of the moves it was trained on; 0 of a model without memory.
+        effect_versions: of the laws of the arm's effects that it was trained on; 1 of those that
+            are not named.
         command, seed: what makes the file again.
         version: of CableSense.
         misfit_limit: of readings at rest; none where the file has none.
@@ -110,6 +114,7 @@ class ModelMetadata(BaseModel):
     hidden: Annotated[int, Field(ge=0, le=4096)] = 0
     tick_s: _Finite = 0.0
     joint_speed_deg_s: _Finite = 0.0
+    effect_versions: dict[str, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
     command: str
     seed: int
     version: str
@@ -120,6 +125,8 @@ class ModelMetadata(BaseModel):
         left_out = {"misfit_limit"}
         if not self.memory:
             left_out |= {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
+        if not self.effect_versions:
+            left_out.add("effect_versions")
         # JSON has no infinity: pydantic writes a rigid actuator's stiffness as null
         content = json.loads(self.model_dump_json(exclude=left_out))
         properties = {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
@@ -167,7 +174,21 @@ class ModelMetadata(BaseModel):
                     f"{source}: {key} are {', '.join(stated)[:200]!r}; its arm has "
                     f"{', '.join(right)}, so train the model again"
                 )
+        versions = effect_versions(metadata.arm)
+        for name in sorted({*versions, *metadata.effect_versions}):
+            trained_on, version = metadata.effect_versions.get(name, 1), versions.get(name, 1)
+            if trained_on != version:
+                raise ModelFileError(
+                    f"{source}: trained on version {trained_on} of the law of {name}, which is "
+                    f"simulated by version {version} now; train it again: {metadata.command[:400]}"
+                )
         return metadata
+
+
+def effect_versions(arm: Arm) -> dict[str, int]:
+    """Versions of the laws of an arm's effects, but for first ones."""
+    listed = {entry.effect.name: entry.effect.version for entry in entries_of(arm)}
+    return {name: version for name, version in listed.items() if version > 1}
 
 
 def _with_infinities(content: object) -> object:

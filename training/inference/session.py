@@ -35,6 +35,9 @@ ACCELERATION = "joint_acceleration_rad_s2"
 STATE = "state"
 NEXT_STATE = "next_state"
 """An output of models with memory: their `STATE` at the next tick."""
+INTERVAL = "interval_n"
+"""An output that models with memory give beside what is asked: between which the force lies with
+95 %. Those of earlier versions state its standard deviation alone."""
 TAUT = "taut"
 """An output that some models give beside what is asked: 1 for taut cables, 0 for slack ones."""
 
@@ -91,9 +94,10 @@ class ModelSession:
         return session
 
     @property
-    def gives_taut(self) -> bool:
-        """Whether the model gives `TAUT` beside its answers."""
-        return any(entry.name == TAUT for entry in self.model.graph.output)
+    def beside(self) -> list[str]:
+        """Which of `TAUT` and `INTERVAL` the model gives beside its answers."""
+        given = [entry.name for entry in self.model.graph.output]
+        return [name for name in (TAUT, INTERVAL) if name in given]
 
     def run(
         self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
@@ -119,12 +123,13 @@ class ModelSession:
         shapes: dict[str, tuple[int, ...]] = {
             "contact_probability": (segments + 1,),
             "direction": (2,),
+            INTERVAL: (2,),
             NEXT_STATE: (self.metadata.memory,),
             TAUT: (arm.cable_count,),
         }
         if self.metadata.kind == "multi-contact":
             shapes |= dict.fromkeys(self.outputs, (segments,))
-        names = [*self.outputs, TAUT] if self.gives_taut else self.outputs
+        names = [*self.outputs, *self.beside]
         idle = {name: np.zeros((2, width)) for name, width in input_widths(self.metadata).items()}
         for name, answer in zip(names, self.run(idle, names), strict=True):
             shape = (2, *shapes.get(name, ()))
@@ -206,7 +211,7 @@ def _require_signature(
     model: onnx.ModelProto, metadata: ModelMetadata, outputs: Sequence[str], source: str
 ) -> None:
     given = [output.name for output in model.graph.output]
-    if given not in (list(outputs), [*outputs, TAUT]):
+    if given not in (list(outputs), [*outputs, TAUT], [*outputs, INTERVAL]):
         raise ModelFileError(
             f"{source}: a {metadata.kind} model that gives {', '.join(given)}; "
             f"needed are {', '.join(outputs)}"

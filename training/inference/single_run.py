@@ -129,7 +129,7 @@ class SingleRun:
         }
         self._taut = b""
         try:
-            parts = split_graph(session.model, TENSION, TAUT if session.gives_taut else None)
+            parts = split_graph(session.model, TENSION, TAUT if TAUT in session.beside else None)
             self._steady, self._held, self._moving = (
                 None if part is None else self._bound(open_session(part)) for part in parts
             )

@@ -99,6 +99,7 @@ class TemporalEstimator(OpenedModel):
 
     def __init__(self, session: ModelSession) -> None:
         super().__init__(session)
+        self._stated = [*OUTPUTS, *session.beside]
         arm, memory = self.metadata.arm, self.metadata.memory
         self._layout = TemporalState.of_size(
             memory, self.metadata.hidden, arm.cable_count, arm.joint_count
@@ -143,13 +144,13 @@ class TemporalEstimator(OpenedModel):
         }
         answers = [self._state]
         for _ in range(max(1, ticks)):
-            answers = finite_answers(self._session, {**inputs, STATE: answers[-1]})
+            answers = self._answers_of({**inputs, STATE: answers[-1]})
         if ticks:
             self._state = answers[-1]
             # from where the tick is due, not from where it came: early ones would add up
             due_s = time_s if self._tick_s is None else self._tick_s + ticks * self.metadata.tick_s
             self._tick_s = due_s
-        return Estimate.of_outputs([answer[0] for answer in answers[:5]])
+        return Estimate.of_outputs([answer[0] for answer in answers[:-1]])
 
     def estimate_sequences(
         self,
@@ -178,7 +179,7 @@ class TemporalEstimator(OpenedModel):
         for set_point in [*before_rad.swapaxes(0, 1), joint_commands_rad[:, 0]]:
             idle = {TENSION: np.zeros_like(tension_differences_n[:, 0]), COMMAND: set_point}
             idle |= {SPEED: still, ACCELERATION: still}
-            state = self._session.run({**_contiguous(idle), STATE: state})[-1]
+            state = self._session.run({**_contiguous(idle), STATE: state}, [NEXT_STATE])[-1]
         state = self._layout.tared(state)
         inputs = {
             TENSION: tension_differences_n,
@@ -189,10 +190,14 @@ class TemporalEstimator(OpenedModel):
         ticks = []
         for tick in range(tension_differences_n.shape[1]):
             now = _contiguous({name: values[:, tick] for name, values in inputs.items()})
-            *answer, state = finite_answers(self._session, {**now, STATE: state})
+            *answer, state = self._answers_of({**now, STATE: state})
             ticks.append(answer)
         answers = [np.stack(parts, axis=1) for parts in zip(*ticks, strict=True)]
         return Estimates.of_outputs(answers)
+
+    def _answers_of(self, inputs: dict[str, Array]) -> list[Array]:
+        """What is stated, and the next state last."""
+        return finite_answers(self._session, inputs, [*self._stated, NEXT_STATE])
 
     def _ticks(self, time_s: float) -> int:
         """How many ticks have passed since the last; at least one at the first sample."""

@@ -23,13 +23,13 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.arm import Arm
+from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.temporal_estimator import TemporalState
 from cablesense_training.networks.closed_form import NUDGE_N, Balance, ClosedForm, inverse
 from cablesense_training.networks.corrected import LOG_PRIOR, exact_statics
 from cablesense_training.networks.layers import (
     SingleContactOutput,
     Standardiser,
-    StatedSpread,
     one_hot_of_argmax,
 )
 
@@ -46,6 +46,11 @@ LARGEST_OFFSET = 4.0
 """Bound on a cable's offset, in standard deviations of its tension differences in training."""
 
 _LOG_STD_RANGE = (-7.0, 3.0)
+
+_STATED_WIDTH = 32
+_STILL_RAD_S = 1e-3
+"""So slow a set-point is at rest for the stated interval."""
+_LARGEST_SIZE = math.asinh(1e6)
 
 _PER_RAD = 10.0
 """Brings set-points to the size of the shares."""
@@ -107,15 +112,94 @@ class CorrectedAnswer(NamedTuple):
 
     Attributes:
         output: contacts with their uncertainty.
+        seen: (B, features) of the network that `StatedInterval` sees.
         force_n: (B, N, 2) y and z components of the contact that each segment would have.
         torque_n_m: (B, 2N) of the environment as corrected, pitches first.
         torque_std_n_m: (B, 2N) its stated deviation, in the order of the joints.
     """
 
     output: SingleContactOutput
+    seen: Tensor
     force_n: Tensor
     torque_n_m: Tensor
     torque_std_n_m: Tensor
+
+
+class Statement(NamedTuple):
+    """Of B answers: logit of no contact, ends of the force's interval, deviation of its angle.
+
+    Ends as inverse hyperbolic sines of newtons, the deviation as the logarithm of degrees.
+    """
+
+    none_logit: Tensor
+    low: Tensor
+    high: Tensor
+    log_angle_std: Tensor
+
+
+class StatedInterval(nn.Module):
+    """What can be stated of an answer: whether it is a contact, and where its force lies.
+
+    Friction makes errors lopsided: a load that falls is read late, one that rises is not. And a
+    network is surer of the data that it has learnt from than of others. So this head is fitted to
+    the errors on data that were held out, when the network itself is trained: to the probability
+    of no contact, to the ends of the force's 95 % interval, as quantiles, and to the angle's. It
+    sees the answer alone: probabilities, the force that each segment would have, deviations, and
+    the speed of the set-point. What the network remembers as well makes it surer than it may be.
+
+    Forces are counted by their inverse hyperbolic sine: in newtons below one newton, by their
+    ratios above it.
+
+    Attributes:
+        shift: (3,) by which low end, high end and the angle's deviation are moved outwards, until
+            they hold on data that the head has not seen either (Romano, Patterson and Candès,
+            Conformalized Quantile Regression, 2019).
+        surely: probability of no contact below which the low end is above nothing.
+    """
+
+    shift: Tensor
+    surely: Tensor
+
+    def __init__(self, segments: int) -> None:
+        super().__init__()
+        self.register_buffer("shift", torch.zeros(3))
+        self.register_buffer("surely", torch.tensor(0.025))
+        seen = 2 * segments + 4
+        self.seen = Standardiser(seen)
+        last = nn.Linear(_STATED_WIDTH, 4)
+        self.heads = nn.Sequential(nn.Linear(seen, _STATED_WIDTH), nn.SiLU(), last)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, seen: Tensor, output: SingleContactOutput) -> Statement:
+        """What is stated of B answers, of which (B, features) is `seen`."""
+        none, low, high, wider = self.heads(self.seen(seen)).double().unbind(-1)
+        size, sure = torch.asinh(output.magnitude_n), torch.log(output.angle_std_deg)
+        ends = size - low - self.shift[0], size + high + self.shift[1]
+        evidence = torch.logsumexp(output.contact_logits[:, 1:], dim=-1)
+        odds = torch.asinh(output.contact_logits[:, 0] - evidence)
+        return Statement(none + odds, *ends, sure + wider + self.shift[2])
+
+    def stated(
+        self, seen: Tensor, output: SingleContactOutput
+    ) -> tuple[SingleContactOutput, Tensor]:
+        """The answers with what is stated of them, and (B, 2) between which the forces lie.
+
+        From 0 on where there may be none; up to what may act unseen.
+        """
+        none, low, high, log_angle_std = self(seen, output)
+        nothing = torch.zeros_like(low)
+        low_n = torch.minimum(torch.sinh(low.clamp(0.0, _LARGEST_SIZE)), output.magnitude_n)
+        low_n = low_n.where(torch.sigmoid(none) < self.surely, nothing)
+        high_n = torch.sinh(high.clamp(0.0, _LARGEST_SIZE))
+        high_n = torch.maximum(high_n, output.magnitude_n.where(low_n > 0.0, nothing))
+        among = torch.log_softmax(output.contact_logits[:, 1:], dim=-1)
+        stated = output._replace(
+            contact_logits=torch.cat([none[:, None], among], dim=-1),
+            magnitude_std_n=(high_n - low_n) / (2.0 * NORMAL_95),
+            angle_std_deg=torch.exp(log_angle_std.clamp(max=_LARGEST_SIZE)),
+        )
+        return stated, torch.stack([low_n, high_n], dim=-1)
 
 
 class TemporalNetwork(nn.Module):
@@ -163,7 +247,7 @@ class TemporalNetwork(nn.Module):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
         self.log_trust = nn.Parameter(torch.zeros(()))
-        self.spread = StatedSpread(2)
+        self.interval = StatedInterval(segments)
 
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50, recurrent: bool = True) -> TemporalNetwork:
@@ -216,8 +300,14 @@ class TemporalNetwork(nn.Module):
         following: Tensor = (1.0 - update) * new + update * state
         return following
 
-    def answer(self, balance: Balance, encoded: Tensor, states: Tensor) -> CorrectedAnswer:
-        """Answers for B flat ticks, of what was encoded and remembered (B, hidden) of each."""
+    def answer(
+        self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
+    ) -> CorrectedAnswer:
+        """Answers for B flat ticks, of what was encoded and remembered (B, hidden) of each.
+
+        `speed_rad_s` (B, 2N) is that of the set-point.
+        """
+        speed = torch.sqrt((speed_rad_s * speed_rad_s).sum(-1)).to(balance.tension_n.dtype)
         read = self.reader(torch.cat([encoded, states], dim=-1))
         bounded = LARGEST_CORRECTION * torch.tanh(self.shift(read) / LARGEST_CORRECTION)
         shift = (bounded * self.error.std + self.error.mean).double()
@@ -250,17 +340,27 @@ class TemporalNetwork(nn.Module):
         std_n, turned_n = (
             torch.sqrt(((axis[:, None] @ spread)[:, 0] * axis).sum(-1)) for axis in (along, across)
         )
+        logits = torch.cat([none, evidence], dim=-1)
         output = SingleContactOutput(
-            contact_logits=torch.cat([none, evidence], dim=-1),
+            contact_logits=logits,
             direction=along,
             magnitude_n=magnitude,
-            magnitude_std_n=std_n * self.spread.factor[0],
-            angle_std_deg=torch.rad2deg(turned_n / magnitude) * self.spread.factor[1],
+            magnitude_std_n=std_n,
+            angle_std_deg=torch.rad2deg(turned_n / magnitude),
         )
-        return CorrectedAnswer(output, force, torque[..., 0], std)
+        seen = [
+            torch.softmax(logits, dim=-1),
+            torch.asinh(torch.sqrt((force * force).sum(-1))),
+            torch.log(torch.stack([std_n, turned_n, speed + _STILL_RAD_S], dim=-1)),
+        ]
+        seen_of = torch.cat([part.to(read.dtype) for part in seen], dim=-1).detach()
+        return CorrectedAnswer(output, seen_of, force, torque[..., 0], std)
 
-    def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor]:
-        """One tick: answers for inputs of B rows with states (B, memory), and the next states."""
+    def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor, Tensor]:
+        """One tick: answers for inputs of B rows with states (B, memory).
+
+        Beside the answers the next states and the intervals of the forces (B, 2).
+        """
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
         before, past = state.split([self.hidden, self.drawn.size], dim=-1)
@@ -268,8 +368,9 @@ class TemporalNetwork(nn.Module):
         past = self.drawn.follow(past, balance.commanded_m.to(kind), inputs.joint_command_rad)
         encoded = self.encode(self.joint_torque_n_m(balance).to(kind), past, inputs)
         following = self.next_state(encoded, before) if self.recurrent else 0.0 * before
-        output = self.answer(balance, encoded, following).output
-        return output, torch.cat([following, past], dim=-1)
+        answer = self.answer(balance, encoded, following, ticks.joint_speed_rad_s)
+        stated, interval_n = self.interval.stated(answer.seen, answer.output)
+        return stated, torch.cat([following, past], dim=-1), interval_n
 
     def joint_torque_n_m(self, balance: Balance) -> Tensor:
         """(B, 2N) torques of the environment in the order of the joints, by statics alone."""
