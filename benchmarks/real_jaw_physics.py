@@ -58,7 +58,7 @@ class PhysicsEstimator:
         problem = problem_of(recordings)
         fitted = refit(problem, self._effects, _STEPS)
         if fitted is not None:
-            other._take(problem, final_refinement(problem, fitted), recordings)
+            other._take(problem, final_refinement(problem, fitted)[0], recordings)
         return other
 
     def torques_nm(self, recordings: Sequence[JawRecording]) -> list[Array]:

@@ -24,12 +24,18 @@ from cablesense_gap.diagnosis.probability import (
     posterior,
     rivals_of,
 )
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare, to_scaled
+from cablesense_gap.diagnosis.problem import (
+    Hypothesis,
+    Problem,
+    prepare,
+    sketched,
+    to_scaled,
+)
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_to_use
+from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_gap.unlisted import describe_unlisted
@@ -49,6 +55,8 @@ FOLDS = 5
 NEGLIGIBLE = 0.1
 """A place that changes the readings by less than this share of the foremost one is not named."""
 _DRAWS = 2000
+_SKETCH_SHARE = 0.7
+"""Of the rows, at most, that a search among effects that depend on the past goes through first."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +188,12 @@ def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) ->
     Rows do not count where the arm may have more than one static equilibrium.
     """
     used = has_one_equilibrium(nominal, simulator.arm)
-    return prepare(simulator, recording.tensions_n, recording.trial, folds_of(recording), used)
+    folds = folds_of(recording)
+    problem = prepare(simulator, recording.tensions_n, recording.trial, folds, used)
+    rows = rows_of_the_way(recording)
+    if len(rows) > _SKETCH_SHARE * len(recording):
+        return problem
+    return sketched(problem, ArmSimulator(simulator.arm, recording.rows(rows)), rows)
 
 
 def folds_of(recording: Recording) -> NDArray[np.int64]:

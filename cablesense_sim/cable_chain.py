@@ -30,6 +30,7 @@ _SHARE_STEPS = 4
 _ROUNDING = 1e-12
 _TURNS = 12
 _CLOSE_RAD = 1e-6
+_LEAST_GIVE_M = 1e-8
 
 
 class Pull(NamedTuple):
@@ -71,7 +72,8 @@ class CableChains:
         self._evenly = compliance / compliance.sum(0)
         self._joined = exists[1:] & np.ones(lengths.shape[1:], dtype=bool)
         nodes = self._joined.shape[1:] + self._joined.shape[:1]
-        self._give_m = _first(np.broadcast_to(give_m, nodes))
+        give = _first(np.broadcast_to(give_m, nodes))
+        self._give_m = np.where(give > _LEAST_GIVE_M, give, 0.0)
         self._share = _first(np.broadcast_to(share, nodes))
         self._rigid = self._give_m <= 0.0
         self._all_rigid = bool(self._rigid.all())

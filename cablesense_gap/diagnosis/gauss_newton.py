@@ -40,16 +40,22 @@ def refine(
     starts: Sequence[Sequence[float]],
     most_steps: int = 8,
     most_left: float = np.inf,
+    begun: tuple[Array, Array] | None = None,
 ) -> Hypothesis | None:
     """The most probable numbers from the best of some scaled starts on.
 
     None where nothing there can be simulated, or where several starts all leave a mean square of
-    more than `most_left`.
+    more than `most_left`. Of a single start the prediction and its columns may be given, `begun`.
     """
-    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left)
+    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left, begun)
 
 
-def refit(problem: Problem, values: Mapping[Term, float], most_steps: int) -> Hypothesis | None:
+def refit(
+    problem: Problem,
+    values: Mapping[Term, float],
+    most_steps: int,
+    begun: tuple[Array, Array] | None = None,
+) -> Hypothesis | None:
     """The most probable numbers from `values` on; None where these cannot be simulated.
 
     With no step allowed they stay, and only the tolerances are fitted.
@@ -57,25 +63,29 @@ def refit(problem: Problem, values: Mapping[Term, float], most_steps: int) -> Hy
     known = parameters_of(problem.simulator.candidates)
     parameters = {term: known[term] for term in values}
     start = [to_scaled(parameters[term], value) for term, value in values.items()]
-    return refine(problem, parameters, [start], most_steps)
+    return refine(problem, parameters, [start], most_steps, begun=begun)
 
 
-def final_refinement(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothesis, Problem]:
     """The same effects, fitted beside tolerances that are linear about these very effects.
 
     The search takes them linear about the nominal mechanism, which is near enough to choose by.
+    The problem with these tolerances is given too.
     """
     if not hypothesis.values:
-        return hypothesis
+        return hypothesis, problem
     base = {**hypothesis.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
-    predicted = problem.simulator.predict([base, *({**base, t: float(std)} for t, std in terms)])
-    columns = predicted[1:] - predicted[0]
-    about = replace(problem, tolerance_columns=columns) if np.isfinite(columns).all() else problem
-    fitted = refit(about, hypothesis.values, _FINAL_STEPS)
+    predicted = problem.simulator.predict([{**base, t: float(std)} for t, std in terms])
+    columns = predicted - hypothesis.without_tolerances
+    if not np.isfinite(columns).all():
+        columns = problem.tolerance_columns
+    about = replace(problem, tolerance_columns=columns)
+    begun = hypothesis.without_tolerances, hypothesis.columns
+    fitted = refit(about, hypothesis.values, _FINAL_STEPS, begun)
     if fitted is None or problem.cost_of(fitted) > problem.cost_of(hypothesis):
-        return hypothesis
-    return fitted
+        return hypothesis, problem
+    return fitted, about
 
 
 class _Fit:
@@ -89,13 +99,19 @@ class _Fit:
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
 
-    def run(self, starts: Array, most_steps: int, most_left: float) -> Hypothesis | None:
+    def run(
+        self,
+        starts: Array,
+        most_steps: int,
+        most_left: float,
+        begun: tuple[Array, Array] | None,
+    ) -> Hypothesis | None:
         point, left = self._best(np.clip(starts, self._low, self._high))
         if left > most_left:
             return None
         shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         self._expected = np.where(shape, point, 0.0)
-        predicted, columns = self._linear(point)
+        predicted, columns = begun or self._linear(point)
         if not np.isfinite(predicted).all():
             return None
         damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
@@ -214,7 +230,6 @@ class _Fit:
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
             held_out[rows] += np.tensordot(coefficients, every[:, rows], axes=1)
-        of_row = ((problem.readings - held_out) ** 2).sum(-1) * problem.used
         spread = np.zeros(len(self._precision))
         spread[at] = _spread(part, found, precision, weight_)
         values = self._assignment(point)
@@ -239,7 +254,7 @@ class _Fit:
             without_tolerances=predicted,
             columns=columns,
             held_out=held_out,
-            squares=np.bincount(problem.trial, of_row, minlength=len(problem.fold)).astype(float),
+            squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
             sizes=sum(p.role == "size" for p in self._parameters),
             tolerance_chi2=float((found[:none] ** 2).sum()),

@@ -6,7 +6,7 @@ Numbers are sought in scaled form, in units of what is typical, so that one step
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -75,6 +75,8 @@ class Problem:
         nominal: (R, C) prediction without any effect.
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
+        sketch: the same of some of the rows, if they suffice to choose among effects that depend
+            on the past.
     """
 
     simulator: Simulator
@@ -86,6 +88,7 @@ class Problem:
     tolerance_terms: tuple[Term, ...]
     tolerance_std: Array
     tolerance_columns: Array
+    sketch: Sketch | None = None
 
     @property
     def floor(self) -> float:
@@ -96,6 +99,13 @@ class Problem:
     def acting_tolerances(self) -> NDArray[np.bool_]:
         """(K,) which tolerances change anything; those of friction do only where there is some."""
         return np.asarray(self.tolerance_columns.any(axis=(1, 2)))
+
+    def squares_by_trial(self, held_out: Array) -> tuple[Array, Array]:
+        """(T,) sums of squares that a prediction (R, C) leaves by trial, and of how many."""
+        of_row = ((self.readings - held_out) ** 2).sum(-1) * self.used
+        every = self.used * float(held_out.shape[1])
+        sums = [np.bincount(self.trial, each, len(self.fold)) for each in (of_row, every)]
+        return sums[0].astype(float), sums[1].astype(float)
 
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
         """Excess over the floor, larger where tolerances would have to be unusually far off.
@@ -110,6 +120,54 @@ class Problem:
     def cost_of(self, hypothesis: Hypothesis) -> float:
         """That of what a hypothesis leaves on held-out trials."""
         return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
+
+
+@dataclass(frozen=True)
+class Sketch:
+    """A problem of some rows of another.
+
+    Attributes:
+        rows: (K,) of the other's, the first, the last and some of every trial.
+    """
+
+    rows: NDArray[np.int64]
+    problem: Problem
+
+    def hypothesis(self, whole: Hypothesis) -> Hypothesis:
+        """One of the other problem as it does on these rows."""
+        held_out, problem = whole.held_out[self.rows], self.problem
+        squares, count = problem.squares_by_trial(held_out)
+        return replace(
+            whole,
+            prediction=whole.prediction[self.rows],
+            without_tolerances=whole.without_tolerances[self.rows],
+            columns=whole.columns[:, self.rows],
+            held_out=held_out,
+            squares=squares,
+            count=count,
+        )
+
+    def over_all_rows(self, columns: Array) -> Array:
+        """(K, R, C) of what is known on these rows, (K, rows, C); straight on between them."""
+        every = np.arange(self.rows[-1] + 1)
+        after = np.clip(np.searchsorted(self.rows, every), 1, len(self.rows) - 1)
+        begin, end = self.rows[after - 1], self.rows[after]
+        share = ((every - begin) / (end - begin))[:, None]
+        return np.asarray(columns[:, after - 1] * (1.0 - share) + columns[:, after] * share)
+
+
+def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) -> Problem:
+    """The problem with a sketch of it, of some rows that `simulator` goes through alone."""
+    part = replace(
+        problem,
+        simulator=simulator,
+        readings=problem.readings[rows],
+        trial=problem.trial[rows],
+        used=problem.used[rows],
+        nominal=simulator.predict([{}])[0],
+        tolerance_columns=problem.tolerance_columns[:, rows],
+    )
+    return replace(problem, sketch=Sketch(rows, part))
 
 
 def prepare(

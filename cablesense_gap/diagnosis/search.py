@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +32,7 @@ from cablesense_sim.effects.effect import Parameter
 Progress = Callable[[str, float], None]
 """Called with what is under way, and which share of the whole is done."""
 
-_STEPS, _STEPS_OF_EXPENSIVE_PAIRS, _STEPS_AGAIN = 8, 4, 4
+_STEPS, _STEPS_OF_EXPENSIVE, _STEPS_AGAIN = 8, 4, 4
 _SCALES = (0.4, 1.0, 2.5)
 _SCALES_ELSEWHERE = (0.3, 1.0, 3.0, 10.0)
 """In typical sizes, where screening has found a size that cannot be."""
@@ -39,6 +41,8 @@ _MOST_SINGLES = 6
 _MOST_PAIRS = 12
 _MOST_EXPENSIVE_PAIRS = 4
 _WORTH_PAIRING = 0.8
+_FAR_BEHIND = 6.0
+"""A screening that leaves so many times as much as a fit is no rival of it."""
 _RESOLVED = 0.04
 _BARELY = 1.25
 _ALIKE = 1.02
@@ -64,10 +68,22 @@ class _Search:
     def __init__(
         self, problem: Problem, pool: WorkerPool, progress: Progress, none: Hypothesis
     ) -> None:
-        self._problem, self._pool, self._progress, self._none = problem, pool, progress, none
-        self._spread = replace(problem, simulator=_Spread(problem.simulator, pool))
+        self._whole, self._pool, self._progress = problem, pool, progress
         self._found: dict[tuple[str, ...], Hypothesis] = {}
         self._refined: list[Hypothesis] = []
+        self._about: dict[int, Problem] = {}
+        self._go_on_with(problem, none)
+
+    def _go_on_with(self, problem: Problem, none: Hypothesis) -> None:
+        """All rows, or those of the sketch."""
+        self._problem, self._none = problem, none
+        spread = _Spread(problem.simulator, self._map, self._pool.workers)
+        self._spread = replace(problem, simulator=spread, sketch=None)
+
+    def _map(self, function: Callable[..., Any], values: Iterable[Any]) -> Iterator[Any]:
+        """What a function makes of the present problem and each of some values."""
+        on_sketch = self._problem is not self._whole
+        return self._pool.map(partial(_on_sketch if on_sketch else _on_whole, function), values)
 
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
@@ -89,12 +105,52 @@ class _Search:
             return
         self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.3)
         self._reselect_best(cheap)
-        if self._is_resolved():
+        if not self._is_resolved():
+            self._explore_history_dependent(cheap, best)
+
+    def _explore_history_dependent(self, cheap: Offered, best: float) -> None:
+        """By the sketch, if there is one; what comes of it is judged on all rows."""
+        sketch, none, known = self._whole.sketch, self._none, self._found
+        if sketch is None:
+            self._fit_history_dependent(cheap, best)
             return
+        reduced = {effects: sketch.hypothesis(h) for effects, h in known.items()}
+        self._found = dict(reduced)
+        self._go_on_with(sketch.problem, sketch.hypothesis(none))
+        few = {
+            name: [
+                tuple(replace(e, columns=e.columns[:, sketch.rows]) for e in every)
+                for every in shapes
+            ]
+            for name, shapes in cheap.items()
+        }
+        self._fit_history_dependent(few, best)
+        self._refine_best(2)
+        self._progress("judging what depends on the past on all rows", 0.95)
+        new = [
+            (h, self._about.get(id(h), sketch.problem).tolerance_columns)
+            for effects, h in self._found.items()
+            if h is not reduced.get(effects) and not self._is_idle(h)
+        ]
+        refined = {h.effects for h, _ in new if id(h) in self._about}
+        self._found = known
+        self._go_on_with(self._whole, none)
+        for fitted in self._map(_on_all_rows, new):
+            if fitted is not None:
+                self._keep(fitted)
+                if fitted.effects in refined:
+                    self._refined.append(fitted)
+
+    def _fit_history_dependent(self, cheap: Offered, best: float) -> None:
+        problem, candidates = self._problem, self._problem.simulator.candidates
         expensive = self._offer([c for c in candidates if c.history_dependent], 0.5)
         screened = screen_singles(problem, expensive)
         best = min(best, self._least(screened))
-        self._fit(promising(problem, screened, best), "history-dependent effects", 0.6)
+        for one in screened:
+            fitted = [excess(h.held_out_rmse**2, problem.floor) for h in self._found.values()]
+            forecast = excess(one.placed.mean_square, problem.floor)
+            if forecast <= _FAR_BEHIND * min(fitted, default=np.inf):
+                self._fit(promising(problem, [one], best), "history-dependent effects", 0.6)
         self._refine_best(1)
         left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
         if self._is_resolved() or left <= _BARELY * problem.floor:
@@ -112,7 +168,7 @@ class _Search:
 
     def _offer(self, candidates: Sequence[Candidate], done: float) -> Offered:
         offered = {}
-        linear = self._pool.map(linear_effects, candidates)
+        linear = self._map(linear_effects, candidates)
         for k, (candidate, shapes) in enumerate(zip(candidates, linear, strict=True)):
             self._progress(candidate.effect, done + 0.1 * k / len(candidates))
             offered[candidate.effect] = shapes
@@ -146,7 +202,7 @@ class _Search:
         expensive = {c.effect for c in self._problem.simulator.candidates if c.history_dependent}
         if all(len(s.effects) == 1 and expensive.issuperset(s.effects) for s in screened):
             return (fit(self._spread, one) for one in screened)
-        return self._pool.map(fit, screened)
+        return self._map(fit, screened)
 
     def _keep(self, fitted: Hypothesis) -> None:
         known = self._found.get(fitted.effects)
@@ -173,9 +229,10 @@ class _Search:
             best.setdefault(len(hypothesis.effects), hypothesis)
         done = {id(hypothesis) for hypothesis in self._refined}
         rough = [h for count, h in best.items() if count <= most and id(h) not in done]
-        for fitted in (final_refinement(self._spread, one) for one in rough):
+        for fitted, about in (final_refinement(self._spread, one) for one in rough):
             self._found[fitted.effects] = fitted
             self._refined.append(fitted)
+            self._about[id(fitted)] = about
 
     def _is_idle(self, pair: Hypothesis) -> bool:
         """Whether one of two effects alone does about as well: the other has nothing to do."""
@@ -199,20 +256,42 @@ class _Search:
 class _Spread:
     """A simulator whose variants are simulated in all processes of a pool."""
 
-    def __init__(self, simulator: Simulator, pool: WorkerPool) -> None:
+    def __init__(
+        self, simulator: Simulator, spread: Callable[..., Iterator[Any]], most: int
+    ) -> None:
         self.candidates, self.tolerances = simulator.candidates, simulator.tolerances
         self.floor = simulator.floor
-        self._pool = pool
+        self._spread, self._most = spread, most
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """As `Simulator.predict`."""
-        share = -(-len(variants) // self._pool.workers)
+        share = -(-len(variants) // self._most)
         parts = [variants[k : k + share] for k in range(0, len(variants), share)]
-        return np.concatenate(list(self._pool.map(_predicted, parts)))
+        return np.concatenate(list(self._spread(_predicted, parts)))
+
+
+def _on_whole(function: Callable[..., Any], problem: Problem, value: Any) -> Any:
+    return function(problem, value)
+
+
+def _on_sketch(function: Callable[..., Any], problem: Problem, value: Any) -> Any:
+    assert problem.sketch is not None
+    return function(problem.sketch.problem, value)
 
 
 def _predicted(problem: Problem, variants: Sequence[Assignment]) -> Array:
     return problem.simulator.predict(variants)
+
+
+def _on_all_rows(problem: Problem, found: tuple[Hypothesis, Array]) -> Hypothesis | None:
+    """A hypothesis of the sketch, with the columns of tolerances that it was fitted beside."""
+    hypothesis, tolerances = found
+    sketch = problem.sketch
+    assert sketch is not None
+    about = replace(problem, tolerance_columns=sketch.over_all_rows(tolerances))
+    predicted = problem.simulator.predict([hypothesis.values])[0]
+    begun = predicted, sketch.over_all_rows(hypothesis.columns)
+    return refit(about, hypothesis.values, 0, begun)
 
 
 def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
@@ -253,12 +332,11 @@ def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
                 t: scale if ranges[t].role == "size" else v for t, v in impossible.items()
             }
             starts.append([*begun, *(start | elsewhere).values()])
-    expensive = with_history and len(screened.effects) > 1
     return refine(
         problem,
         {term: ranges[term] for term in (*known, *start)},
         starts,
-        _STEPS_OF_EXPENSIVE_PAIRS if expensive else _STEPS,
+        _STEPS_OF_EXPENSIVE if with_history else _STEPS,
         screened.most_left if with_history else float("inf"),
     )
 

@@ -11,6 +11,8 @@ sensors. Kept are
 
 A turn or leap counts from a hundredth of the recording's largest on, and from twice as much as
 often as there are too many for half of the room. Of too many trials, whole ones are left out.
+
+Fewer rows suffice to choose among effects that depend on the past (`rows_of_the_way`).
 """
 
 from __future__ import annotations
@@ -32,6 +34,10 @@ _LEAST_TURN = 0.01
 _OTHER_SEGMENT = 100.0
 """In the units of a turn: a load that goes to another segment always counts, if anything does."""
 
+_MOVING_STRIDE, _RESTING_STRIDE = 3, 10
+_STRAIGHT_ON = 0.9
+"""Cosine between two steps of commands and load, from which on they go the same way."""
+
 Rows = NDArray[np.int64]
 
 
@@ -49,6 +55,33 @@ def rows_to_use(recording: Recording) -> Rows:
     room = max(MOST_ROWS - len(kept), 0)
     even = rows[np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int)]
     return np.union1d(kept, even)
+
+
+def rows_of_the_way(recording: Recording) -> Rows:
+    """(K,) ascending rows that lead an arm whose friction remembers along nearly the same way.
+
+    Kept are the first and the last row of each trial, turns, rows where commands and load go on in
+    another direction or stop, every third row of those that move and every tenth at rest.
+    """
+    columns = np.array(list(_scaled(recording)))
+    steps = np.diff(columns)
+    size = np.linalg.norm(steps, axis=0)
+    moves = np.abs(steps).max(axis=0) >= 1.0
+    way = np.where(moves, steps / np.maximum(size, 1.0), 0.0)
+    bends = (way[:, 1:] * way[:, :-1]).sum(axis=0) < _STRAIGHT_ON
+    kept = np.ones(len(recording), dtype=bool)
+    kept[1:-1] = bends & (moves[1:] | moves[:-1])
+    other_trial = np.flatnonzero(np.diff(recording.trial))
+    kept[np.concatenate([other_trial, other_trial + 1])] = True
+    for column in columns:
+        kept[_turned(column, np.arange(len(recording)), 1.0)] = True
+    last = 0
+    for row in range(1, len(recording)):
+        if row - last >= (_MOVING_STRIDE if moves[row - 1] else _RESTING_STRIDE):
+            kept[row] = True
+        if kept[row]:
+            last = row
+    return np.flatnonzero(kept)
 
 
 def _turns(recording: Recording) -> Rows:

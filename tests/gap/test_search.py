@@ -10,6 +10,7 @@ from gap_problem import (
     FLOOR,
     SIGNALS,
     TIME,
+    TRIAL,
     Sums,
     amount,
     fading,
@@ -24,6 +25,7 @@ from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
 from cablesense_gap.diagnosis.places import linear_effects
+from cablesense_gap.diagnosis.problem import sketched
 from cablesense_gap.diagnosis.screening import screen_pairs, screen_singles
 from cablesense_gap.diagnosis.search import fit, reselect_places, search
 from cablesense_gap.simulator import Candidate, Term
@@ -158,6 +160,36 @@ def test_a_history_dependent_effect_is_found_with_its_shape():
         np.testing.assert_allclose(found.values[term], value, rtol=0.15)
 
 
+class OnSomeRows(Sums):
+    """The same mechanism that goes through some of the rows alone."""
+
+    def predict(self, variants):
+        return super().predict(variants)[:, ROWS_OF_THE_SKETCH]
+
+
+ROWS_OF_THE_SKETCH = np.flatnonzero(np.isin(np.arange(len(TRIAL)) % 20, [0, 1, 3, 7, 12, 19]))
+
+
+def test_what_a_sketch_chooses_is_judged_on_all_rows():
+    problem = problem_of(Sums(LIBRARY), {GAIN_A: 1.0, **FADING_X})
+    on_some = OnSomeRows(LIBRARY)
+    found = best(search(sketched(problem, on_some, ROWS_OF_THE_SKETCH)))
+    assert found.effects == ("fading", "gain")
+    assert found.held_out.shape == problem.readings.shape
+    assert found.count.sum() == problem.readings.size
+    assert found.held_out_rmse < 1.2 * FLOOR
+    whole = [v for v in problem.simulator.asked if any(t.effect == "fading" for t in v)]
+    assert len(whole) < 0.1 * len(on_some.asked)
+
+
+def test_a_sketch_says_between_its_rows_what_lies_straight_between_them():
+    problem = problem_of(Sums({}), {})
+    sketch = sketched(problem, OnSomeRows({}), ROWS_OF_THE_SKETCH).sketch
+    assert sketch is not None
+    straight = np.outer(np.arange(len(TRIAL)), [1.0, -2.0, 0.5])[None]
+    np.testing.assert_allclose(sketch.over_all_rows(straight[:, sketch.rows]), straight)
+
+
 def test_two_effects_are_found_together():
     found = best(searched({GAIN_A: 1.0, **FADING_X}))
     assert found.effects == ("fading", "gain")
@@ -282,7 +314,8 @@ def coupled():
 def test_tolerances_are_taken_as_they_act_beside_the_effect():
     problem = coupled()
     rough = fitted_coupled(problem)
-    smooth = final_refinement(problem, rough)
+    smooth, about = final_refinement(problem, rough)
+    assert not np.allclose(about.tolerance_columns, problem.tolerance_columns)
     assert rough.held_out_rmse > 10.0 * FLOOR
     assert smooth.held_out_rmse < 1.1 * FLOOR
     assert smooth.values[COUPLED_GAIN] == pytest.approx(2.0, abs=0.02)
@@ -292,7 +325,7 @@ def test_tolerances_are_taken_as_they_act_beside_the_effect():
 def test_a_fit_that_is_as_good_as_can_be_stays():
     problem = problem_of(Sums(linear("gain", ["a"])), {COUPLED_GAIN: 1.0})
     before = fitted_coupled(problem)
-    after = final_refinement(problem, before)
+    after, _ = final_refinement(problem, before)
     assert after.values[COUPLED_GAIN] == pytest.approx(before.values[COUPLED_GAIN], abs=1e-3)
     assert problem.cost_of(after) <= problem.cost_of(before)
 
@@ -300,7 +333,7 @@ def test_a_fit_that_is_as_good_as_can_be_stays():
 def test_tolerances_alone_need_no_polish():
     problem = coupled()
     none = refine(problem, {}, [[]])
-    assert final_refinement(problem, none) is none
+    assert final_refinement(problem, none)[0] is none
 
 
 def test_a_mechanism_that_cannot_be_simulated_there_keeps_its_old_fit():
@@ -311,4 +344,4 @@ def test_a_mechanism_that_cannot_be_simulated_there_keeps_its_old_fit():
 
     problem = problem_of(Fragile(linear("gain", ["a"]), scatter()), SIGNALS[0])
     before = fitted_coupled(problem)
-    assert problem.cost_of(final_refinement(problem, before)) <= problem.cost_of(before)
+    assert problem.cost_of(final_refinement(problem, before)[0]) <= problem.cost_of(before)

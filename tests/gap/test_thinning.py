@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cablesense_gap.recordings import thinning
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_to_use
+from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
 
 
 def recording(command, load_z_n, trial=None) -> Recording:
@@ -84,3 +84,21 @@ def test_a_load_that_goes_to_another_segment_is_a_leap():
     segment = np.where(np.arange(50_000) < 20_003, 1, 4)
     moved = Recording(**{**vars(made), "load_segment": segment})
     assert np.isin([20_002, 20_003], rows_to_use(moved)).all()
+
+
+def test_the_way_keeps_turns_and_stops_and_few_rows_between():
+    up, down = np.linspace(0.0, 1.0, 12), np.linspace(1.0, 0.0, 12)
+    load_n = np.concatenate([up, np.ones(40), down, np.zeros(30)])
+    trial = np.repeat([3, 8], [12 + 40, 12 + 30])
+    rows = rows_of_the_way(recording(np.zeros(len(load_n)), load_n, trial))
+    for corner in (0, 11, 51, 52, 63, len(load_n) - 1):
+        assert corner in rows
+    assert np.diff(rows).max() <= 10
+    assert np.diff(rows[rows <= 11]).max() <= 3
+    assert len(rows) < 0.35 * len(load_n)
+
+
+def test_of_a_recording_in_which_nothing_moves_there_is_a_way_too():
+    rows = rows_of_the_way(recording(np.zeros(50), np.zeros(50)))
+    assert rows[0] == 0
+    assert rows[-1] == 49
