@@ -45,7 +45,7 @@ class CanEmulatorNode(Node):
 
     def __init__(self) -> None:
         super().__init__("can_emulator")
-        given = declare_parameters(self, parameter_table("can_emulator"), read_only=False)
+        given = declare_parameters(self, parameter_table("can_emulator"))
         if given["loop"] and not given["recording"]:
             raise ParameterError("parameter loop has no effect without recording; leave it false")
         if given["bitrate_bit_s"] and given["interface"] == SLCAN_PORT:

@@ -343,10 +343,10 @@ class ConfiguredNode(LifecycleNode, ABC):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        declare_parameters(self, parameter_table(name), read_only=False)
         self._entities = ExitStack()
         self._active = False
         self._identity = ""
+        declare_parameters(self, parameter_table(name), lambda: bool(self._identity))
         publish_diagnostics(self, self._statuses, lambda: self._identity)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

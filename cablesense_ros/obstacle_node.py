@@ -34,7 +34,6 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 
-LIVE_PARAMETERS = ("depth_m", "speed_m_s")
 LONGEST_PAUSE_S = 0.1
 """A pause longer than this between two `joint_states` does not move the wall on."""
 
@@ -44,7 +43,7 @@ class ObstacleNode(Node):
 
     def __init__(self) -> None:
         super().__init__("obstacle")
-        self._given = declare_parameters(self, parameter_table("obstacle"), read_only=False)
+        self._given = declare_parameters(self, parameter_table("obstacle"))
         arm = open_arm(self._given["arm"])
         self._mechanism = mechanism_of(arm)
         self._segment = self._given["segment"]
@@ -102,7 +101,7 @@ class ObstacleNode(Node):
         self._loads_out.publish(self._load)
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
-        self._given |= {p.name: p.value for p in parameters if p.name in LIVE_PARAMETERS}
+        self._given |= {p.name: p.value for p in parameters}
         self._approach.speed_m_s = self._given["speed_m_s"]
 
     def _statuses(self) -> list[Status]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -38,6 +38,7 @@ class NodeParameter:
         description: what it does, with its unit.
         bounds: least and greatest value of a number.
         choices: the texts that are allowed; empty for any.
+        live: whether it may change while the node is at work; else the node reads it once.
     """
 
     name: str
@@ -45,12 +46,16 @@ class NodeParameter:
     description: str
     bounds: Sequence[float] = ()
     choices: Sequence[str] = ()
+    live: bool = False
 
-    def descriptor(self, read_only: bool) -> ParameterDescriptor:
+    def descriptor(self, lifecycle: bool) -> ParameterDescriptor:
         """The description that `ros2 param describe` shows."""
+        read_only = not (self.live or lifecycle)
         descriptor = ParameterDescriptor(description=self.description, read_only=read_only)
-        if self.choices:
-            descriptor.additional_constraints = self.valid()
+        when = "at start" if read_only else "when the node is configured"
+        applies = "may change at any time" if self.live else f"read {when}"
+        constraints = [self.valid()] * bool(self.choices) + [applies]
+        descriptor.additional_constraints = "; ".join(constraints)
         if self.bounds:
             low, high = self.bounds
             if isinstance(self.default, float):
@@ -84,16 +89,19 @@ def parameter_table(node: str) -> list[NodeParameter]:
 
 
 def declare_parameters(
-    node: Node, table: Sequence[NodeParameter], read_only: bool = True
+    node: Node, table: Sequence[NodeParameter], configured: Callable[[], bool] | None = None
 ) -> dict[str, Any]:
-    """Declare all of a table, give their values; `read_only` ones keep the value given at start.
+    """Declare all of a table, give their values.
+
+    Those that are not live keep the value given at start, or, of a lifecycle node, the one that it
+    was `configured` with: a change that would have no effect is refused.
 
     Raises:
         ParameterError: a value given at start has the wrong type or lies out of range.
     """
     for parameter in table:
         must = f"it must be {parameter.valid()}"
-        descriptor = parameter.descriptor(read_only)
+        descriptor = parameter.descriptor(configured is not None)
         try:
             value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
         except ParameterException as error:
@@ -101,8 +109,8 @@ def declare_parameters(
         not_finite = isinstance(value, float) and not math.isfinite(value)
         if not_finite or (parameter.choices and value not in parameter.choices):
             raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
-    choices = {parameter.name: parameter.choices for parameter in table if parameter.choices}
-    node.add_on_set_parameters_callback(partial(_refuse, choices))
+    by_name = {parameter.name: parameter for parameter in table}
+    node.add_on_set_parameters_callback(partial(_refuse, by_name, node, configured))
     return parameter_values(node)
 
 
@@ -116,16 +124,25 @@ def parameter_values(node: Node) -> dict[str, Any]:
 
 
 def _refuse(
-    choices: Mapping[str, Sequence[str]], parameters: list[Parameter]
+    table: Mapping[str, NodeParameter],
+    node: Node,
+    configured: Callable[[], bool] | None,
+    given: list[Parameter],
 ) -> SetParametersResult:
     """NaN passes rclpy's own check of ranges, as it compares false with both ends."""
-    for parameter in parameters:
-        must, allowed = "", choices.get(parameter.name, ())
-        if isinstance(parameter.value, float) and not math.isfinite(parameter.value):
-            must = "finite"
-        elif allowed and parameter.value not in allowed:
-            must = f"one of {', '.join(allowed)}"
-        if must:
-            reason = f"{parameter.name} must be {must}, not {parameter.value}"
-            return SetParametersResult(successful=False, reason=reason)
+    for one in given:
+        reason, parameter = "", table.get(one.name)
+        if isinstance(one.value, float) and not math.isfinite(one.value):
+            reason = f"must be finite, not {one.value}"
+        elif parameter is None or one.value == node.get_parameter(one.name).value:
+            continue
+        elif parameter.choices and one.value not in parameter.choices:
+            reason = f"must be {parameter.valid()}, not {one.value}"
+        elif configured is not None and configured() and not parameter.live:
+            reason = (
+                "is read when the node is configured, so a change now would have no effect; "
+                "deactivate the node and clean it up first"
+            )
+        if reason:
+            return SetParametersResult(successful=False, reason=f"{one.name} {reason}")
     return SetParametersResult(successful=True)

@@ -69,7 +69,7 @@ def test_a_wrong_value_at_start_is_refused_with_what_would_be_right(make_node, v
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1000.0])
 def test_a_wrong_value_later_is_refused(make_node, value):
     node = make_node()
-    declare_parameters(node, [RATE], read_only=False)
+    declare_parameters(node, [RATE], configured=lambda: False)
     (result,) = node.set_parameters([Parameter("rate_hz", value=value)])
     assert not result.successful
     assert node.get_parameter("rate_hz").value == 10.0
@@ -85,8 +85,24 @@ def test_every_parameter_of_the_nodes_is_described_and_every_number_bounded(node
             assert type(low) is type(high) is type(parameter.default)
 
 
-def test_parameters_that_may_change_while_running_are_declared():
-    assert set(LIVE_SETTINGS) <= {parameter.name for parameter in parameter_table("estimator")}
+def test_what_is_read_once_is_refused_from_then_on_with_the_reason(make_node):
+    node, configured = make_node(), []
+    gain = NodeParameter("gain", 1.0, "A gain.", (0.0, 9.0), live=True)
+    declare_parameters(node, [RATE, gain], configured=lambda: bool(configured))
+    faster = Parameter("rate_hz", value=20.0)
+    assert node.set_parameters([faster])[0].successful
+    configured.append(True)
+    assert node.set_parameters([faster])[0].successful  # nothing changes
+    (refused,) = node.set_parameters([Parameter("rate_hz", value=30.0)])
+    assert "rate_hz is read when the node is configured" in refused.reason
+    assert node.set_parameters([Parameter("gain", value=2.0)])[0].successful
+    told = [node.describe_parameter(name).additional_constraints for name in ("rate_hz", "gain")]
+    assert told == ["read when the node is configured", "may change at any time"]
+
+
+def test_settings_that_an_estimator_takes_over_while_it_runs_are_live():
+    live = {parameter.name for parameter in parameter_table("estimator") if parameter.live}
+    assert set(LIVE_SETTINGS) <= live
 
 
 def test_a_refusal_of_one_kind_does_not_hide_another_in_the_same_second():

@@ -183,12 +183,13 @@ def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
     refused = tared.call("/estimator/tare")
     assert not refused.success
     assert "N on segment 4 is reported" in refused.message
-    _force_tares(tared, True)
+    assert "is read when the node is configured" in _refusal(tared, "tare_samples", 7)
+    assert not _refusal(tared, "tare_force", True)
     answer = tared.call("/estimator/tare")
     assert answer.success, answer.message
     tared.until(touched(tared, 0), "the tared load to vanish")
     assert tared.call("/estimator/tare_undo").success
-    _force_tares(tared, False)
+    assert not _refusal(tared, "tare_force", False)
     tared.until(touched(tared, 4), "the load to show again")
     tared.push(4, (0.0, 0.0, 0.0))
     tared.until(touched(tared, 0), "the contact to end")
@@ -246,14 +247,16 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     tared.node.destroy_publisher(source)
 
 
-def _force_tares(graph, wanted):
+def _refusal(graph, name, value):
+    """Why the estimator does not take a parameter; empty where it does."""
     client = graph.node.create_client(SetParameters, "/estimator/set_parameters")
     graph.until(client.service_is_ready, "the estimator's parameters")
-    parameter = Parameter("tare_force", value=wanted).to_parameter_msg()
+    parameter = Parameter(name, value=value).to_parameter_msg()
     future = client.call_async(SetParameters.Request(parameters=[parameter]))
     graph.until(future.done, "the new value")
-    assert future.result().results[0].successful
     graph.node.destroy_client(client)
+    result = future.result().results[0]
+    return "" if result.successful else result.reason
 
 
 def _values(graph, status):
