@@ -55,7 +55,7 @@ from cablesense_online.state import (
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import reading_variance_n2
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.estimator import Estimate, Estimator
 from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
@@ -78,7 +78,8 @@ class Answer(NamedTuple):
     Attributes:
         contact: `NO_CONTACT` also when the force is not known.
         force: what is known of it.
-        bounds: ends of the 95 % intervals of force and direction; none without an estimate.
+        estimate: that it rests on; none where there is none.
+        contact_m: (N,) where on its axis each segment is touched; empty without an estimate.
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
         stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
         problem: why the sample could not be used.
@@ -88,12 +89,20 @@ class Answer(NamedTuple):
 
     contact: Contact = NO_CONTACT
     force: ForceState = ForceState.SILENT
-    bounds: tuple[Contact, Contact] | None = None
+    estimate: Estimate | None = None
+    contact_m: Sequence[float] = ()
     probabilities: Sequence[float] = ()
     stamp_ns: int = 0
     problem: SampleError | None = None
     new_tare: Tare | None = None
     state: EstimatorState | None = None
+
+    @property
+    def bounds(self) -> tuple[Contact, Contact] | None:
+        """Ends of the 95 % intervals of force and direction; none without an estimate."""
+        if self.estimate is None:
+            return None
+        return force_bounds(self.estimate, self.contact, self.contact_m)
 
     def wrench(self, unknown_force: str) -> Sequence[float] | None:
         """Force, N, and torque, N·m, to be published (6,); none where none is.
@@ -229,14 +238,15 @@ class Estimation:
             if moving and not self._model.in_motion:
                 self.gate.estimated(known=False)
                 return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
-            tensions = self.breathing.without_friction(picked, stamp_ns)
+            freed = self.breathing.without_friction(picked, stamp_ns)
             if self.breathing.learnt:
                 self._note(EventKind.BREATH)
-            if tensions is None:
+            if freed is None:
                 return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
+            tensions = np.array(freed)
             stage = ProblemKind.ESTIMATE
             if not moving and (self.breathing.known or not self._settings.await_breath):
-                self.tares.add(tensions)
+                self.tares.add(freed)
             estimate = self._model.estimate(tensions, stamp_ns)
             if self.tares.automatic and not moving and self.tares.ready:
                 tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
@@ -268,12 +278,13 @@ class Estimation:
         self.gate.estimated(known=True)
         if contact.magnitude_n > self.largest_force_n:
             self.largest_force_n = contact.magnitude_n
-        bounds = force_bounds(estimate, contact, self._contact_m)
         force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
         if not contact.segment:
-            hidden = bounds[1].magnitude_n > self._settings.hidden_above_n
+            hidden = estimate.interval_n[1] > self._settings.hidden_above_n
             force = ForceState.HIDDEN if hidden else ForceState.FREE
-        return Answer(contact, force, bounds, probabilities, stamp_ns, state=state)
+        return Answer(
+            contact, force, estimate, self._contact_m, probabilities, stamp_ns, state=state
+        )
 
     def stale(self, now_s: float) -> bool:
         """Whether the last message is too long ago for its answer to stand."""
@@ -461,7 +472,7 @@ class Estimation:
             limit_from,
         )
 
-    def _judge(self, tensions: Sequence[float], contact: Contact, stamp_ns: int) -> str:
+    def _judge(self, tensions: Array, contact: Contact, stamp_ns: int) -> str:
         """Watch an arm at rest for drift, and require that its readings fit the contact.
 
         Gives why they are doubted nevertheless; empty where they are not.

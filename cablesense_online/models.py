@@ -109,7 +109,7 @@ class ContactModel:
         self._estimator, self._tares, self._gate = estimator, tares, gate
         self._pose_aware = estimator.pose_aware
 
-    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+    def estimate(self, tensions_n: Array, stamp_ns: int) -> Estimate | None:
         """The contact behind tensions (M,); none without a tare.
 
         Raises:
@@ -154,7 +154,7 @@ class HistoryDependentModel(ContactModel):
         self._predicted_at_rad: Array | None = None
         self.restart(command_rad)
 
-    def estimate(self, tensions_n: Sequence[float], stamp_ns: int) -> Estimate | None:
+    def estimate(self, tensions_n: Array, stamp_ns: int) -> Estimate | None:
         """See `ContactModel`; also without a tare the trajectory is followed."""
         passed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         self._last_ns = stamp_ns

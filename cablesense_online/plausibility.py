@@ -155,11 +155,10 @@ class PlausibilityCheck:
         self._fit = None
         if not contact.segment:
             free = difference_n / self._fits.spread_n
-            self.misfit = math.sqrt(float(free @ free) / len(free))
+            self.misfit = math.sqrt(float(free.dot(free)) / len(free))
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
         segment, force = contact.segment, contact.magnitude_n
-        where = f"a force on segment {segment}"
         if force > self._largest_force_n:
             return (
                 f"an estimate of {force:.0f} N is beyond the {self._largest_force_n:.0f} N that "
@@ -171,12 +170,12 @@ class PlausibilityCheck:
             return f"the arm cannot rest under the {force:.0f} N estimated on segment {segment}"
         self.misfit = fit.misfit
         if fit.misfit > self._largest:
-            return self._described(where)
+            return self._described(f"a force on segment {segment}")
         best_y, best_z = fit.force_n
         off_n = math.hypot(best_y - y, best_z - z)
         if off_n > FORCE_OFF_N:
-            return f"{where} that fits lies {off_n:.1f} N from the estimate"
-        return "" if fit.holds(self._largest) else self._slack_text(fit, where)
+            return f"a force on segment {segment} that fits lies {off_n:.1f} N from the estimate"
+        return "" if fit.holds else self._slack_text(fit, f"a force on segment {segment}")
 
     def _slack_text(self, fit: Fit, where: str) -> str:
         """Which cable reads slack that would not be under the force that fits all others."""

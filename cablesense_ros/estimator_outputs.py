@@ -5,6 +5,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -47,7 +48,7 @@ class EstimatorOutputs:
         self._node = node
         self._unknown_force = unknown_force
         self._frames = frames
-        self._publishers: list[LifecyclePublisher] = []
+        self._outputs: list[_Output] = []
         self._next_display_s = float("-inf")
         self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
         self._wrench_in = wrench_writers(frames)
@@ -77,11 +78,12 @@ class EstimatorOutputs:
         if wrench is not None:
             writer = self._wrench_in[contact.segment]
             self._wrench_out.publish(writer.write(stamp_ns, wrench))
-        if self._status_out.get_subscription_count():
+        if self._status_out.subscribed:
             self._status_out.publish(restamped(self._status[answer.force], stamp_ns))
-        if answer.bounds is not None:
+        lower, upper = self._bounds_out
+        if (lower.subscribed or upper.subscribed) and answer.bounds is not None:
             for out, bound in zip(self._bounds_out, answer.bounds, strict=True):
-                if out.get_subscription_count():
+                if out.subscribed:
                     writer = self._wrench_in[bound.segment]
                     out.publish(writer.write(stamp_ns, bound.wrench))
         if answer.state is not None:
@@ -97,31 +99,47 @@ class EstimatorOutputs:
 
     def destroy(self) -> None:
         """Take the topics away."""
-        for publisher in self._publishers:
-            self._node.destroy_lifecycle_publisher(publisher)
+        for out in self._outputs:
+            self._node.destroy_lifecycle_publisher(out.publisher)
 
-    def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> LifecyclePublisher:
-        publisher = self._node.create_lifecycle_publisher(kind, topic, **overridable(qos))
-        self._publishers.append(publisher)
-        return publisher
+    def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
+        self._outputs.append(_Output(self._node, kind, topic, qos))
+        return self._outputs[-1]
 
     def _publish_contact(self, contact: Contact, stamp_ns: int) -> None:
         for out, message, put in (
             (self._point_out, self._point, put_contact_point),
             (self._direction_out, self._direction, put_force_direction),
         ):
-            if out.get_subscription_count():
+            if out.subscribed:
                 message.header.stamp = _time(stamp_ns)
                 put(message, contact, self._frames)
                 out.publish(message)
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
-        if answer.probabilities and self._probabilities_out.get_subscription_count():
+        if answer.probabilities and self._probabilities_out.subscribed:
             put_probabilities(self._probabilities, answer.probabilities)
             self._probabilities_out.publish(self._probabilities)
-        if self._markers and self._markers_out and self._markers_out.get_subscription_count():
+        if self._markers and self._markers_out and self._markers_out.subscribed:
             self._markers.put(answer.contact, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
+
+
+class _Output:
+    """A topic of a node, and whether anyone subscribes: to ask that takes longer than a sum."""
+
+    def __init__(self, node: LifecycleNode, kind: type, topic: str, qos: Qos) -> None:
+        self.subscribed = False
+        self.publisher: LifecyclePublisher = node.create_lifecycle_publisher(
+            kind,
+            topic,
+            **overridable(qos),
+            event_callbacks=PublisherEventCallbacks(matched=self._matched),
+        )
+        self.publish = self.publisher.publish
+
+    def _matched(self, event: QoSPublisherMatchedInfo) -> None:
+        self.subscribed = event.current_count > 0
 
 
 def _time(stamp_ns: int) -> Time:

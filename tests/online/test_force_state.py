@@ -45,7 +45,8 @@ def test_readings_that_fit_no_contact_are_implausible():
 
 def test_the_bounds_hold_magnitude_and_direction_of_the_estimate():
     feed = Feed().tared()
-    contact, _, (lower, upper), *_ = feed.sample(PUSHED)
+    answer = feed.sample(PUSHED)
+    contact, (lower, upper) = answer.contact, answer.bounds
     assert lower.segment == upper.segment == contact.segment == 3
     assert lower.magnitude_n < contact.magnitude_n < upper.magnitude_n
     assert upper.magnitude_n - lower.magnitude_n == pytest.approx(4 * 0.1, rel=0.03)
