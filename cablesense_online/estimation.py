@@ -280,7 +280,7 @@ class Estimation:
             self.largest_force_n = contact.magnitude_n
         force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
         if not contact.segment:
-            hidden = estimate.interval_n[1] > self._settings.hidden_above_n
+            hidden = estimate.high_n > self._settings.hidden_above_n
             force = ForceState.HIDDEN if hidden else ForceState.FREE
         return Answer(
             contact, force, estimate, self._contact_m, probabilities, stamp_ns, state=state

@@ -136,7 +136,7 @@ class MotionGate:
         off_rad = float(np.abs(angles_rad - self.pose_rad).max())
         if self._follow_rad_s or off_rad > self._still_rad:
             self.angles_rad = angles_rad
-            if off_rad > self._still_rad:
+            if off_rad > self._still_rad and self._course.moving:  # after a wait it has settled
                 self._turned_ns = self._last_ns
             if off_rad > _POSE_STEPS_RAD[self._course.moving]:
                 self.pose_rad = angles_rad
