@@ -223,40 +223,47 @@ def describe_probabilities(dimension: Any, segment_count: int) -> None:
 
 
 class ContactMarkers:
-    """Fills a `MarkerArray` made once; the arrow ends at the contact point, as a push does."""
+    """Fills a `MarkerArray` made once; each arrow ends at a contact point, as a push does."""
 
     def __init__(
-        self, array: Any, make_marker: Callable[[], Any], make_point: Callable[[], Any]
+        self,
+        array: Any,
+        make_marker: Callable[[], Any],
+        make_point: Callable[[], Any],
+        most: int = 1,
     ) -> None:
-        """`array` is an empty `MarkerArray`; the others are the classes `Marker` and `Point`."""
+        """`array` is an empty `MarkerArray`; the classes are `Marker` and `Point`.
+
+        `most` contacts are shown.
+        """
         self.array = array
-        arrow, sphere = make_marker(), make_marker()
-        for number, marker in enumerate((arrow, sphere)):
+        array.markers = [make_marker() for _ in range(2 * most)]
+        for number, marker in enumerate(array.markers):
             marker.ns = "contact"
             marker.id = number
             marker.pose.orientation.w = 1.0
             marker.color.r, marker.color.g, marker.color.b, marker.color.a = _COLOUR
-        arrow.type, sphere.type = arrow.ARROW, sphere.SPHERE
-        arrow.scale.x, arrow.scale.y, arrow.scale.z = _ARROW_DIAMETERS_M
-        sphere.scale.x = sphere.scale.y = sphere.scale.z = _SPHERE_DIAMETER_M
-        arrow.points = [make_point(), make_point()]
-        array.markers = [arrow, sphere]
+        self._pairs = list(zip(array.markers[::2], array.markers[1::2], strict=True))
+        for arrow, sphere in self._pairs:
+            arrow.type, sphere.type = arrow.ARROW, sphere.SPHERE
+            arrow.scale.x, arrow.scale.y, arrow.scale.z = _ARROW_DIAMETERS_M
+            sphere.scale.x = sphere.scale.y = sphere.scale.z = _SPHERE_DIAMETER_M
+            arrow.points = [make_point(), make_point()]
 
-    def put(self, contact: Contact, frames: Frames, stamp: Any) -> None:
-        """Show the contact, or take the markers away when nothing touches."""
-        arrow, sphere = self.array.markers
-        frame_id = frames.segment(contact.segment) if contact.segment else frames.base
-        for marker in (arrow, sphere):
-            marker.header.stamp = stamp
-            marker.header.frame_id = frame_id
-            marker.action = marker.ADD if contact.segment else marker.DELETE
-        if not contact.segment:
-            return
-        y, z = contact.direction
-        length = ARROW_M_PER_N * contact.magnitude_n
-        tail, tip = arrow.points
-        tail.x = tip.x = sphere.pose.position.x = contact.contact_m
-        tail.y, tail.z = -length * y, -length * z
+    def put(self, contacts: Sequence[Contact], frames: Frames, stamp: Any) -> None:
+        """Show contacts, or take the markers of those away that are not there."""
+        none = (NO_CONTACT,) * (len(self._pairs) - len(contacts))
+        for (arrow, sphere), contact in zip(self._pairs, (*contacts, *none), strict=True):
+            frame_id = frames.segment(contact.segment) if contact.segment else frames.base
+            for marker in (arrow, sphere):
+                marker.header.stamp = stamp
+                marker.header.frame_id = frame_id
+                marker.action = marker.ADD if contact.segment else marker.DELETE
+            y, z = contact.direction
+            length = ARROW_M_PER_N * contact.magnitude_n
+            tail, tip = arrow.points
+            tail.x = tip.x = sphere.pose.position.x = contact.contact_m
+            tail.y, tail.z = -length * y, -length * z
 
 
 @dataclass(frozen=True)

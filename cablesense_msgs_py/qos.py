@@ -71,6 +71,8 @@ CONTRACT: Final = {
     topics.STATUS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),
     topics.WRENCH_LOWER: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER),
+    topics.WRENCH_BASE: TopicType(WRENCH_TYPE, PUBLISHER),
+    topics.JOINT_TORQUES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
     topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),

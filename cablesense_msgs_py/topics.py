@@ -48,8 +48,16 @@ WRENCH_UPPER: Final = "~/wrench_upper"
 magnitudes are those between which the force lies, their directions those between which it points,
 from the lower's on with a growing angle; where the lower is zero every direction may be true. Two
 wrenches, as an interval that friction makes is lopsided, and no covariance states that."""
+WRENCH_BASE: Final = "~/wrench_base"
+"""`geometry_msgs/WrenchStamped`: the same force, of all contacts together, in axes and about the
+origin of `base_link`."""
+JOINT_TORQUES: Final = "~/joint_torques"
+"""`sensor_msgs/JointState`: `effort` in N·m by which contacts turn the joints, by joint name."""
+SEGMENT_WRENCHES: Final = "~/wrenches/segment_{}"
+"""`geometry_msgs/WrenchStamped` of each segment, from a model of several contacts."""
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
-"""`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one."""
+"""`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one, but where a
+model tells several contacts at once."""
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
 JOURNAL: Final = "~/journal"

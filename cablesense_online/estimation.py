@@ -27,12 +27,14 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.breath_readings import BreathReadings
+from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.drift import DriftWatch
 from cablesense_online.models import (
     LARGEST_MISFIT,
+    AnyEstimator,
     ContactModel,
     HistoryDependentModel,
-    decide,
+    MultiContactModel,
     force_bounds,
 )
 from cablesense_online.motion_gate import MotionGate
@@ -55,7 +57,7 @@ from cablesense_online.state import (
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import reading_variance_n2
-from cablesense_training.inference.estimator import Estimate, Estimator
+from cablesense_training.inference.estimator import Estimate, MultiEstimator
 from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
@@ -76,15 +78,16 @@ class Answer(NamedTuple):
     """The answer to one sample; by default that of none.
 
     Attributes:
-        contact: `NO_CONTACT` also when the force is not known.
+        contact: `NO_CONTACT` also when the force is not known; of several the strongest.
         force: what is known of it.
-        estimate: that it rests on; none where there is none.
+        estimate: that it rests on; none where there is none, or where it is of several contacts.
         contact_m: (N,) where on its axis each segment is touched; empty without an estimate.
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
         stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
         state: the state that answers rest on from this sample on, where that has changed.
+        all: contacts that a model of several has told, the strongest first.
     """
 
     contact: Contact = NO_CONTACT
@@ -96,6 +99,7 @@ class Answer(NamedTuple):
     problem: SampleError | None = None
     new_tare: Tare | None = None
     state: EstimatorState | None = None
+    all: Sequence[Contact] = ()
 
     @property
     def bounds(self) -> tuple[Contact, Contact] | None:
@@ -139,7 +143,7 @@ class Estimation:
     def __init__(
         self,
         arm: Arm,
-        estimator: Estimator | TemporalEstimator,
+        estimator: AnyEstimator,
         settings: EstimationSettings,
         now_s: float,
         origin: Mapping[str, str] | None = None,
@@ -169,11 +173,8 @@ class Estimation:
             complete=unloaded.complete,
             automatic=settings.auto_tare,
         )
-        self._model: ContactModel = (
-            HistoryDependentModel(estimator, self.tares, unloaded.predict_n, straight, speed_rad_s)
-            if isinstance(estimator, TemporalEstimator)
-            else ContactModel(estimator, self.tares, self.gate)
-        )
+        self._statics = ContactStatics(unloaded.mechanism)
+        self._model = self._model_of(estimator, unloaded, straight)
         self.drift = DriftWatch(
             settings.tare_drift_n,
             reading_variance_n2(arm.sensors) ** 0.5,
@@ -254,16 +255,10 @@ class Estimation:
                 return Answer(force=untared, stamp_ns=stamp_ns, new_tare=tare, state=state)
             if estimate is None:
                 return Answer(force=ForceState.UNTARED, stamp_ns=stamp_ns, state=state)
-            probabilities = estimate.probabilities.tolist()
-            contact = decide(
-                probabilities,
-                float(estimate.angle_deg),
-                float(estimate.magnitude_n),
-                self._settings.contact_threshold,
-                self._contact_m,
+            contacts = self._model.decide(
+                estimate, self._settings.contact_threshold, self._contact_m
             )
-            if self._model.in_motion and estimate.low_n <= 0.0:
-                contact = NO_CONTACT  # what may be none is not told, however likely it is
+            contact = contacts[0] if contacts else NO_CONTACT
             doubt = "" if moving else self._judge(tensions, contact, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)
@@ -279,11 +274,13 @@ class Estimation:
         if contact.magnitude_n > self.largest_force_n:
             self.largest_force_n = contact.magnitude_n
         force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
-        if not contact.segment:
-            hidden = estimate.high_n > self._settings.hidden_above_n
+        stated = None if self._model.several else estimate
+        if not contacts:
+            hidden = stated is not None and stated.high_n > self._settings.hidden_above_n
             force = ForceState.HIDDEN if hidden else ForceState.FREE
+        probabilities, contact_m = estimate.probabilities.tolist(), self._contact_m
         return Answer(
-            contact, force, estimate, self._contact_m, probabilities, stamp_ns, state=state
+            contact, force, stated, contact_m, probabilities, stamp_ns, state=state, all=contacts
         )
 
     def stale(self, now_s: float) -> bool:
@@ -405,6 +402,16 @@ class Estimation:
         self._events.clear()
 
     @property
+    def at_pose(self) -> ContactStatics:
+        """What contacts are in base axes and at the joints, at the pose of the last estimate."""
+        return self._statics.at(self.gate.pose_rad)
+
+    @property
+    def several(self) -> bool:
+        """Whether the model tells several contacts at once."""
+        return self._model.several
+
+    @property
     def answers_in_motion(self) -> bool:
         """Whether the model estimates while the arm moves."""
         return self._model.in_motion
@@ -448,13 +455,28 @@ class Estimation:
         if self.breathing.mark(turn, max(stamp_ns, 1), lasting=lasting):
             self._note(EventKind.BREATH)
 
+    def _model_of(
+        self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
+    ) -> ContactModel:
+        speed_rad_s = self._settings.joint_speed_rad_s
+        if isinstance(estimator, TemporalEstimator):
+            predict_n = unloaded.predict_n
+            return HistoryDependentModel(
+                estimator, self.tares, predict_n, straight_rad, speed_rad_s
+            )
+        if isinstance(estimator, MultiEstimator):
+            return MultiContactModel(estimator, self.tares, self.gate, self._statics)
+        return ContactModel(estimator, self.tares, self.gate)
+
     def _plausibility_check(
-        self, unloaded: UnloadedTensions, estimator: Estimator | TemporalEstimator
+        self, unloaded: UnloadedTensions, estimator: AnyEstimator
     ) -> PlausibilityCheck:
         settings, arm = self._settings, self._arm
         unchecked = ""
         if self._model.in_motion:
             unchecked = "the model is history-dependent"
+        elif self._model.several:
+            unchecked = "the model tells several contacts at once"
         elif not unloaded.complete:
             unchecked = _INCOMPLETE
         range_n, limit_from = 0.0, ""

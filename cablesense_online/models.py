@@ -1,8 +1,8 @@
 """A model as the online estimator uses it: loaded, asked for a contact, its estimate decided on.
 
-A model file holds a memoryless estimator, which takes samples of an arm at rest, or a
-history-dependent one, which takes every sample along the trajectory of the joints. `ContactModel`
-is what both have in common.
+A model file holds a memoryless estimator, which takes samples of an arm at rest, of one contact or
+of several, or a history-dependent one, which takes every sample along the trajectory of the
+joints. `ContactModel` is what they have in common.
 """
 
 from __future__ import annotations
@@ -11,19 +11,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level, Status
+from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_training.inference.estimator import NORMAL_95, Estimate, Estimator
+from cablesense_training.inference.estimator import (
+    NORMAL_95,
+    Estimate,
+    Estimator,
+    MultiEstimator,
+)
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.session import model_sha256
+from cablesense_training.inference.session import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
 
 LARGEST_MISFIT = 2.3
@@ -39,12 +46,15 @@ _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be told apart."""
 
 
+AnyEstimator = Estimator | MultiEstimator | TemporalEstimator
+
+
 @dataclass(frozen=True)
 class LoadedModel:
     """An estimator, the arm that it was made for, and the file that both came from."""
 
     arm: Arm
-    estimator: Estimator | TemporalEstimator
+    estimator: AnyEstimator
     model: str
 
     @classmethod
@@ -54,7 +64,8 @@ class LoadedModel:
         Raises:
             ModelFileError: it is no model, or one for another arm.
         """
-        estimator = open_estimator(path, arm)
+        several = read_model(path)[1].kind == "multi-contact"
+        estimator = MultiEstimator.load(path, arm) if several else open_estimator(path, arm)
         return cls(estimator.metadata.arm, estimator, str(path))
 
     @property
@@ -101,16 +112,17 @@ class ContactModel:
 
     Attributes:
         in_motion: whether it estimates while the arm moves.
+        several: whether it tells several contacts at once.
     """
 
-    in_motion = False
+    in_motion = several = False
 
     def __init__(self, estimator: Estimator, tares: Tares, gate: MotionGate) -> None:
         self._estimator, self._tares, self._gate = estimator, tares, gate
         self._pose_aware = estimator.pose_aware
 
-    def estimate(self, tensions_n: Array, stamp_ns: int) -> Estimate | None:
-        """The contact behind tensions (M,); none without a tare.
+    def estimate(self, tensions_n: Array, stamp_ns: int) -> Any:
+        """The contact behind tensions (M,), as `decide` takes it; none without a tare.
 
         Raises:
             CableSenseError: the model cannot take this sample.
@@ -120,6 +132,22 @@ class ContactModel:
             return None
         pose = self._gate.pose_rad if self._pose_aware else None
         return self._estimator.estimate(tensions_n - unloaded, pose)
+
+    def decide(
+        self, estimate: Any, threshold: float, contact_m: Sequence[float]
+    ) -> tuple[Contact, ...]:
+        """The contacts in an estimate of its own, the strongest first.
+
+        See `decide` for the other arguments and for errors.
+        """
+        contact = decide(
+            estimate.probabilities.tolist(),
+            float(estimate.angle_deg),
+            float(estimate.magnitude_n),
+            threshold,
+            contact_m,
+        )
+        return (contact,) if contact.segment else ()
 
     def command(self, command_rad: Array) -> None:
         """Commanded angles (2N,) count from the next sample on."""
@@ -169,6 +197,13 @@ class HistoryDependentModel(ContactModel):
         """See `ContactModel`."""
         self._motion.go_to(command_rad)
 
+    def decide(
+        self, estimate: Any, threshold: float, contact_m: Sequence[float]
+    ) -> tuple[Contact, ...]:
+        """See `ContactModel`; what may be no force is not told, however likely it is."""
+        contacts = super().decide(estimate, threshold, contact_m)
+        return contacts if estimate.low_n > 0.0 else ()
+
     def tared(self) -> None:
         """The estimator gets tensions since the tare, as in training."""
         self._sequence.tare()
@@ -190,6 +225,62 @@ class HistoryDependentModel(ContactModel):
             self._predicted_n = self._predict_n(angle_rad)
         tare = self._tares.present
         return None if tare is None else tare.unloaded_n(self._predicted_n)
+
+
+class Several(NamedTuple):
+    """Contacts on several segments at once.
+
+    Attributes:
+        probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
+        magnitude_n: (N,) the force on each where it is.
+        difference_n: (M,) tensions less the unloaded ones.
+    """
+
+    probabilities: Array
+    magnitude_n: Array
+    difference_n: Array
+
+
+class MultiContactModel(ContactModel):
+    """A memoryless estimator of several contacts; their directions follow from statics.
+
+    No bounds are given: the model states the spread of each force, not of its direction.
+    """
+
+    several = True
+
+    def __init__(
+        self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, statics: ContactStatics
+    ) -> None:
+        self._several, self._tares, self._gate, self._statics = estimator, tares, gate, statics
+
+    def estimate(self, tensions_n: Array, stamp_ns: int) -> Several | None:
+        """See `ContactModel`."""
+        unloaded = self._tares.unloaded_n
+        if unloaded is None:
+            return None
+        difference_n = tensions_n - unloaded
+        found = self._several.estimate_batch(difference_n, self._gate.pose_rad)
+        touched, magnitude_n = found.probabilities[0], found.magnitude_n[0]
+        free = np.prod(1.0 - touched)
+        return Several(np.concatenate([[free], touched]), magnitude_n, difference_n)
+
+    def decide(
+        self, estimate: Several, threshold: float, contact_m: Sequence[float]
+    ) -> tuple[Contact, ...]:
+        """See `ContactModel`."""
+        probability = estimate.probabilities.tolist()
+        force_n = [0.0, *estimate.magnitude_n.tolist()]
+        numbers = range(1, len(force_n))
+        touched = [n for n in numbers if probability[n] >= threshold and force_n[n] > 0.0]
+        if not touched:
+            return ()
+        angles = self._statics.at(self._gate.pose_rad).angles_deg(estimate.difference_n, touched)
+        contacts = [
+            Contact(n, angle_deg, force_n[n], contact_m[n - 1])
+            for n, angle_deg in zip(touched, angles, strict=True)
+        ]
+        return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
 
 
 def force_bounds(

@@ -91,7 +91,13 @@ class EstimatorNode(ConfiguredNode):
         self._restore_state(given)
         frames = Frames(arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
-            self, frames, arm.identity, given["markers"], given["unknown_force"]
+            self,
+            frames,
+            arm.identity,
+            given["markers"],
+            given["unknown_force"],
+            self._estimation,
+            arm.joint_names,
         )
         self._entities.callback(self._outputs.destroy)
         for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
+    NO_CONTACT,
     Contact,
     ContactMarkers,
     ForceState,
@@ -25,7 +29,7 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.estimation import Answer
+from cablesense_online.estimation import Answer, Estimation
 from cablesense_online.state import put_state
 from cablesense_ros.node_process import diagnostic_array, overridable
 
@@ -43,9 +47,11 @@ class EstimatorOutputs:
         identity: str,
         markers: bool,
         unknown_force: str,
+        estimation: Estimation,
+        joint_names: Sequence[str],
     ) -> None:
         """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
-        self._node = node
+        self._node, self._estimation = node, estimation
         self._unknown_force = unknown_force
         self._frames = frames
         self._outputs: list[_Output] = []
@@ -61,6 +67,15 @@ class EstimatorOutputs:
             self._create(WrenchStamped, topic)
             for topic in (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
         ]
+        self._base_out = self._create(WrenchStamped, topics.WRENCH_BASE)
+        self._torques_out = self._create(JointState, topics.JOINT_TORQUES)
+        self._torques = JointState(name=list(joint_names))
+        self._torques.header.frame_id = frames.base
+        count = frames.segment_count if estimation.several else 0
+        self._segments_out = [
+            self._create(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
+            for number in range(1, count + 1)
+        ]
         self._point, self._direction = PointStamped(), Vector3Stamped()
         self._point_out = self._create(PointStamped, topics.CONTACT_POINT)
         self._direction_out = self._create(Vector3Stamped, topics.FORCE_DIRECTION)
@@ -69,7 +84,8 @@ class EstimatorOutputs:
         describe_probabilities(self._probabilities.layout.dim[0], frames.segment_count)
         self._probabilities_out = self._create(Float64MultiArray, topics.CONTACT_PROBABILITIES)
         self._journal_out = self._create(DiagnosticArray, topics.JOURNAL, JOURNAL)
-        self._markers = ContactMarkers(MarkerArray(), Marker, Point) if markers else None
+        most = max(1, count)
+        self._markers = ContactMarkers(MarkerArray(), Marker, Point, most) if markers else None
         self._markers_out = self._create(MarkerArray, topics.MARKERS) if markers else None
 
     def publish(self, answer: Answer, stamp_ns: int, now_s: float) -> None:
@@ -80,6 +96,8 @@ class EstimatorOutputs:
             self._wrench_out.publish(writer.write(stamp_ns, wrench))
         if self._status_out.subscribed:
             self._status_out.publish(restamped(self._status[answer.force], stamp_ns))
+        if wrench is not None:
+            self._publish_whole(answer, wrench, stamp_ns)
         lower, upper = self._bounds_out
         if (lower.subscribed or upper.subscribed) and answer.bounds is not None:
             for out, bound in zip(self._bounds_out, answer.bounds, strict=True):
@@ -116,12 +134,33 @@ class EstimatorOutputs:
                 put(message, contact, self._frames)
                 out.publish(message)
 
+    def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
+        """The force in base axes, at the joints and, of several contacts, on each segment."""
+        contacts = answer.all
+        if self._base_out.subscribed:
+            if contacts:
+                wrench = self._estimation.at_pose.base_wrench(contacts)
+            self._base_out.publish(self._wrench_in[0].write(stamp_ns, wrench))
+        if self._torques_out.subscribed:
+            self._torques.header.stamp = _time(stamp_ns)
+            self._torques.effort = (
+                self._estimation.at_pose.joint_torques_n_m(contacts)
+                if contacts
+                else [wrench[0]] * len(self._torques.name)  # zero, or not known
+            )
+            self._torques_out.publish(self._torques)
+        told = {contact.segment: contact.wrench for contact in contacts}
+        for number, out in enumerate(self._segments_out, start=1):
+            if out.subscribed:
+                on_it = told.get(number, NO_CONTACT.wrench if contacts else wrench)
+                out.publish(self._wrench_in[number].write(stamp_ns, on_it))
+
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
         if answer.probabilities and self._probabilities_out.subscribed:
             put_probabilities(self._probabilities, answer.probabilities)
             self._probabilities_out.publish(self._probabilities)
         if self._markers and self._markers_out and self._markers_out.subscribed:
-            self._markers.put(answer.contact, self._frames, _time(stamp_ns))
+            self._markers.put(answer.all, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
 
 

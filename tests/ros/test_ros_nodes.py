@@ -18,8 +18,10 @@ from rclpy.time import Time
 from ros_graph import Graph, NodeProcess, force
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py.messages import ForceState
+from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -107,6 +109,51 @@ def test_every_wrench_lies_within_its_published_bounds(tared):
     stamps = set(lower) & set(force_n) & set(upper)
     assert max(force_n[stamp] for stamp in stamps) > 39.0
     assert all(lower[stamp] <= force_n[stamp] <= upper[stamp] for stamp in stamps)
+
+
+def test_the_force_comes_in_base_axes_and_at_the_joints_as_well(tared):
+    base = tared.listen(WrenchStamped, "/estimator/wrench_base")
+    torques = tared.listen(JointState, "/estimator/joint_torques")
+    tared.push(3, (0.0, 40.0, 0.0))
+    tared.until(touched(tared), "a contact on segment 3")
+    tared.until(lambda: base and base[-1].wrench.force.y > 30.0, "the force in base axes")
+    assert {wrench.header.frame_id for wrench in base} == {"base_link"}
+    np.testing.assert_allclose(force(base[-1]), (0.0, 40.0, 0.0), atol=1.0)
+    x_m = kinematics.contact_points_m(mechanism_of(ARM), np.zeros(8))[2, 0]
+    assert base[-1].wrench.torque.z == pytest.approx(40.0 * x_m, abs=1.0)
+    tared.until(lambda: torques and max(torques[-1].effort) > 5.0, "torques of the joints")
+    turned = dict(zip(torques[-1].name, torques[-1].effort, strict=True))
+    assert turned["joint_1_yaw"] == pytest.approx(40.0 * (2 * 0.13 + 0.065), abs=1.0)
+    assert turned["joint_4_yaw"] == 0.0
+    tared.push(3, (0.0, 0.0, 0.0))
+    tared.until(lambda: not any(torques[-1].effort), "the torques to end")
+
+
+def test_several_contacts_at_once_have_a_wrench_each(tared):
+    remaps = {name: f"/{name}" for name in ("cable_tensions", "joint_commands")}
+    several = NodeProcess(ESTIMATOR, "/several", remaps, model="cdsm_multi")
+    told = {
+        number: tared.listen(WrenchStamped, f"/several/estimator/wrenches/segment_{number}")
+        for number in (2, 3, 4)
+    }
+    shown = tared.listen(MarkerArray, "/several/estimator/markers")
+    tared.until(lambda: "tare taken" in several.log, "its tare")
+    for segment, push in ((2, (0.0, 0.0, 30.0)), (4, (0.0, -25.0, 0.0))):
+        tared.push(segment, push)
+
+    def both():
+        return [told[number] and force(told[number][-1])[k] for number, k in ((2, 2), (4, 1))]
+
+    tared.until(lambda: np.allclose(both(), (30.0, -25.0), atol=2.0), "both forces")
+    assert force(told[3][-1]) == (0.0, 0.0, 0.0)
+    tared.until(
+        lambda: [marker.action for marker in shown[-1].markers].count(Marker.ADD) == 4,
+        "two arrows with their spheres",
+    )
+    for segment in (2, 4):
+        tared.push(segment, (0.0, 0.0, 0.0))
+    assert several.stop() == 0
+    tared.until(touched(tared, 0), "the contacts to end")
 
 
 def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimator):

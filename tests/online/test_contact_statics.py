@@ -1,0 +1,64 @@
+"""Contacts in base axes and at the joints agree with virtual work; statics tells several apart."""
+
+import numpy as np
+import pytest
+from sample_feed import ARM, MECHANISM, UNLOADED, Feed
+
+from cablesense_msgs_py.messages import Contact, ForceState
+from cablesense_online.contact_statics import ContactStatics
+from cablesense_online.models import load_model
+from cablesense_sim import kinematics
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.loads import normal_force_n
+
+pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
+
+POSE = np.random.default_rng(5).uniform(-0.2, 0.2, 8)
+CONTACTS = tuple(
+    Contact(segment, angle_deg, force_n, float(MECHANISM.contact_m[segment - 1]))
+    for segment, angle_deg, force_n in ((2, 70.0, 30.0), (4, 200.0, 12.0))
+)
+
+
+def forces_n(pose_rad):
+    return np.sum([normal_force_n(MECHANISM, pose_rad, *contact[:3]) for contact in CONTACTS], 0)
+
+
+def test_the_wrench_in_base_axes_is_that_of_all_forces_at_their_points():
+    wrench = ContactStatics(MECHANISM).at(POSE).base_wrench(CONTACTS)
+    forces, points = forces_n(POSE), kinematics.contact_points_m(MECHANISM, POSE)
+    np.testing.assert_allclose(wrench[:3], forces.sum(0), atol=1e-9)
+    np.testing.assert_allclose(wrench[3:], np.cross(points, forces).sum(0), atol=1e-9)
+
+
+def test_joint_torques_do_the_work_of_the_forces():
+    torques = ContactStatics(MECHANISM).at(POSE).joint_torques_n_m(CONTACTS)
+    step = 1e-6 * np.eye(8)
+    more, less = (kinematics.contact_points_m(MECHANISM, POSE + s * step) for s in (1, -1))
+    work = np.einsum("knx,nx->k", more - less, forces_n(POSE)) / 2e-6
+    np.testing.assert_allclose(torques, work, atol=1e-6)
+
+
+def test_directions_on_several_segments_follow_from_the_tensions():
+    rests = [
+        solve_equilibrium(MECHANISM, POSE, forces).tensions_n for forces in (None, forces_n(POSE))
+    ]
+    found = ContactStatics(MECHANISM).at(POSE).angles_deg(rests[1] - rests[0], [2, 4])
+    np.testing.assert_allclose(found, [contact.angle_deg for contact in CONTACTS], atol=1.0)
+
+
+def test_a_model_of_several_contacts_tells_each_the_strongest_first():
+    feed = Feed(load_model("cdsm", "cdsm_multi").estimator).tared()
+    loaded = solve_equilibrium(MECHANISM, np.zeros(8), forces_n(np.zeros(8))).tensions_n
+    answer = feed.sample(loaded)
+    assert answer.force is ForceState.CONTACT
+    assert [contact.segment for contact in answer.all] == [2, 4]
+    assert answer.contact == answer.all[0]
+    for found, true in zip(answer.all, CONTACTS, strict=True):
+        assert found.magnitude_n == pytest.approx(true.magnitude_n, abs=1.5)
+        assert found.angle_deg == pytest.approx(true.angle_deg, abs=3.0)
+    free = feed.sample(UNLOADED)
+    assert free.force is ForceState.FREE
+    assert not free.all
+    assert "several contacts" in feed.estimation.plausibility.status().message
+    assert ARM.segment_count + 1 == len(free.probabilities)
