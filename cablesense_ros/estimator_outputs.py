@@ -149,6 +149,8 @@ class EstimatorOutputs:
                 else [wrench[0]] * len(self._torques.name)  # zero, or not known
             )
             self._torques_out.publish(self._torques)
+        if not self._segments_out:
+            return
         told = {contact.segment: contact.wrench for contact in contacts}
         for number, out in enumerate(self._segments_out, start=1):
             if out.subscribed:
