@@ -146,7 +146,7 @@ def test_several_contacts_at_once_have_a_wrench_each(tared):
 
     tared.until(lambda: all(told.values()), "wrenches of all segments")
     tared.until(lambda: np.allclose(both(), (30.0, -25.0), atol=2.0), "both forces")
-    assert force(told[3][-1]) == (0.0, 0.0, 0.0)
+    tared.until(lambda: not any(force(told[3][-1])), "nothing on the segment between")
     tared.until(
         lambda: shown and [m.action for m in shown[-1].markers].count(Marker.ADD) == 4,
         "two arrows with their spheres",
