@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
+from cablesense_gap.budget import rest_of, shares
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
+    named,
     posterior,
     rivals_of,
 )
@@ -126,7 +128,9 @@ def diagnose(
     findings = check_recording(whole, arm, nominal, rows)
     refuse_unusable(whole, findings)
     problem = problem_of(recording, simulator, nominal)
-    ranked = posterior(search(problem, progress, workers), problem.floor, bundled_calibration())
+    calibration = bundled_calibration()
+    found = posterior(search(problem, progress, workers), problem.floor, calibration)
+    ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
     fitted = [r.hypothesis for r in ranked if r.hypothesis is not None]
@@ -144,6 +148,7 @@ def diagnose(
         predicted = held_out
     parts = decompose(recording.rows(used), before[used], problem.floor, arm)
     after = recording.tensions_n - held_out
+    rest = rest_of(problem, explained)
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
@@ -151,6 +156,10 @@ def diagnose(
         next_experiment=experiment,
         where=where(values, tuple(regimes(parts))),
         parameters=estimates(values, explained.deviations, simulator.candidates),
+        shares=shares(problem, ranked, values),
+        tolerances_n=rest.tolerances,
+        unexplained_n=rest.unexplained,
+        unexplained_share=rest.share,
         gap=gap_size(before[used], after[used], problem.trial[used], problem.floor),
         candidates=tuple(
             CandidateResult(
@@ -275,12 +284,15 @@ def where(values: Mapping[Term, float], regimes: tuple[str, ...]) -> Where:
     # of crosstalk, the channel that it comes from
     places = " ".join(term.place.split("_into_")[0] for term in values)
 
-    def named(kind: str) -> tuple[str, ...]:
+    def of_kind(kind: str) -> tuple[str, ...]:
         numbers = sorted({int(number) for number in re.findall(rf"{kind}_(\d+)", places)})
         return tuple(f"{kind}_{n}" for n in numbers)
 
     return Where(
-        cables=named("cable"), segments=named("segment"), joints=named("joint"), regimes=regimes
+        cables=of_kind("cable"),
+        segments=of_kind("segment"),
+        joints=of_kind("joint"),
+        regimes=regimes,
     )
 
 

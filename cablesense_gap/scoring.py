@@ -30,6 +30,7 @@ CLEAR_GAP_FLOORS = 5.0
 _COLUMNS = ("recording", "effects", "where")
 _MAX_FILE_BYTES = 10_000_000
 _BINS = 10
+_COUNTED = {1: "one", 2: "two"}
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
 
@@ -44,6 +45,7 @@ class Answer:
         places: cables, segments and joints that the answer names; empty if it names none.
         gap_over_floor: RMS gap of the nominal arm in noise floors, if the file gives it.
         form: which form of the effect the plant has, if the file gives it.
+        each_gap_n: RMS gap of each of the effects alone, if the file gives it.
     """
 
     recording: str
@@ -51,6 +53,7 @@ class Answer:
     places: frozenset[str] = frozenset()
     gap_over_floor: float | None = None
     form: str = ""
+    each_gap_n: tuple[float, ...] = ()
 
 
 def read_answers(path: str | Path) -> tuple[Answer, ...]:
@@ -93,15 +96,24 @@ def _answer(at: str, row: dict[str, str | None]) -> Answer:
     for alone in (NONE, UNKNOWN):
         if alone in effects and len(effects) > 1:
             raise ScoreError(f"{at}: effects = {'+'.join(effects)}; {alone} must stand alone")
-    gap, cell = None, cells.get("gap_over_floor")
-    if cell:
-        with suppress(ValueError):
-            gap = float(cell)
-        if gap is None or not 0.0 <= gap < math.inf:
-            raise ScoreError(f"{at}: gap_over_floor = {cell[:40]!r}; must be a number from 0 up")
-    return Answer(
-        recording, effects, frozenset(_PLACE.findall(cells["where"])), gap, cells.get("form", "")
-    )
+    gap = _numbers(at, cells, "gap_over_floor", 1)
+    each_gap_n = _numbers(at, cells, "each_gap_n", len(effects))
+    places = frozenset(_PLACE.findall(cells["where"]))
+    form = cells.get("form", "")
+    return Answer(recording, effects, places, gap[0] if gap else None, form, each_gap_n)
+
+
+def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
+    """Those of a cell, or none where it is empty or not there."""
+    cell, found = cells.get(column, ""), list[float]()
+    if not cell:
+        return ()
+    with suppress(ValueError):
+        found = [float(number) for number in cell.split()]
+    if len(found) != count or not all(0.0 <= number < math.inf for number in found):
+        what = "a number" if count == 1 else f"{count} numbers"
+        raise ScoreError(f"{at}: {column} = {cell[:40]!r}; must be {what} from 0 up")
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -182,6 +194,45 @@ def proportion(outcomes: Iterable[bool]) -> Proportion:
 
 
 @dataclass(frozen=True)
+class BudgetScore:
+    """What the budgets are worth, over the effects of all recordings with effects of the library.
+
+    Attributes:
+        named: effects that change readings by 5 noise floors or more and are named.
+        false_names: of all names given, those of effects that are not there.
+        shares: of effects named rightly, those whose share is within a third of the truth.
+        median_removed_fraction: of the gap on held-out trials, over recordings.
+    """
+
+    named: Proportion
+    false_names: Proportion
+    shares: Proportion
+    median_removed_fraction: float | None
+
+
+def budget_score(cases: Sequence[tuple[Verdict, Answer]]) -> BudgetScore:
+    """Budgets against answers that give the gap of each effect."""
+    named, false, shares, removed = [], [], [], []
+    for verdict, answer in cases:
+        if answer.effects[0] in (NONE, UNKNOWN):
+            continue
+        names = () if verdict.effects[0] in (NONE, UNKNOWN) else verdict.effects
+        false += [name not in answer.effects for name in names]
+        removed.append(verdict.gap.removed_fraction if names else 0.0)
+        for effect, gap_n in zip(answer.effects, answer.each_gap_n, strict=False):
+            if gap_n >= CLEAR_GAP_FLOORS * verdict.gap.floor_n:
+                named.append(effect in names)
+            if effect in verdict.shares:
+                shares.append(abs(verdict.shares[effect].share_n - gap_n) <= gap_n / 3.0)
+    return BudgetScore(
+        proportion(named),
+        proportion(false),
+        proportion(shares),
+        median(removed) if removed else None,
+    )
+
+
+@dataclass(frozen=True)
 class Score:
     """What the verdicts are worth.
 
@@ -202,6 +253,7 @@ class Score:
         by_form: exact verdicts by the plant's form, where answers give one.
         mean_probability_on_truth: of the candidate that is the truth, 0 where none is.
         brier_over_candidates: sum over candidates of (probability - outcome)², mean over cases.
+        budgets: effects and shares over all recordings with effects of the library.
         reliability: of the verdicts' own probability.
         median_removed_fraction: of correct verdicts on singles and doubles; None without one.
         wrong: recordings whose verdict is not exact.
@@ -223,6 +275,7 @@ class Score:
     by_form: dict[str, Proportion]
     mean_probability_on_truth: float
     brier_over_candidates: float
+    budgets: BudgetScore
     reliability: Reliability
     median_removed_fraction: float | None
     wrong: tuple[str, ...]
@@ -267,6 +320,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
         by_form={name: proportion(own.exact) for name, own in cases.groupby("form") if name},
         mean_probability_on_truth=fmean(cases.on_truth),
         brier_over_candidates=fmean(cases.brier),
+        budgets=budget_score([(verdicts[a.recording], a) for a in answers]),
         reliability=reliability(cases.probability, cases.exact),
         median_removed_fraction=median(removed) if len(removed) else None,
         wrong=tuple(cases.recording[~cases.exact]),
@@ -289,7 +343,7 @@ def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
         "form": answer.form,
         "truth": joined(truth),
         "named": joined(named),
-        "kind": "two" if truth[1:] else truth[0] if truth[0] in (NONE, UNKNOWN) else "one",
+        "kind": truth[0] if truth[0] in (NONE, UNKNOWN) else _COUNTED.get(len(truth), "several"),
         "clear": ratio is not None and ratio >= CLEAR_GAP_FLOORS,
         "exact": truth == named,
         "top2": truth in (named, *others[:1]),

@@ -71,6 +71,24 @@ class Estimate(FilePart):
     ci95: Interval
 
 
+class Share(FilePart):
+    """What one named effect contributes.
+
+    Attributes:
+        share_n: RMS by which predictions change without it, all else as fitted.
+        ci95_n: interval of `share_n`.
+        probability: that it is there.
+        places: where; empty for the whole arm.
+        alternatives: effects that this recording cannot distinguish from it.
+    """
+
+    share_n: Newtons
+    ci95_n: Interval
+    probability: Probability
+    places: tuple[str, ...] = ()
+    alternatives: tuple[Name, ...] = ()
+
+
 class Gap(FilePart):
     """How far the gap shrinks on trials that the fit has not seen; sizes are RMS over readings.
 
@@ -123,6 +141,10 @@ class Verdict(FilePart):
         ambiguity_group: explanations that this recording cannot distinguish; several effects of
             one explanation are joined by `+`.
         next_experiment: what to record next, in plain text.
+        shares: of each effect named.
+        tolerances_n: RMS by which manufacturing tolerances, as fitted, change predictions.
+        unexplained_n: RMS beyond the floor that is left on trials that the fit has not seen.
+        unexplained_share: of the nominal arm's gap beyond the floor.
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
         candidates: all explanations weighed, in any order.
         estimator: present if it was trained again.
@@ -140,6 +162,10 @@ class Verdict(FilePart):
     where: Where
     parameters: dict[ParameterName, Estimate] = Field(default_factory=dict)
     gap: Gap
+    shares: dict[Name, Share] = Field(default_factory=dict)
+    tolerances_n: Newtons | None = None
+    unexplained_n: Newtons | None = None
+    unexplained_share: Probability | None = None
     candidates: tuple[CandidateResult, ...] = ()
     estimator: Estimator | None = None
     why: tuple[str, ...] = ()

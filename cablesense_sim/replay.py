@@ -29,6 +29,8 @@ from cablesense_sim.quasi_static import QuasiStaticArm
 
 _HARMONICS = 100
 """Of the series of rounding; what the others would add is below 1 % of step² / 12."""
+_KEPT = 4
+"""Arms whose tensions are kept for those that differ from them in their sensors alone."""
 
 
 class Replay:
@@ -50,6 +52,7 @@ class Replay:
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
+        self._latest: dict[tuple[object, ...], Array] = {}
 
     def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
@@ -60,18 +63,41 @@ class Replay:
         Raises:
             EquilibriumError: an arm finds no rest.
         """
-        mechanisms = [amended(self._nominal, entries) for entries in variants]
-        held = np.repeat(self._held_m[None], len(variants), axis=0)
-        held = self._through(actuations(variants), held)
-        if transmissions(variants):
-            arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
-            rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
-            tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
-        else:
-            tensions = np.stack(
-                [self._at_rest_n(m, held[p], unborne_n) for p, m in enumerate(mechanisms)]
-            )
+        if not transmissions(variants):
+            return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
+        mechanisms, held = self._moved(variants)
+        arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
+        rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
+        tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
         return self._through(sensings(variants), tensions)
+
+    def _memoryless_n(self, variants: Variants, unborne_n: Array | None) -> Array:
+        """Tensions (P, R, M); arms that differ in their sensors alone are solved once."""
+        of_arm = [[e for e in v if e.effect.acts_on != "sensor"] for v in variants]
+        keys = [
+            (unborne_n is None, *((e.effect.name, e.place, *e.values.items()) for e in entries))
+            for entries in of_arm
+        ]
+        new = {
+            key: entries
+            for key, entries in zip(keys, of_arm, strict=True)
+            if key not in self._latest
+        }
+        known = {key: self._latest[key] for key in keys if key in self._latest}
+        if new:
+            mechanisms, held = self._moved(list(new.values()))
+            for key, mechanism, held_m in zip(new, mechanisms, held, strict=True):
+                known[key] = self._at_rest_n(mechanism, held_m, unborne_n)
+        self._latest = dict(list({**self._latest, **known}.items())[-_KEPT:])
+        return np.stack([known[key] for key in keys])
+
+    def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array]:
+        """Each arm with what its effects change of it, and the lengths (P, R, M) held."""
+        held = np.repeat(self._held_m[None], len(variants), axis=0)
+        return (
+            [amended(self._nominal, entries) for entries in variants],
+            self._through(actuations(variants), held),
+        )
 
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
         """What actuators or sensors, one after another, make of values (P, R, M)."""

@@ -145,10 +145,11 @@ class Reduced:
         left = (found * pulled).sum((0, -1)) + self._constant
         return np.asarray(np.maximum(left, 0.0) / self._count)
 
-    def tolerance_chi2(self, sets: NDArray[np.int64]) -> Array:
-        """(N,) sums of squares of the base beside each of the sets, fitted to all trials."""
+    def base_chi2(self, sets: NDArray[np.int64], count: int) -> Array:
+        """(N,) sums of squares of the first of the base beside each set, fitted to all trials."""
         found = self._solved(sets)[-1]
-        base = self._first - (np.moveaxis(self._by[:, sets], 0, 1) * found[:, None]).sum(-1)
+        by = np.moveaxis(self._by[:count][:, sets], 0, 1)
+        base = self._first[:count] - (by * found[:, None]).sum(-1)
         return np.asarray((base**2).sum(-1))
 
     def _solved(self, sets: NDArray[np.int64]) -> Array:

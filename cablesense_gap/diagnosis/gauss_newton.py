@@ -230,8 +230,9 @@ class _Fit:
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
             held_out[rows] += np.tensordot(coefficients, every[:, rows], axes=1)
-        spread = np.zeros(len(self._precision))
-        spread[at] = _spread(part, found, precision, weight_)
+        covariance = np.zeros(2 * self._precision.shape)
+        covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
+        spread = np.sqrt(covariance.diagonal())
         values = self._assignment(point)
         units = [
             value if is_logarithmic(parameter) else parameter.typical
@@ -253,6 +254,7 @@ class _Fit:
             prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
             without_tolerances=predicted,
             columns=columns,
+            covariance=covariance[none:, none:],
             held_out=held_out,
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
@@ -262,12 +264,12 @@ class _Fit:
         )
 
 
-def _spread(part: Products, found: Array, precision: Array, weight_: float) -> Array:
-    """Standard deviations (K,) that allow for residuals that are correlated within a trial.
+def _covariance(part: Products, found: Array, precision: Array, weight_: float) -> Array:
+    """Covariance (K, K) that allows for residuals that are correlated within a trial.
 
     The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors
     count as one more, or an effect like a tolerance would be known better than the tolerance is.
     """
     bread = np.linalg.inv(weight_ * part.gram.sum(0) + np.diag(precision))
     scores = weight_ * (part.moment - part.gram @ found)
-    return np.sqrt(np.diagonal(bread @ (scores.T @ scores + np.diag(precision)) @ bread))
+    return np.asarray(bread @ (scores.T @ scores + np.diag(precision)) @ bread)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
+    Hypothesis,
     Problem,
     from_scaled,
     is_logarithmic,
@@ -56,12 +57,19 @@ class LinearEffect:
     probed: tuple[str, ...]
 
 
-def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearEffect, ...]]:
+def linear_effects(
+    problem: Problem, candidate: Candidate, about: Hypothesis | None = None
+) -> list[tuple[LinearEffect, ...]]:
     """For each combination of starting shapes, the candidate in every place.
 
-    Places that the mechanism cannot be simulated with are left out. A history-dependent effect is
+    Linear about the nominal mechanism, or about a hypothesis; places that this has already, and
+    those that the mechanism cannot be simulated with, are left out. A history-dependent effect is
     simulated in all places and shapes side by side, which is worth while only for such a one.
     """
+    known = {} if about is None else dict(about.values)
+    base = problem.nominal if about is None else about.without_tolerances
+    taken = {term.place for term in known if term.effect == candidate.effect}
+    offered = [place for place in candidate.places if place not in taken]
     shapes = [p for p in candidate.parameters if p.role == "shape"]
     combined = [
         dict(zip((p.name for p in shapes), starts, strict=True))
@@ -70,8 +78,8 @@ def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearE
     absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
 
     def variant(place: str, shape: dict[str, float], probe: dict[str, float]) -> Assignment:
-        among = candidate.places if candidate.history_dependent else (place,)
-        return {
+        among = offered if candidate.history_dependent else (place,)
+        return known | {
             Term(candidate.effect, at, name): value
             for at in among
             for name, value in (absent | (probe if at == place else shape)).items()
@@ -81,11 +89,11 @@ def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearE
     batches = [
         [variant(place, shape, probe) for _, probe in probes]
         for shape, probes in probed
-        for place in candidate.places
+        for place in offered
     ]
     if candidate.history_dependent:
         batches = [list(chain(*batches))]
-    changes = (c for b in batches for c in problem.simulator.predict(b) - problem.nominal)
+    changes = (c for b in batches for c in problem.simulator.predict(b) - base)
     found = []
     for shape, probes in probed:
         parameters = [parameter for parameter, _ in probes]
@@ -93,7 +101,7 @@ def linear_effects(problem: Problem, candidate: Candidate) -> list[tuple[LinearE
             _linear_effect(
                 candidate, at, shape, parameters, np.array([next(changes) for _ in probes])
             )
-            for at in candidate.places
+            for at in offered
         ]
         found.append(tuple(e for e in effects if np.isfinite(e.columns).all()))
     return found

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 import numpy as np
@@ -43,6 +43,10 @@ LEAST, NEAR_BEST = 0.1, 0.2
 PARALLEL = 0.75
 """What can be imitated to this share is not distinguished by its shape."""
 _SLIGHT = 1e-6
+_SEVERAL = 3
+_UNEXPLAINED = 0.4
+_BORNE_OUT = 1.6
+"""A named effect's part must be about as large as all that stays unexplained."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,42 @@ def posterior(
     return sorted(found, key=lambda ranked: -ranked.probability)
 
 
+def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
+    """The explanations, first the one that the verdict names.
+
+    The most probable one, unless that is an unlisted effect although several listed ones are borne
+    out that explain more than they leave: then what they leave is unexplained, and stated beside
+    them.
+    """
+    first = ranked[0]
+    if first.effects != UNKNOWN:
+        return list(ranked)
+    none = next(r.hypothesis for r in ranked if r.hypothesis and not r.hypothesis.effects)
+    gap = excess(none.held_out_rmse**2, problem.floor)
+    for each in ranked:
+        found = each.hypothesis
+        if found is None or len(found.effects) < _SEVERAL:
+            continue
+        if excess(found.held_out_rmse**2, problem.floor) > _UNEXPLAINED * gap:
+            continue
+        ratios = _left_out_ratios(problem, ranked, found)
+        if min(ratios, default=0.0) < _BORNE_OUT:
+            continue
+        odds = c.power * np.log(ratios) - (c.two - c.one)
+        exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
+        chosen = replace(each, probability=each.probability + exact)
+        rest = [r for r in ranked[1:] if r is not each]
+        return [chosen, *rest, replace(first, probability=first.probability - exact)]
+    return list(ranked)
+
+
+def _left_out_ratios(problem: Problem, ranked: Sequence[Ranked], whole: Hypothesis) -> list[float]:
+    """By which factor what is left grows without each of the effects; 0 where nobody tried."""
+    costs = {r.effects: problem.cost_of(r.hypothesis) for r in ranked if r.hypothesis}
+    without = [tuple(e for e in whole.effects if e != effect) for effect in whole.effects]
+    return [costs.get(effects, 0.0) / problem.cost_of(whole) for effects in without]
+
+
 def log_weights(
     held_out_rmse: Array,
     counts: np.ndarray,
@@ -131,7 +171,8 @@ def log_weights(
     least = np.hypot(excess(0.0, floor), floor_share)
     none = left[np.flatnonzero(counts == 0)[0]]
     power = np.where(counts == 0, c.none, c.power)
-    penalty = np.array([0.0, c.one, c.two])[counts] + c.size * sizes
+    several = c.one + (counts - 1) * (c.two - c.one)
+    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes
     penalty += c.tolerance_chi2 * np.log(np.maximum(tolerance_chi2 / tolerance_count, 1.0))
     stand_in = np.hypot(c.share * none, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown

@@ -35,6 +35,7 @@ class Hypothesis:
         prediction: (R, C) with effects and tolerances.
         without_tolerances: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
+        covariance: (K, K) of the scaled values; zero for those at the end of their range.
         held_out: (R, C) each trial predicted by a fit without its fold.
         squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
@@ -50,6 +51,7 @@ class Hypothesis:
     prediction: Array
     without_tolerances: Array
     columns: Array
+    covariance: Array
     held_out: Array
     squares: Array
     count: Array

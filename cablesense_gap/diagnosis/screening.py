@@ -58,7 +58,7 @@ def screen_singles(
 ) -> list[Screened]:
     """For each effect its best places with the best of its starting shapes, perhaps two of them.
 
-    Beside another effect, which is fitted along, only one. The most promising come first.
+    Beside other effects, which are fitted along, only one. The most promising come first.
     """
     residual = problem.readings - problem.nominal
     columns = np.empty((0, *residual.shape))
@@ -74,23 +74,29 @@ def screen_singles(
     return by_forecast(problem, found)
 
 
-def screen_pairs(problem: Problem, offered: Offered, mean_square: float) -> list[Screened]:
+def screen_pairs(
+    problem: Problem, offered: Offered, mean_square: float, beside: Hypothesis | None = None
+) -> list[Screened]:
     """For every two effects their best places, the most promising first.
 
     `mean_square` is what the best single one leaves: it gives the weight of a reading before the
-    best pair is known.
+    best pair is known. What is `beside` them is fitted along.
     """
     everything = [effect for shapes in offered.values() for every in shapes for effect in every]
     if not everything:
         return []
     residual = problem.readings - problem.nominal
-    placing = Placing(problem, residual, np.empty((0, *residual.shape)), everything)
+    columns = np.empty((0, *residual.shape))
+    if beside is not None:
+        residual, columns = problem.readings - beside.without_tolerances, beside.columns
+    placing = Placing(problem, residual, columns, everything)
     sides = list(_sides(offered))
     pairs: dict[tuple[str, str], list[int]] = {}
     for _ in range(_ROUNDS):
         weight_ = weight(mean_square, problem.floor)
         pairs, mean_square = _best_pairs(_Pairing(problem, placing, weight_), sides)
-    return by_forecast(problem, [Screened(placing.placed(chosen)) for chosen in pairs.values()])
+    screened = [Screened(placing.placed(chosen), beside) for chosen in pairs.values()]
+    return by_forecast(problem, screened)
 
 
 def by_forecast(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
@@ -185,7 +191,8 @@ class _Pairing:
 
     def _best(self, options: list[list[int]]) -> _Grown:
         sets = np.array([np.concatenate([self._owned[k] for k in chosen]) for chosen in options])
-        left, chi2 = self._reduced.mean_squares(sets), self._reduced.tolerance_chi2(sets)
+        count = len(self._problem.tolerance_terms)
+        left, chi2 = self._reduced.mean_squares(sets), self._reduced.base_chi2(sets, count)
         cost = [self._problem.cost(*both) for both in zip(left, chi2, strict=True)]
         at = int(np.argmin(cost))
         return _Grown(options[at], cost[at], float(left[at]))

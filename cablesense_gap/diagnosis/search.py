@@ -16,6 +16,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
+from cablesense_gap.diagnosis.joint_selection import JointSelection, left_out
 from cablesense_gap.diagnosis.places import WORTH, linear_effects
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess, to_scaled
 from cablesense_gap.diagnosis.screening import (
@@ -38,7 +39,7 @@ _SCALES_ELSEWHERE = (0.3, 1.0, 3.0, 10.0)
 """In typical sizes, where screening has found a size that cannot be."""
 _ROUNDS = 2
 _MOST_SINGLES = 6
-_MOST_PAIRS = 12
+_MOST_PAIRS = 4
 _MOST_EXPENSIVE_PAIRS = 4
 _WORTH_PAIRING = 0.8
 _FAR_BEHIND = 6.0
@@ -46,6 +47,8 @@ _FAR_BEHIND = 6.0
 _RESOLVED = 0.04
 _BARELY = 1.25
 _ALIKE = 1.02
+_BORNE_OUT = 1.6
+"""Effects without which so much more is left are certain to be needed."""
 
 
 def search(
@@ -88,7 +91,8 @@ class _Search:
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
         self._explore()
-        self._refine_best(2)
+        self._refine_best(len(self._problem.simulator.candidates))
+        self._leave_out()
         self._progress("done", 1.0)
         worth_it = [h for h in self._found.values() if not self._is_idle(h)]
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
@@ -103,8 +107,10 @@ class _Search:
         self._reselect_best(cheap)
         if barely or self._is_resolved():
             return
-        self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.3)
+        self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
         self._reselect_best(cheap)
+        if not self._is_resolved():
+            self._select_jointly([c for c in candidates if not c.history_dependent])
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
 
@@ -165,6 +171,18 @@ class _Search:
         ]
         self._fit(pairs[:_MOST_EXPENSIVE_PAIRS], "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
+
+    def _select_jointly(self, candidates: Sequence[Candidate]) -> None:
+        selection = JointSelection(self._problem, self._pool, candidates, fit)
+        start = min([self._none, *self._found.values()], key=self._problem.cost_of)
+        for k, grown in enumerate(selection.run(start, self._is_explained)):
+            self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
+            if grown is not start:
+                self._keep(grown)
+
+    def _is_explained(self, hypothesis: Hypothesis) -> bool:
+        """Whether it leaves what the sensors leave."""
+        return self._problem.cost_of(hypothesis) <= 1.5 * excess(0.0, self._problem.floor)
 
     def _offer(self, candidates: Sequence[Candidate], done: float) -> Offered:
         offered = {}
@@ -234,11 +252,24 @@ class _Search:
             self._refined.append(fitted)
             self._about[id(fitted)] = about
 
-    def _is_idle(self, pair: Hypothesis) -> bool:
-        """Whether one of two effects alone does about as well: the other has nothing to do."""
-        alone = [h for h in map(self._found.get, zip(pair.effects)) if h and h is not pair]
-        cost = self._problem.cost_of(pair)
-        return any(self._problem.cost_of(h) < WORTH * cost for h in alone)
+    def _leave_out(self) -> None:
+        """The best explanation without each of its effects, down to what nothing can miss."""
+        cost_of = self._problem.cost_of
+        best = min([self._none, *self._found.values()], key=cost_of)
+        while len(best.effects) > 2:
+            rests = left_out(self._problem, self._pool, best)
+            for rest in rests:
+                self._keep(rest)
+            least = min((self._found[rest.effects] for rest in rests), key=cost_of)
+            if cost_of(least) > _BORNE_OUT * cost_of(best):
+                break
+            best = least
+
+    def _is_idle(self, hypothesis: Hypothesis) -> bool:
+        """Whether fewer of its effects do about as well: the others have nothing to do."""
+        fewer = [h for h in self._found.values() if set(h.effects) < set(hypothesis.effects)]
+        cost = self._problem.cost_of(hypothesis)
+        return any(self._problem.cost_of(h) < WORTH * cost for h in fewer)
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""

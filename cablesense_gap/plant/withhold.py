@@ -9,7 +9,8 @@ import csv
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
 from math import ceil
 from pathlib import Path
 
@@ -52,10 +53,13 @@ def withhold(
     seed: int,
     only: Sequence[str] = (),
     workers: int = 1,
+    *,
+    second: bool = False,
 ) -> Iterator[Answer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
-    The same seed makes the same files, whatever the number of processes.
+    With `second`, the folder `second/` beside them gets another recording of each arm, with other
+    commands, loads and past. The same seed makes the same files, whatever the number of processes.
 
     Raises:
         PlantError: an unknown kind in `only`, or a place that cannot be written to.
@@ -63,8 +67,12 @@ def withhold(
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
-        for recorded in pool.map(make_case, range(1, count + 1), kinds):
-            _write_recording(folder / f"{recorded.answer.recording}.csv", recorded)
+        make = partial(make_case, second=second)
+        for recorded in pool.map(make, range(1, count + 1), kinds):
+            name = f"{recorded.answer.recording}.csv"
+            _write_recording(folder / name, recorded.schedule, recorded.tensions_n)
+            if recorded.second is not None:
+                _write_recording(folder / "second" / name, *recorded.second)
             answers.append(recorded.answer)
             yield recorded.answer
     with _written(answers_file) as beside, beside.open("w", encoding="utf-8", newline="") as file:
@@ -73,6 +81,12 @@ def withhold(
         for answer in answers:
             row = astuple(answer)
             table.writerow(f"{x:.4f}" if isinstance(x, float) else x for x in row)
+
+
+def draw_several(rng: np.random.Generator, count: int, least: int, most: int) -> list[str]:
+    """Kinds of `count` cases, each of `least` to `most` different effects of the list."""
+    drawn = [rng.choice(list(LISTED), rng.integers(least, most + 1), False) for _ in range(count)]
+    return ["+".join(sorted(map(str, names))) for names in drawn]
 
 
 def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
@@ -95,12 +109,14 @@ def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -
     return [kinds[i] for i in rng.permutation(len(kinds))][:count]
 
 
-def make_case(nominal: Nominal, seed: int, index: int, kind: str) -> CaseRecording:
+def make_case(
+    nominal: Nominal, seed: int, index: int, kind: str, *, second: bool = False
+) -> CaseRecording:
     """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         try:
-            return record_case(rng, index, nominal, kind)
+            return record_case(rng, index, nominal, kind, second=second)
         except PlantError:
             if attempt == _REDRAWS - 1:
                 raise
@@ -118,9 +134,8 @@ def _pair(names: Iterator[str]) -> str:
     return "+".join(sorted((first, second)))
 
 
-def _write_recording(path: Path, recorded: CaseRecording) -> None:
+def _write_recording(path: Path, done: Schedule, tensions_n: Array) -> None:
     """One row a sample, columns named with their units."""
-    done, tensions_n = recorded.schedule, recorded.tensions_n
     angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
     header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
     header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
@@ -171,15 +186,20 @@ class Answer:
 
 @dataclass(frozen=True)
 class CaseRecording:
-    """What is handed out of a case, and what is kept back."""
+    """What is handed out of a case, and what is kept back.
+
+    Attributes:
+        second: another recording of the same arm.
+    """
 
     schedule: Schedule
     tensions_n: Array
     answer: Answer
+    second: tuple[Schedule, Array] | None = None
 
 
 def record_case(
-    rng: np.random.Generator, index: int, nominal: Nominal, kind: str
+    rng: np.random.Generator, index: int, nominal: Nominal, kind: str, *, second: bool = False
 ) -> CaseRecording:
     """Draw an arm, what is hidden in it and what is done to it, and record that.
 
@@ -189,6 +209,7 @@ def record_case(
         nominal: the arm as drawn.
         kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
             inside it joined by `+`.
+        second: whether the same arm is recorded a second time.
 
     Raises:
         PlantError: a kind that is none of those, or an arm that finds no rest in some row.
@@ -244,8 +265,12 @@ def record_case(
         scatter_gap_n=gap_n(plain_n, ideal_arm(nominal).signals_n(*done)),
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
-    readings = read_n(signals, nominal.noise_std_n, nominal.step_n, noise_rng)
-    return CaseRecording(done[0], readings, answer)
+    sensors = nominal.noise_std_n, nominal.step_n, noise_rng
+    recorded = CaseRecording(done[0], read_n(signals, *sensors), answer)
+    if not second:
+        return recorded
+    again = draw_schedule(nominal, noise_rng), draw_history(nominal, noise_rng)
+    return replace(recorded, second=(again[0], read_n(arm.signals_n(*again), *sensors)))
 
 
 def size_for(

@@ -20,7 +20,7 @@ class ActuatorBacklash(Effect):
     parameters = (
         Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
         shape("start", "1", -1.0, 1.0, 1.0,
-              "where in the play it begins, from the short to the long side"),
+              "where in the play it begins, from the short to the long side", past=True),
     )  # fmt: skip
 
     def actuation(self, place: str, values: Values) -> Actuation:

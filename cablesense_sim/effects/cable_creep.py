@@ -40,7 +40,8 @@ class CableCreep(Effect):
               "share of the creep under pretension that was over before the cables were tensioned",
               starts=(0.5,)),
         shape("begun", "1", 0.0, 1.0, 0.5,
-              "share of the creep to come that was over before the first sample", starts=(0.5,)),
+              "share of the creep to come that was over before the first sample", starts=(0.5,),
+              past=True),
     )  # fmt: skip
 
     def transmission(self, place: str, values: Values) -> Transmission:

@@ -43,6 +43,7 @@ class Parameter:
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
         fades: whether what it changes fades along a recording, as the past does.
+        past: whether it is what the past has left, so that each recording has its own.
     """
 
     name: str
@@ -56,12 +57,13 @@ class Parameter:
     starts: tuple[float, ...] = ()
     trials: tuple[float, ...] = ()
     fades: bool = False
+    past: bool = False
 
 
 shape = partial(Parameter, role="shape")
 """A parameter that determines how the effect behaves where it is present."""
 
-start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True)
+start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
 """A share of its limit that friction carries before the first sample."""
 
 _SLIPS = "share of the contact that slips little by little"

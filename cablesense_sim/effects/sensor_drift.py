@@ -27,7 +27,7 @@ class SensorDrift(Effect):
     advice = "Let the sensors warm up; look at their supply and cabling; tare often."
     needs_time = True
     parameters = (
-        Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning"),
+        Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning", past=True),
         *(
             Parameter(
                 f"rise_{k + 1}_n", "N", -20.0, 20.0, 0.7,

@@ -188,7 +188,7 @@ def test_each_set_of_columns_leaves_what_a_fit_of_all_leaves(seed, base, sets, w
     reduced = Reduced(data, base, precision, weight_, fold)
     left, tolerance_chi2 = (
         reduced.mean_squares(np.array(sets)),
-        reduced.tolerance_chi2(np.array(sets)),
+        reduced.base_chi2(np.array(sets), base),
     )
     expected = [directly_reduced(data, precision, base, s, weight_, fold) for s in sets]
     np.testing.assert_allclose(

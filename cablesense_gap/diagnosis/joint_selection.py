@@ -1,0 +1,182 @@
+"""Several effects at once: effects are added, exchanged and left out, all numbers fitted together.
+
+Every step is linear about what was found so far, and judged on held-out trials; the simulator
+itself then fits what is promising. An effect stays only where leaving it out makes held-out trials
+worse by more than chance over the trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from cablesense_base.workers import WorkerPool
+from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.diagnosis.places import Placing, linear_effects, place
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
+from cablesense_gap.diagnosis.screening import Offered, Screened, screen_pairs
+from cablesense_gap.simulator import Candidate, Term, parameters_of
+from cablesense_sim.effects.effect import WHOLE_ARM
+
+Fit = Callable[[Problem, Screened], Hypothesis | None]
+
+_MOST_EFFECTS = 7
+_MOST_CHANGES = 24
+_TRIED = 3
+_PROMISING = 2.0
+_STEPS_AGAIN = 3
+_PLACE_WORTH = 1.04
+_EFFECT_WORTH = 1.08
+_ELSEWHERE = 0.04
+"""Power of the number of places among which one is chosen."""
+_SIZE_WORTH = 1.005
+_CHANCE = 1.28
+"""Standard deviations over trials; less may be chance."""
+
+
+class JointSelection:
+    """Grows one explanation by effects and places, as long as held-out trials bear it out."""
+
+    def __init__(
+        self, problem: Problem, pool: WorkerPool, candidates: Sequence[Candidate], fit: Fit
+    ) -> None:
+        """`candidates` are simulated about each fit; `fit` begins from what screening finds."""
+        self._problem, self._pool, self._fit = problem, pool, fit
+        self._candidates = candidates
+        every = problem.simulator.candidates
+        self._worth = {c.effect: max(_PLACE_WORTH, len(c.places) ** _ELSEWHERE) for c in every}
+
+    def run(self, start: Hypothesis, enough: Callable[[Hypothesis], bool]) -> Iterator[Hypothesis]:
+        """Every explanation on the way from `start`, the last one the best."""
+        best = start
+        for _ in range(_MOST_CHANGES):
+            if enough(best):
+                break
+            offered = self._offered(best)
+            better = self._best_of(self._added(best, offered), best)
+            if better is None:
+                better = self._best_of(self._exchanged(best, offered), best)
+            if better is None:
+                break
+            best = self._without_idle(better)
+            yield best
+
+    def _offered(self, about: Hypothesis) -> Offered:
+        linear = self._pool.map(
+            linear_effects, self._candidates, [about for _ in self._candidates]
+        )
+        whole = {t.effect for t in about.values if t.place == WHOLE_ARM}
+        single = {t.effect for t in about.values} - whole
+        return {
+            c.effect: [
+                tuple(e for e in every if c.effect not in single or e.place != WHOLE_ARM)
+                for every in shapes
+            ]
+            for c, shapes in zip(self._candidates, linear, strict=True)
+            if c.effect not in whole
+        }
+
+    def _added(self, beside: Hypothesis, offered: Offered, *, two: bool = True) -> list[Screened]:
+        """One effect or two in their best places, or in further ones, beside what is there."""
+        problem = self._problem
+        residual = problem.readings - beside.without_tolerances
+        found = []
+        for shapes in offered.values():
+            tried = [place(problem, residual, beside.columns, every) for every in shapes if every]
+            best = min(tried, key=lambda p: p[0].mean_square, default=[])
+            found += [Screened(p, beside) for p in best[:1]]
+        if two and found:
+            least = min(s.placed.mean_square for s in found)
+            found += screen_pairs(problem, offered, least, beside)
+        few = [s for s in found if len(s.effects) <= _MOST_EFFECTS]
+        return sorted(few, key=self._forecast)
+
+    def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
+        """Each effect taken out and another one put in."""
+        found = []
+        for rest in left_out(self._problem, self._pool, hypothesis):
+            found += self._added(rest, offered, two=False)[:_TRIED]
+        return sorted(found, key=self._forecast)
+
+    def _best_of(self, screened: Sequence[Screened], than: Hypothesis) -> Hypothesis | None:
+        """The best of the most promising, fitted; None where none is worth it."""
+        before = self._judged(than)
+        least = min(map(self._forecast, screened[:1]), default=np.inf)
+        most = min(before, _PROMISING * least)
+        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= most]
+        fitted = [h for h in self._pool.map(self._fit, tried) if h is not None]
+        best = min(fitted, key=self._judged, default=None)
+        return best if best is not None and self._judged(best) < before else None
+
+    def _forecast(self, screened: Screened) -> float:
+        placed, beside = screened.placed, screened.beside
+        values = () if beside is None else tuple(beside.values)
+        sites = [e.terms[0][:2] for e in placed.chosen] + [t[:2] for t in values]
+        count = len(values) + sum(len(e.probed) for e in placed.chosen)
+        return self._priced(
+            self._problem.cost(placed.mean_square, placed.tolerance_chi2), sites, count
+        )
+
+    def _judged(self, hypothesis: Hypothesis) -> float:
+        sites = [term[:2] for term in hypothesis.values]
+        return self._priced(self._problem.cost_of(hypothesis), sites, len(hypothesis.values))
+
+    def _priced(self, cost: float, sites: Sequence[tuple[str, str]], count: int) -> float:
+        """What is left, dearer by each effect, by each place among many, and by each number."""
+        for effect, _ in set(sites):
+            cost *= self._worth[effect]
+        return cost * _EFFECT_WORTH ** len({e for e, _ in sites}) * _SIZE_WORTH**count
+
+    def _without_idle(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Effects are left out as long as held-out trials hardly notice."""
+        while len(hypothesis.effects) > 1:
+            cost = self._problem.cost_of(hypothesis)
+            idle = [
+                effect
+                for effect in hypothesis.effects
+                if cost_without(self._problem, hypothesis, effect) < _PROMISING * cost
+            ]
+            rests = [
+                rest
+                for rest in left_out(self._problem, self._pool, hypothesis, idle)
+                if self._judged(rest) <= self._judged(hypothesis)
+                or not borne_out(hypothesis, rest)
+            ]
+            if not rests:
+                break
+            hypothesis = min(rests, key=self._judged)
+        return hypothesis
+
+
+def left_out(
+    problem: Problem,
+    pool: WorkerPool,
+    hypothesis: Hypothesis,
+    effects: Sequence[str] | None = None,
+) -> list[Hypothesis]:
+    """The hypothesis without each of its effects, all other numbers refitted."""
+    rests: list[dict[Term, float]] = [
+        {t: v for t, v in hypothesis.values.items() if t.effect != effect}
+        for effect in (hypothesis.effects if effects is None else effects)
+    ]
+    refitted = pool.map(refit, rests, [_STEPS_AGAIN for _ in rests])
+    return [h for h in refitted if h is not None]
+
+
+def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:
+    """Whether one leaves less on held-out trials than the other by more than chance over them."""
+    gain = worse.squares - better.squares
+    return bool(gain.sum() > _CHANCE * np.sqrt(len(gain)) * gain.std())
+
+
+def cost_without(problem: Problem, hypothesis: Hypothesis, effect: str) -> float:
+    """What leaving an effect out would cost, linear about the fit."""
+    own = np.array([term.effect == effect for term in hypothesis.values])
+    ranges = parameters_of(problem.simulator.candidates)
+    gone = problem.readings - hypothesis.without_tolerances
+    for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
+        if term.effect == effect and ranges[term].role == "size":
+            gone = gone + to_scaled(ranges[term], value) * column
+    placed = Placing(problem, gone, hypothesis.columns[~own], ()).placed(())
+    return problem.cost(placed.mean_square, placed.tolerance_chi2)

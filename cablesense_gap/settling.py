@@ -1,0 +1,71 @@
+"""A new recording has a past of its own: the states that remember, from its first rows.
+
+Where in its play an actuator stands, what friction carries, how far creep has gone and where a
+zero has drifted to belong to a recording, and not to the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.recordings.recording import Recording
+from cablesense_sim.arm import Arm, ListedEffect
+from cablesense_sim.effects.effect import Parameter
+from cablesense_sim.effects.registry import known_effects
+
+_PRIOR = 0.05
+"""Of the floor: a state that the first rows do not show stays where nothing is known of it."""
+_MOST_TRIALS = 12
+
+
+def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
+    """The arm in the state in which the first `rows` of a recording show it to have begun.
+
+    Raises:
+        EquilibriumError: the arm finds no rest in these rows.
+    """
+    from scipy.optimize import least_squares
+
+    states = _states(arm)
+    if not states or rows < 1:
+        return arm
+    first = recording.rows(slice(0, rows))
+    low, high = np.array([[p.low, p.high] for _, p in states]).T / (
+        typical := np.array([p.typical for _, p in states])
+    )
+    begin = np.clip([p.default / p.typical for _, p in states], low + 1e-6, high - 1e-6)
+
+    def left(scaled: Array) -> Array:
+        begun = _begun(arm, states, scaled * typical)
+        simulator = ArmSimulator(begun, first)
+        residual = (first.tensions_n - simulator.predict([{}])[0]) / simulator.floor
+        return np.concatenate(
+            [np.nan_to_num(residual, nan=1e3).ravel(), _PRIOR * (scaled - begin)]
+        )
+
+    found = least_squares(
+        left, begin, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_MOST_TRIALS
+    )
+    return _begun(arm, states, found.x * typical)
+
+
+def _states(arm: Arm) -> list[tuple[int, Parameter]]:
+    """What the past has left: the effect's place in the arm's list, and the parameter."""
+    found = []
+    for k, listed in enumerate(arm.effects):
+        effect = known_effects()[listed.effect]
+        history = effect.history(arm.segment_count, arm.cable_count)
+        found += [(k, p) for p in (*effect.parameters, *history) if p.past]
+    return found
+
+
+def _begun(arm: Arm, states: Sequence[tuple[int, Parameter]], values: Array) -> Arm:
+    effects: list[ListedEffect] = list(arm.effects)
+    for (k, parameter), value in zip(states, values, strict=True):
+        numbers = {**effects[k].parameters, parameter.name: float(value)}
+        effects[k] = effects[k].model_copy(update={"parameters": numbers})
+    return arm.model_copy(update={"effects": effects})
