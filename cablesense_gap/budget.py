@@ -13,6 +13,7 @@ from cablesense_gap.diagnosis.probability import NEAR_BEST, Ranked
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Share
+from cablesense_sim.effects.effect import WHOLE_ARM
 
 
 class Rest(NamedTuple):
@@ -32,25 +33,32 @@ class Rest(NamedTuple):
 def shares(
     problem: Problem, ranked: Sequence[Ranked], values: Mapping[Term, float]
 ) -> dict[str, Share]:
-    """Of each effect of the first explanation; `values` are those in places that matter.
+    """Of each effect of the first explanation, the largest first.
 
-    The interval is that of the effect's numbers, linear about them.
+    `values` are those in places that matter. The interval is that of the effect's numbers, linear
+    about them.
     """
     best = ranked[0].hypothesis
     if best is None:
         return {}
-    found = {}
+    changes = {}
     for effect in best.effects:
         others = {t: v for t, v in best.values.items() if t.effect != effect}
-        change = best.without_tolerances - problem.simulator.predict([others])[0]
+        changes[effect] = best.without_tolerances - problem.simulator.predict([others])[0]
+    largest = sorted(best.effects, key=lambda effect: -_rms(changes[effect][problem.used]))
+    found = {}
+    for k, effect in enumerate(largest):
         own = np.flatnonzero([t.effect == effect for t in best.values])
-        share, deviation = _share(problem, change, best, own)
+        share, deviation = _share(problem, changes[effect], best, own)
         places = dict.fromkeys(t.place for t in values if t.effect == effect)
+        so_far = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
+        left = problem.readings - problem.simulator.predict([so_far])[0]
         found[effect] = Share(
             share_n=share,
             ci95_n=(max(share - 1.96 * deviation, 0.0), share + 1.96 * deviation),
+            left_n=_rms(left[problem.used]),
             probability=min(1.0, sum(r.probability for r in ranked if effect in r.effects)),
-            places=tuple(p for p in places if p != "arm"),
+            places=tuple(p for p in places if p != WHOLE_ARM),
             alternatives=_alternatives(ranked, effect),
         )
     return found

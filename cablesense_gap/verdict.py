@@ -77,6 +77,7 @@ class Share(FilePart):
     Attributes:
         share_n: RMS by which predictions change without it, all else as fitted.
         ci95_n: interval of `share_n`.
+        left_n: RMS gap once it and the effects with larger shares are simulated.
         probability: that it is there.
         places: where; empty for the whole arm.
         alternatives: effects that this recording cannot distinguish from it.
@@ -84,6 +85,7 @@ class Share(FilePart):
 
     share_n: Newtons
     ci95_n: Interval
+    left_n: Newtons
     probability: Probability
     places: tuple[str, ...] = ()
     alternatives: tuple[Name, ...] = ()

@@ -11,6 +11,7 @@ from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.pictures import (
     MOST,
     cable_picture,
+    drawn_budget,
     drawn_candidates,
     dumbbell_picture,
     time_picture,
@@ -69,6 +70,7 @@ def report_page(found: Diagnosis) -> str:
     parts = [part for part in after.parts if part.group not in (ALL, TRIAL)]
     with style():
         pictures = {
+            "budget": as_uri(drawn_budget(verdict)) if verdict.shares else "",
             "time": time_picture(found),
             "cable": cable_picture(before, after, found.after_label),
             "set": dumbbell_picture(before, after, found.after_label, (SET,)),

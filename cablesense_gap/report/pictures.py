@@ -34,6 +34,47 @@ _MOST_POINTS = 3000
 _ROW_IN = 1.45
 
 
+def drawn_budget(verdict: Verdict) -> Any:
+    """A waterfall from the nominal arm's gap to the floor, as a matplotlib figure.
+
+    Each bar is what simulating one more effect takes away; beside it is the effect's own share.
+    """
+    import matplotlib.pyplot as plt
+
+    gap = verdict.gap
+    steps = [
+        (candidate_name((name,)), share.left_n, f"{share.share_n:.2f} N alone")
+        for name, share in verdict.shares.items()
+    ]
+    after_n = float(np.hypot(verdict.unexplained_n or 0.0, gap.floor_n))
+    steps.append(("tolerances", after_n, f"{verdict.tolerances_n or 0.0:.2f} N alone"))
+    steps.append(("unexplained", gap.floor_n, percent(verdict.unexplained_share or 0.0)))
+    figure, axes = plt.subplots(
+        figsize=(WIDTH_IN, 0.9 + 0.34 * (len(steps) + 2)), layout="constrained"
+    )
+    axes.barh(0, gap.before_n, 0.62, color=BEFORE)
+    axes.text(gap.before_n, 0, f" {gap.before_n:.2f} N", va="center")
+    level = gap.before_n
+    for y, (name, left_n, text) in enumerate(steps, 1):
+        low, high = sorted((level, left_n))
+        colour = OTHER if name in ("tolerances", "unexplained") else AFTER
+        axes.barh(y, high - low, 0.62, left=low, color=colour)
+        axes.vlines(level, y - 0.69, y + 0.31, color=GRID, lw=1.0, zorder=0)
+        axes.text(high, y, f" {left_n - level:+.2f} N  ({text})", va="center")
+        level = left_n
+    last = len(steps) + 1
+    axes.barh(last, gap.floor_n, 0.62, color=FLOOR)
+    axes.text(gap.floor_n, last, f" {gap.floor_n:.2f} N", va="center")
+    names = ["gap of the nominal arm", *(name for name, *_ in steps), "floor of the sensors"]
+    axes.set_yticks(range(last + 1), names)
+    axes.set_ylim(last + 0.6, -0.6)
+    axes.set_xlim(0.0, 1.3 * max(gap.before_n, *(left_n for _, left_n, _ in steps)))
+    axes.set_xlabel("RMS gap, N")
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+    return figure
+
+
 def cable_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
     """RMS gap of each cable as bars; only those before where `after_label` is empty."""
     import matplotlib.pyplot as plt
