@@ -22,7 +22,7 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 Fit = Callable[[Problem, Screened], Hypothesis | None]
 
 _MOST_EFFECTS = 7
-_MOST_CHANGES = 24
+_MOST_CHANGES, _MOST_EXCHANGES = 10, 2
 _TRIED = 3
 _PROMISING = 2.0
 _STEPS_AGAIN = 3
@@ -49,13 +49,14 @@ class JointSelection:
 
     def run(self, start: Hypothesis, enough: Callable[[Hypothesis], bool]) -> Iterator[Hypothesis]:
         """Every explanation on the way from `start`, the last one the best."""
-        best = start
+        best, exchanges = start, 0
         for _ in range(_MOST_CHANGES):
             if enough(best):
                 break
             offered = self._offered(best)
             better = self._best_of(self._added(best, offered), best)
-            if better is None:
+            if better is None and exchanges < _MOST_EXCHANGES:
+                exchanges += 1
                 better = self._best_of(self._exchanged(best, offered), best)
             if better is None:
                 break
@@ -93,9 +94,9 @@ class JointSelection:
         return sorted(few, key=self._forecast)
 
     def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
-        """Each effect taken out and another one put in."""
+        """Each effect that others may stand in for taken out, and another one put in."""
         found = []
-        for rest in left_out(self._problem, self._pool, hypothesis):
+        for rest in left_out(self._problem, self._pool, hypothesis, self._idle(hypothesis, 3.0)):
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
@@ -131,15 +132,11 @@ class JointSelection:
     def _without_idle(self, hypothesis: Hypothesis) -> Hypothesis:
         """Effects are left out as long as held-out trials hardly notice."""
         while len(hypothesis.effects) > 1:
-            cost = self._problem.cost_of(hypothesis)
-            idle = [
-                effect
-                for effect in hypothesis.effects
-                if cost_without(self._problem, hypothesis, effect) < _PROMISING * cost
-            ]
             rests = [
                 rest
-                for rest in left_out(self._problem, self._pool, hypothesis, idle)
+                for rest in left_out(
+                    self._problem, self._pool, hypothesis, self._idle(hypothesis, _PROMISING)
+                )
                 if self._judged(rest) <= self._judged(hypothesis)
                 or not borne_out(hypothesis, rest)
             ]
@@ -147,6 +144,13 @@ class JointSelection:
                 break
             hypothesis = min(rests, key=self._judged)
         return hypothesis
+
+    def _idle(self, hypothesis: Hypothesis, factor: float) -> list[str]:
+        """Effects without which no more than a factor of what is left would be left, linearly."""
+        most = factor * self._problem.cost_of(hypothesis)
+        return [
+            e for e in hypothesis.effects if _cost_without(self._problem, hypothesis, e) < most
+        ]
 
 
 def left_out(
@@ -170,7 +174,7 @@ def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:
     return bool(gain.sum() > _CHANCE * np.sqrt(len(gain)) * gain.std())
 
 
-def cost_without(problem: Problem, hypothesis: Hypothesis, effect: str) -> float:
+def _cost_without(problem: Problem, hypothesis: Hypothesis, effect: str) -> float:
     """What leaving an effect out would cost, linear about the fit."""
     own = np.array([term.effect == effect for term in hypothesis.values])
     ranges = parameters_of(problem.simulator.candidates)

@@ -3,7 +3,9 @@
 The weights fall with a power of what is left beyond the sensors' floor on held-out trials, and by
 a factor for every effect that a hypothesis names:
 
-    log w = -κ log(excess) - τ log(s / m) - π_k - ν n,    k effects of n sizes in all,
+    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n,
+
+for k effects of n sizes in all,
 
 with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
 manufacturing tolerances should not have to be many deviations off,

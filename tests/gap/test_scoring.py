@@ -14,13 +14,14 @@ from cablesense_gap.scoring import (
     Answer,
     ScoreError,
     as_json,
+    budget_score,
     proportion,
     read_answers,
     read_verdicts,
     reliability,
     score,
 )
-from cablesense_gap.verdict import VerdictError, write_verdict
+from cablesense_gap.verdict import Share, VerdictError, write_verdict
 
 HEADER = "recording,effects,where\n"
 
@@ -269,3 +270,20 @@ def test_an_answer_without_a_verdict_is_refused():
         score(VERDICTS, [answer("z", "none")])
     with pytest.raises(ScoreError, match="no answers"):
         score(VERDICTS, [])
+
+
+def test_budgets_count_effects_names_and_shares():
+    shares = {
+        name: Share(share_n=n, ci95_n=(0.0, 9.0), left_n=1.0, probability=0.9)
+        for name, n in (("payload", 2.0), ("sensor_gain", 3.0))
+    }
+    cases = [
+        (verdict_of("payload+sensor_gain", shares=shares),
+         Answer("a", ("base_tilt", "payload", "sensor_lag"), each_gap_n=(0.1, 2.5, 1.0))),
+        (verdict_of("unknown"), Answer("b", ("sensor_gain",), each_gap_n=(3.0,))),
+        (verdict_of("payload"), Answer("c", ("unknown",), each_gap_n=(3.0,))),
+    ]  # fmt: skip
+    found = budget_score(cases)
+    assert (found.named.hits, found.named.count) == (1, 3)  # the tilt is below five floors
+    assert (found.false_names.hits, found.false_names.count) == (1, 2)
+    assert (found.shares.hits, found.shares.count) == (1, 1)

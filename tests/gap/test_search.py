@@ -24,6 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
+from cablesense_gap.diagnosis.joint_selection import borne_out
 from cablesense_gap.diagnosis.places import linear_effects
 from cablesense_gap.diagnosis.problem import sketched
 from cablesense_gap.diagnosis.screening import screen_pairs, screen_singles
@@ -345,3 +346,34 @@ def test_a_mechanism_that_cannot_be_simulated_there_keeps_its_old_fit():
     problem = problem_of(Fragile(linear("gain", ["a"]), scatter()), SIGNALS[0])
     before = fitted_coupled(problem)
     assert problem.cost_of(final_refinement(problem, before)[0]) <= problem.cost_of(before)
+
+
+def several(count):
+    """As many effects as wanted, each with three places of its own signals."""
+    own = np.random.default_rng(3).normal(size=(count, 3, *SIGNALS.shape[1:]))
+    library = {}
+    for name, signals in zip("defgh", own, strict=False):
+        library |= linear(name, "abc", signals)
+    return library
+
+
+def test_five_effects_at_once_are_found_with_their_sizes_and_nothing_else():
+    library = several(5) | PLAIN
+    truth = {
+        amount(name, "b"): size for name, size in zip("defgh", (3, -2, 1.5, 1, 2), strict=True)
+    }
+    found = search(problem_of(Sums(library), truth))
+    best = min(found, key=lambda h: h.held_out_rmse)
+    assert best.effects == tuple("defgh")
+    assert best.values == pytest.approx(truth, abs=0.05)
+    without = {h.effects: h.held_out_rmse for h in found}
+    for name in "defgh":
+        assert without[tuple(e for e in "defgh" if e != name)] > 5.0 * best.held_out_rmse
+
+
+def test_a_gain_in_one_trial_of_many_may_be_chance():
+    whole = fitted(PLAIN, {GAIN: 1.0})
+    lucky = np.zeros(len(whole.squares))
+    lucky[3] = whole.squares.sum()
+    assert not borne_out(whole, replace(whole, squares=whole.squares + lucky))
+    assert borne_out(whole, replace(whole, squares=2.0 * whole.squares))

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cablesense_cli.app import app
 from cablesense_gap.plant.body import PlantError, read_nominal
-from cablesense_gap.plant.withhold import make_case, withhold
+from cablesense_gap.plant.withhold import draw_several, make_case, withhold
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_sim.arm import open_arm
 
@@ -104,3 +104,25 @@ def test_arms_that_the_plant_cannot_build(
     file.write_text(ARM_FILE.read_text().replace(*change))
     with pytest.raises(PlantError, match=message):
         read_nominal(file)
+
+
+def test_the_second_recording_is_of_the_same_arm_doing_something_else() -> None:
+    """A constant zero error of one sensor is in both, and no row is alike."""
+    recorded = make_case(NOMINAL, 5, 1, "sensor_offset", second=True)
+    alone = make_case(NOMINAL, 5, 1, "sensor_offset")
+    np.testing.assert_array_equal(recorded.tensions_n, alone.tensions_n)
+    assert alone.second is None
+    assert recorded.second is not None
+    schedule, tensions_n = recorded.second
+    assert len(tensions_n) == len(schedule.time_s)
+    assert not np.array_equal(schedule.command_rad, recorded.schedule.command_rad)
+    assert make_case(NOMINAL, 5, 1, "sensor_offset", second=True).second[1] == pytest.approx(
+        tensions_n
+    )
+
+
+def test_several_effects_are_drawn_without_repetition() -> None:
+    kinds = draw_several(np.random.default_rng(1), 50, 3, 5)
+    counts = [len(set(kind.split("+"))) for kind in kinds]
+    assert set(counts) == {3, 4, 5}
+    assert counts == [len(kind.split("+")) for kind in kinds]
