@@ -43,6 +43,7 @@ from cablesense_ros.node_process import (
     of_node,
     overridable,
     run_node,
+    steady_timer,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -90,7 +91,7 @@ class AdmittanceNode(ConfiguredNode):
                 handle = partial(self._stopping, name, handle)
             subscription = self._refuse.subscribe(kind, name, quality, handle, publisher, accept)
             self._entities.callback(self.destroy_subscription, subscription)
-        timer = self.create_timer(SILENCE_CHECK_S, self._check_silence)
+        timer = steady_timer(self, SILENCE_CHECK_S, self._check_silence)
         self._entities.callback(self.destroy_timer, timer)
         self._logged_state = ContactState.STOPPED
         self._identity = arm.identity

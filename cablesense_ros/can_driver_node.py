@@ -36,6 +36,7 @@ from cablesense_ros.node_process import (
     RefusalLog,
     overridable,
     run_node,
+    steady_timer,
 )
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
@@ -113,7 +114,7 @@ class CanDriverNode(ConfiguredNode):
             COMMAND,
             lambda message: motion.go_to(joint_command_rad(message, joints)),
         )
-        timer = self.create_timer(JOINT_STATES_PERIOD_S, publish)
+        timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
         self._entities.callback(self.destroy_publisher, out)
         self._entities.callback(self.destroy_subscription, commands)
         self._entities.callback(self.destroy_timer, timer)

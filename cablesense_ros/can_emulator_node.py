@@ -26,6 +26,7 @@ from cablesense_ros.node_process import (
     publish_diagnostics,
     qos_profile,
     run_node,
+    steady_timer,
 )
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_sim.arm import Arm, open_arm
@@ -82,7 +83,7 @@ class CanEmulatorNode(Node):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
-        self.create_timer(LISTEN_S, self._emulator.listen)
+        steady_timer(self, LISTEN_S, self._emulator.listen)
         self.get_logger().info(
             f"arm {arm.identity}: map {channel_map.name} as frames on {given['interface']} "
             f"{given['channel']}"

@@ -30,6 +30,7 @@ from cablesense_ros.node_process import (
     ConfiguredNode,
     RefusalLog,
     run_node,
+    steady_timer,
     subscribe_to_one,
 )
 from cablesense_ros.parameters import parameter_values
@@ -73,7 +74,7 @@ class EstimatorNode(ConfiguredNode):
         )
         for subscription in (samples, commands, offsets):
             self._inputs.callback(self.destroy_subscription, subscription)
-        timer = self.create_timer(STALE_CHECK_S, self._check_stale)
+        timer = steady_timer(self, STALE_CHECK_S, self._check_stale)
         self._inputs.callback(self.destroy_timer, timer)
         return result
 
@@ -82,6 +83,15 @@ class EstimatorNode(ConfiguredNode):
         self._publish_zero()
         self._inputs.close()
         return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget model and tare, and say so."""
+        tare, file = self._estimation.tares.present, self.get_parameter("state_file").value
+        result = super().on_cleanup(state)
+        if tare is not None:
+            end = f"is kept in {file}" if file else "is forgotten; a state_file would keep it"
+            self.get_logger().warning(f"the tare of {tare.since} {end}")
+        return result
 
     def _configure(self, given: dict[str, Any]) -> None:
         self._loaded = load_model(given["arm"], given["model"])

@@ -23,6 +23,7 @@ from typing import Any
 import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
@@ -44,10 +45,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC, TimeSource
+from rclpy.timer import Timer
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import Status, diagnostic_statuses
+from cablesense_msgs_py.messages import Level, Status, diagnostic_statuses
 from cablesense_msgs_py.qos import PUBLISHER, Qos
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
@@ -346,8 +348,9 @@ class ConfiguredNode(LifecycleNode, ABC):
         self._entities = ExitStack()
         self._active = False
         self._identity = ""
+        self._ended = False
         declare_parameters(self, parameter_table(name), lambda: bool(self._identity))
-        publish_diagnostics(self, self._statuses, lambda: self._identity)
+        publish_diagnostics(self, self._report, lambda: self._identity)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read files and create what the node has; on failure log why and stay unconfigured."""
@@ -379,8 +382,9 @@ class ConfiguredNode(LifecycleNode, ABC):
         return result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop from any state."""
+        """Stop from any state, for good."""
         self._release()
+        self._ended = True
         return super().on_shutdown(state)
 
     def destroy_node(self) -> None:
@@ -407,28 +411,51 @@ class ConfiguredNode(LifecycleNode, ABC):
         self._entities.close()
         self._identity = ""
 
+    def _report(self) -> list[Status]:
+        if self._ended:
+            text = "shut down: it cannot be configured again, end the process and start it anew"
+            return [Status("lifecycle", Level.WARN, text)]
+        return self._statuses()
+
     @abstractmethod
     def _statuses(self) -> list[Status]:
         """The node's diagnostics at present."""
 
 
-_PERIOD_S = 1.0
+_PERIOD_S, _CLOCK_LOGGED_EVERY_S = 1.0, 10.0
+
+
+def steady_timer(node: Node, period_s: float, act: Callable[[], None]) -> Timer:
+    """A timer that goes on where simulated time stops, as it may at any moment."""
+    return node.create_timer(period_s, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def publish_diagnostics(
     node: Node, report: Callable[[], Sequence[Status]], identity: Callable[[], str]
 ) -> None:
-    """Publish a node's statuses once a second; `identity` is the arm's, or empty."""
+    """Publish a node's statuses once a second; `identity` is the arm's, or empty.
+
+    Where simulated time is asked for and stands still, that is a status, and logged.
+    """
     publisher = node.create_publisher(
         DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
     )
+    last_ns = -1
 
     def publish() -> None:
-        message = diagnostic_array(node, report(), identity())
-        message.header.stamp = node.get_clock().now().to_msg()
+        nonlocal last_ns
+        now, statuses = node.get_clock().now(), list(report())
+        if node.get_clock().ros_time_is_active and now.nanoseconds == last_ns:
+            stands = f"stands at {last_ns * 1e-9:.3f} s" if last_ns else "has not begun"
+            text = f"use_sim_time is set, and {CLOCK_TOPIC} {stands}: is its publisher running?"
+            statuses.append(Status("clock", Level.WARN, text))
+            node.get_logger().warning(text, throttle_duration_sec=_CLOCK_LOGGED_EVERY_S)
+        last_ns = now.nanoseconds
+        message = diagnostic_array(node, statuses, identity())
+        message.header.stamp = now.to_msg()
         publisher.publish(message)
 
-    node.create_timer(_PERIOD_S, publish)
+    steady_timer(node, _PERIOD_S, publish)
 
 
 def diagnostic_array(node: Node, statuses: Sequence[Status], identity: str) -> DiagnosticArray:

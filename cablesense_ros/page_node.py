@@ -19,7 +19,7 @@ from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.node_process import full_name, of_node, run_node
+from cablesense_ros.node_process import full_name, of_node, run_node, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
 
@@ -57,7 +57,7 @@ class PageNode(Node):
             self.get_logger().warning(warning)
         self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
         print(f"page: {self._page.url}", flush=True)
-        self.create_timer(1.0 / given["rate_hz"], self._draw)
+        steady_timer(self, 1.0 / given["rate_hz"], self._draw)
 
     def destroy_node(self) -> None:
         """Closes the page, too."""

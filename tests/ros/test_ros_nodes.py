@@ -153,6 +153,9 @@ def test_several_contacts_at_once_have_a_wrench_each(tared):
     )
     for segment in (2, 4):
         tared.push(segment, (0.0, 0.0, 0.0))
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        assert tared.change_state("/several/estimator", transition)
+    assert "UTC is forgotten; a state_file would keep it" in several.log
     assert several.stop() == 0
     tared.until(touched(tared, 0), "the contacts to end")
 
@@ -341,8 +344,12 @@ def _resident_mb(pid):
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
 
 
-def test_a_clock_before_1970_is_refused_and_the_node_goes_on(graph):
+def test_without_a_clock_or_with_one_before_1970_the_node_goes_on_and_says_so(graph):
     process = NodeProcess(ESTIMATOR, namespace="/simulated", use_sim_time=True)
+    wrenches = graph.listen(WrenchStamped, "/simulated/estimator/wrench")
+    graph.until(lambda: len(wrenches) > 10, "zero wrenches, though no time passes")
+    graph.until(lambda: "/clock has not begun" in process.log, "the missing clock in the log")
+    assert "simulated/estimator: clock" in graph.statuses
     clock = graph.node.create_publisher(Clock, "/clock", 10)
     graph.until(clock.get_subscription_count, "the estimator")
     message = Clock()
@@ -377,6 +384,9 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
         graph.until(lambda: wrenches, "zero wrenches without a source")
         assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
         assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
+    assert graph.change_state(name, Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    graph.until(lambda: "managed/estimator: lifecycle" in graph.statuses, "its end in diagnostics")
+    assert "shut down" in graph.statuses["managed/estimator: lifecycle"].message
     graph.node.destroy_subscription(wrench_in)
     assert process.stop() == 0, process.log
     assert "Traceback" not in process.log
