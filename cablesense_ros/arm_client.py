@@ -43,6 +43,9 @@ class ArmClient:
             (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
             (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
             (WrenchStamped, topics.WRENCH, qos.SENSOR, _timed(live.on_wrench)),
+            (DiagnosticArray, topics.STATUS, qos.SENSOR, _timed(live.on_status)),
+            (WrenchStamped, topics.WRENCH_LOWER, qos.SENSOR, _timed(live.on_lower)),
+            (WrenchStamped, topics.WRENCH_UPPER, qos.SENSOR, _timed(live.on_upper)),
             (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR, live.on_probabilities),
             (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND, _timed(live.on_diagnostics)),
         )

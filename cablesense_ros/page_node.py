@@ -41,15 +41,19 @@ class PageNode(Node):
             estimator=full_name(self, estimator),
         )
         self._client = ArmClient(self, arm, self._live, estimator)
-        self._tare, self._breathe = (
+        self._tare, self._undo_tare, self._breathe = (
             self.create_client(Trigger, of_node(node, service))
-            for node, service in ((estimator, topics.TARE), ("breather", topics.BREATHE))
+            for node, service in (
+                (estimator, topics.TARE),
+                (estimator, topics.TARE_UNDO),
+                ("breather", topics.BREATHE),
+            )
         )
         push = self._noting("Not pushed", self._client.push)
         command = self._noting("Not moved", self._client.command)
-        tare = partial(self._ask, self._tare, "Tared", "Not tared")
+        undo = partial(self._ask, self._undo_tare, "Tare undone", "Not undone")
         breathe = partial(self._ask, self._breathe, "Breathing", "No breath")
-        self._actions = Actions(push, command, tare, breathe)
+        self._actions = Actions(push, command, self._take_tare, undo, breathe)
         self._page = Page(arm, self._actions if given["controls"] else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
@@ -81,15 +85,30 @@ class PageNode(Node):
 
         return try_to_act
 
-    def _ask(self, client: Client, done: str, refused: str) -> None:
-        """Call a service; its answer is shown under one of the titles."""
+    def _take_tare(self) -> None:
+        """With a warning where the estimator takes a load that the page knows of for none."""
+        load = self._live.snapshot(time.monotonic()).true
+        caution = ""
+        if load is not None:
+            caution = (
+                f"{load.magnitude_n:.1f} N press on segment {load.segment}, and every estimate "
+                "lacks them from now on. Release the arm and tare again, or undo the tare."
+            )
+        self._ask(self._tare, "Tared", "Not tared", caution)
+
+    def _ask(self, client: Client, done: str, refused: str, caution: str = "") -> None:
+        """Call a service; its answer is shown under one of the titles, with success `caution`."""
         if not client.service_is_ready():
             self._page.notify(refused, f"nothing answers {client.srv_name}")
             return
 
         def show(future: Any) -> None:
             answer = future.result()
-            if answer is not None:
+            if answer is None:
+                return
+            if answer.success and caution:
+                self._page.notify(f"{done} under load", caution, warning=True)
+            else:
                 self._page.notify(done if answer.success else refused, answer.message)
 
         client.call_async(Trigger.Request()).add_done_callback(show)

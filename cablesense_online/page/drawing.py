@@ -69,6 +69,26 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
     return tip - length * direction, tip
 
 
+VIEW_ANGLE_RAD = 0.75
+"""Height of the view."""
+_SIDE_VIEW = np.array([0.36, -1.66, 0.74])
+_TALL = 0.6
+"""The view of a phone, upright: its lower part is under the panel."""
+
+
+def view(reach_m: float, aspect: float) -> tuple[Array, Array]:
+    """Camera position and the point that it looks at, (3,) each, to see an arm of a reach.
+
+    `aspect` is the view's width over its height.
+    """
+    look_at = reach_m * np.array([0.56, 0.0, -0.04])
+    from_there = reach_m * _SIDE_VIEW * max(1.0, 1.05 / max(aspect, 0.2))
+    if aspect < _TALL:
+        half_height = float(np.linalg.norm(from_there)) * math.tan(0.5 * VIEW_ANGLE_RAD)
+        look_at = look_at - np.array([0.0, 0.0, 0.55 * half_height])
+    return look_at + from_there, look_at
+
+
 def quaternion_z_to(direction: Array) -> Array:
     """Quaternion (4,), w x y z, of the shortest turn from +z to a direction (3,)."""
     x, y, z = unit(direction)

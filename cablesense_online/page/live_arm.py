@@ -1,24 +1,27 @@
-"""The state of a running arm as the page shows it, and the estimator's errors so far.
+"""The state of a running arm as the page shows it.
 
 `LiveArm` collects the contract's messages (duck-typed: no ROS is needed here) and gives a
-`Snapshot` of the present; `Score` compares true and estimated contacts while the arm stands still.
+`Snapshot` of the present.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import (
+    ForceState,
     Level,
     Load,
     NamedOrder,
     breath_turn,
     joint_command_rad,
+    read_force_state,
     read_load,
 )
 from cablesense_msgs_py.topics import CABLE_TENSIONS, Frames
@@ -28,12 +31,12 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
-from cablesense_sim.loads import contact_angle_deg, normal_force_n
+from cablesense_sim.loads import normal_components_n, normal_force_n
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A single force on the arm, true or estimated.
+    """A single force on the arm, normal to its segment; true or estimated.
 
     Attributes:
         segment: 1 … N.
@@ -57,6 +60,13 @@ class Status:
     notes: tuple[str, ...] = ()
 
 
+class ForceBounds(NamedTuple):
+    """Ends of the stated 95 % interval of the force, N."""
+
+    low_n: float
+    high_n: float
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """One moment of the arm; None is not known.
@@ -65,8 +75,10 @@ class Snapshot:
         time_s: of the newest tensions, any steady clock.
         joint_angles_rad: (2N,) measured or commanded.
         tensions_n: (M,).
-        true: the load that is really applied.
-        estimate: the estimated contact; None also when nothing touches.
+        true: of the load that is really applied the part that can be felt, normal to its segment.
+        state: what is known of the force.
+        estimate: the estimated contact; None when nothing touches and when the force is unknown.
+        bounds: of the estimated force.
         probabilities: (N + 1,) of no contact and of each segment.
         status: of the estimator.
     """
@@ -75,97 +87,37 @@ class Snapshot:
     joint_angles_rad: Array
     tensions_n: Array | None
     true: Contact | None
+    state: ForceState
     estimate: Contact | None
+    bounds: ForceBounds | None
     probabilities: Array | None
     status: Status
 
-
-SETTLING_S = 1.0
-"""A comparison waits this long after a change: the arm swings and the estimate follows."""
-STILL_N = 0.01
-STILL_RAD = 0.003
-"""Load and pose that change by less stand still."""
-
-
-def angle_error_deg(a_deg: float, b_deg: float) -> float:
-    """The smaller turn between two angles, 0 … 180 degrees."""
-    return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Mean errors over the `count` moments compared so far; None before the first of their kind.
-
-    `segment_right` is the share, 0 … 1, of moments with the right segment (or rightly none); the
-    other two are over those with the right segment.
-    """
-
-    count: int
-    segment_right: float | None
-    angle_mae_deg: float | None
-    magnitude_mae_n: float | None
-
-
-class Score:
-    """Adds up errors while the true load stays put."""
-
-    def __init__(self, settling_s: float = SETTLING_S) -> None:
-        self._settling_s = settling_s
-        self._still: Snapshot | None = None
-        self._still_since_s = 0.0
-        self.reset()
-
-    def reset(self) -> None:
-        """Discards every comparison."""
-        self._count = self._right = 0
-        self._contacts, self._sums = 0, np.zeros(2)  # of errors in degrees and newtons
-
-    def add(self, snapshot: Snapshot) -> bool:
-        """Compares one moment; gives whether it counted: load and pose must have stood still."""
-        if snapshot.status.level is Level.STALE:
-            return False
-        if self._changed(snapshot):
-            self._still_since_s = snapshot.time_s
-        if snapshot.time_s - self._still_since_s < self._settling_s:
-            return False
-        true, estimate = snapshot.true, snapshot.estimate
-        self._count += 1
-        if true is None or estimate is None:
-            self._right += true is estimate
-        elif true.segment == estimate.segment:
-            self._right += 1
-            self._contacts += 1
-            self._sums += (
-                angle_error_deg(true.angle_deg, estimate.angle_deg),
-                abs(true.magnitude_n - estimate.magnitude_n),
-            )
-        return True
-
-    def _changed(self, snapshot: Snapshot) -> bool:
-        """Whether load or pose differ from those since which the arm has stood still."""
-        still = self._still
-        if still is not None and (still.true is None) == (snapshot.true is None):
-            force_moved = 0.0
-            if still.true is not None and snapshot.true is not None:
-                difference = still.true.force_base_n - snapshot.true.force_base_n
-                force_moved = float(np.abs(difference).max())
-            pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
-            if force_moved < STILL_N and pose_moved < STILL_RAD:
-                return False
-        self._still = snapshot
-        return True
-
     @property
-    def errors(self) -> Errors:
-        """The errors so far."""
-        right = self._right / self._count if self._count else None
-        means = (self._sums / self._contacts).tolist() if self._contacts else (None, None)
-        return Errors(self._count, right, *means)
+    def answered(self) -> bool:
+        """Whether the estimator told a force, or that none can be seen."""
+        return self.state.known or self.state is ForceState.HIDDEN
 
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
+_LEAST_FELT_N = 1e-3
+_HARMLESS = frozenset({"cables", "cable_tensions"})
+"""Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
+_HEADLINES = {
+    ForceState.FREE: "No contact",
+    ForceState.CONTACT: "Contact",
+    ForceState.HIDDEN: "No contact seen",
+    ForceState.MOVING: "Moving: no estimate",
+    ForceState.UNTARED: "No tare: no estimate",
+    ForceState.REFUSED: "Readings refused: no estimate",
+    ForceState.IMPLAUSIBLE: "Readings fit no contact: no estimate",
+    ForceState.STALE: "Readings are out of date: no estimate",
+    ForceState.SILENT: "The estimator is silent",
+}
+_LEVELS = {ForceState.MOVING: Level.STALE, ForceState.UNTARED: Level.STALE}
+"""Grey, as nothing is estimated; every other state as severe as it says."""
 
 
 class LiveArm:
@@ -200,6 +152,9 @@ class LiveArm:
         self._joint_angles_rad: Array | None = None
         self._loads: dict[int, Array] = {}
         self._estimate: tuple[int, Array] | None = None
+        self._state, self._state_s = ForceState.SILENT, -np.inf
+        self._bounds_n = np.zeros(2)
+        self._bounds_s = np.full(2, -np.inf)
         self._probabilities: Array | None = None
         self._health: dict[str, tuple[float, Level, str]] = {}
         self._lock = threading.Lock()
@@ -241,6 +196,26 @@ class LiveArm:
         with self._lock:
             self._estimate, self._estimate_s = estimate, now_s
 
+    def on_status(self, message: Any, now_s: float) -> None:
+        """Takes the estimator's `status`: what its wrench stands for."""
+        state, _ = read_force_state(message)
+        with self._lock:
+            self._state, self._state_s = state, now_s
+
+    def on_lower(self, message: Any, now_s: float) -> None:
+        """Takes the estimator's `wrench_lower`."""
+        self._bound(0, message, now_s)
+
+    def on_upper(self, message: Any, now_s: float) -> None:
+        """Takes the estimator's `wrench_upper`."""
+        self._bound(1, message, now_s)
+
+    def _bound(self, end: int, message: Any, now_s: float) -> None:
+        force = message.wrench.force
+        with self._lock:
+            self._bounds_n[end] = math.hypot(force.x, force.y, force.z)
+            self._bounds_s[end] = now_s
+
     def on_probabilities(self, message: Any) -> None:
         """Takes the estimator's `contact_probabilities`; another length is not this arm's."""
         probabilities = np.asarray(message.data, dtype=float)
@@ -280,9 +255,15 @@ class LiveArm:
             elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
             self._motion_s = now_s
             command = self._motion.advance(elapsed_s)
-            fresh = now_s - self._estimate_s <= STALE_S
-            estimate = self._estimated(command) if fresh else None
-            status = self._status(estimate, now_s)
+            fresh = now_s - self._state_s <= STALE_S
+            state = self._state if fresh else ForceState.SILENT
+            told = state is ForceState.CONTACT and now_s - self._estimate_s <= STALE_S
+            estimate = self._estimated(command) if told else None
+            bounds = None
+            stated = state.known or state is ForceState.HIDDEN
+            if stated and (now_s - self._bounds_s <= STALE_S).all():
+                bounds = ForceBounds(*self._bounds_n.tolist())
+            status = self._status(state, estimate, bounds, now_s)
             if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
                 note = f"{CABLE_TENSIONS} has two publishers; those of one are shown"
                 status = Status(Level.ERROR, status.headline, (note, *status.notes))
@@ -292,41 +273,68 @@ class LiveArm:
                 joint_angles_rad=command if measured is None else measured,
                 tensions_n=self._tensions_n,
                 true=self._true(command),
+                state=state,
                 estimate=estimate,
-                probabilities=self._probabilities if fresh else None,
+                bounds=bounds,
+                probabilities=self._probabilities if state.known else None,
                 status=status,
             )
 
     def _true(self, command_rad: Array) -> Contact | None:
-        """The largest load, which is the only one as long as the page alone pushes."""
-        pushes = [(float(np.linalg.norm(f)), n, f) for n, f in self._loads.items() if f.any()]
-        if not pushes:
+        """Of the load that presses most; the only one as long as the page alone pushes."""
+        felt = [
+            (math.hypot(y, z), n, float(y), float(z))
+            for n, force in self._loads.items()
+            for y, z in [normal_components_n(self.mechanism, command_rad, n, force)]
+        ]
+        magnitude, segment, y, z = max(felt, default=(0.0, 0, 0.0, 0.0))
+        if magnitude < _LEAST_FELT_N:
             return None
-        magnitude, segment, force = max(pushes, key=lambda push: push[0])
-        angle = float(contact_angle_deg(self.mechanism, command_rad, segment, force))
-        return Contact(segment, angle, magnitude, force)
+        return self._contact(command_rad, segment, np.array([0.0, y, z]))
 
     def _estimated(self, command_rad: Array) -> Contact | None:
         if self._estimate is None:
             return None
-        segment, local_n = self._estimate
+        return self._contact(command_rad, *self._estimate)
+
+    def _contact(self, command_rad: Array, segment: int, local_n: Array) -> Contact:
         force = segment_rotations(self.mechanism, command_rad)[segment - 1] @ local_n
         angle = float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
         return Contact(segment, angle, float(np.linalg.norm(local_n)), force)
 
-    def _status(self, estimate: Contact | None, now_s: float) -> Status:
+    def _status(
+        self,
+        state: ForceState,
+        estimate: Contact | None,
+        bounds: ForceBounds | None,
+        now_s: float,
+    ) -> Status:
         """With the estimator's warnings as notes; where there are none, its first status."""
         if self._tensions_n is None:
             return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
         if (age_s := now_s - self._tensions_s) > STALE_S:
             return Status(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
-        if not np.isfinite(self._estimate_s):
-            return Status(Level.STALE, "Waiting for the estimator", ("no estimate has come yet",))
-        present = [h for h in self._health.values() if now_s - h[0] <= DIAGNOSTICS_STALE_S]
-        present.sort(key=lambda status: -status[1])
-        warnings = tuple(text for _, level, text in present if level is not Level.OK)
+        if not np.isfinite(self._state_s):
+            return Status(Level.STALE, "Waiting for the estimator", ("nothing has come yet",))
+        present = [
+            (level, part, text)
+            for part, (since_s, level, text) in self._health.items()
+            if now_s - since_s <= DIAGNOSTICS_STALE_S
+        ]
+        present.sort(key=lambda status: -status[0])
+        warnings = tuple(text for level, _, text in present if level is not Level.OK)
         notes = warnings[:3] or tuple(text for _, _, text in present[:1])
-        if (age_s := now_s - self._estimate_s) > STALE_S:
-            return Status(Level.STALE, f"No estimate for {age_s:.1f} s", notes)
-        headline = "No contact" if estimate is None else f"Contact on segment {estimate.segment}"
-        return Status(present[0][1] if present else Level.OK, headline, notes)
+        headline = _HEADLINES[state]
+        if estimate is not None:
+            headline = f"{headline} on segment {estimate.segment}"
+        if state is ForceState.HIDDEN and bounds is not None:
+            headline = f"{headline}; up to {bounds.high_n:.1f} N may act"
+        level = _LEVELS.get(state, state.level)
+        if level is not Level.STALE:
+            doubts = (
+                each
+                for each, part, _ in present
+                if each is Level.ERROR or (each is Level.WARN and part not in _HARMLESS)
+            )
+            level = max([level, *doubts])
+        return Status(level, headline, notes)

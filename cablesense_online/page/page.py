@@ -23,8 +23,10 @@ from cablesense_base import Array
 from cablesense_online.page import drawing, panel
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
 from cablesense_online.page.guard import PageError, guarded_server
-from cablesense_online.page.live_arm import Contact, Score, Snapshot
-from cablesense_online.page.panel import Actions, Controls, TracePlot
+from cablesense_online.page.live_arm import Contact, Snapshot
+from cablesense_online.page.panel import Actions, Controls
+from cablesense_online.page.score import Score
+from cablesense_online.page.traces import ForcePlot, TensionPlot
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
@@ -33,6 +35,8 @@ from cablesense_sim.mechanism import Mechanism
 
 _NUMBERS_EVERY_S = 0.15
 _PORT_TRIES = 20
+_USUAL_ASPECT = 0.9
+"""Width over height of the scene between the panels, until a browser says."""
 
 
 class Page:
@@ -69,27 +73,35 @@ class Page:
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
         )
         server.gui.set_panel_label("CableSense")
-        reach = float(mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1])
-        server.initial_camera.position = (0.86 * reach, -1.66 * reach, 0.7 * reach)
-        server.initial_camera.look_at = (0.5 * reach, 0.0, -0.04 * reach)
-        server.initial_camera.fov = 0.75
+        self._reach_m = float(
+            mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
+        )
+        server.initial_camera.position, server.initial_camera.look_at = drawing.view(
+            self._reach_m, _USUAL_ASPECT
+        )
+        server.initial_camera.fov = drawing.VIEW_ANGLE_RAD
         server.initial_camera.near = 0.01
+        server.on_client_connect(self._fit_view)
         self._scene = _ArmScene(server.scene, mechanism)
         server.gui.main_panel.dock_right()
-        server.gui.main_panel.set_width(320)
+        server.gui.main_panel.set_width(270)
+        self._numbers = [server.gui.add_html("")]
         dock = server.gui.add_panel()
         with dock.add_tab("Estimate", viser.Icon.TARGET_ARROW):
-            self._numbers = [server.gui.add_html("") for _ in range(4)]
+            self._numbers.append(server.gui.add_html(""))
+            self._forces = ForcePlot(server.gui, 0.1 * self._force_limit_n)
+            self._numbers += [server.gui.add_html("") for _ in range(2)]
             reset = server.gui.add_button(
                 "Reset the errors", icon=viser.Icon.REFRESH, color="gray"
             )
             reset.on_click(lambda _: self._reset_errors())
             self._numbers.append(server.gui.add_html(""))
-            self._traces = TracePlot(server.gui, mechanism)
+            self._tensions = TensionPlot(server.gui, mechanism)
             legend = panel.traces_legend_html(arm.segment_count)
             server.gui.add_html(panel.style_html() + legend)
         dock.dock_left()
-        dock.set_width(400)
+        dock.set_width(350)
+        dock.expand()
         self._controls: Controls | None = None
         self._joints_deg = [0.0] * mechanism.joint_count
         self._commander = -1
@@ -103,10 +115,11 @@ class Page:
         with self._lock:
             self._score.add(snapshot)
         if snapshot.tensions_n is not None:
-            self._traces.buffer.add(snapshot.time_s, snapshot.tensions_n)
+            self._tensions.buffer.add(snapshot.time_s, snapshot.tensions_n)
+            self._forces.add(snapshot)
         if not self._server.get_clients():
             return
-        scale_n = drawing.full_scale_n(self._traces.buffer.peak_n)
+        scale_n = drawing.full_scale_n(self._tensions.buffer.peak)
         with self._server.atomic():
             self._scene.pose(snapshot.joint_angles_rad)
             if snapshot.tensions_n is not None:
@@ -144,10 +157,33 @@ class Page:
         with self._lock:
             self._score.reset()
 
-    def notify(self, title: str, body: str) -> None:
-        """Shows a note to everyone who looks at the page, for a few seconds."""
+    def _fit_view(self, client: viser.ClientHandle) -> None:
+        """Shows the whole arm in a window of any shape, until the visitor turns it."""
+        camera = client.camera
+        put: list[Array] = [np.asarray(self._server.initial_camera.position)]
+
+        def fit(_: object = None) -> None:
+            turned = np.abs(camera.position - put[0]).max() > 1e-3 * self._reach_m
+            position, look_at = drawing.view(self._reach_m, camera.aspect)
+            if turned or np.abs(position - put[0]).max() < 1e-3 * self._reach_m:
+                return
+            put[0] = position
+            with client.atomic():
+                camera.position = position
+                camera.look_at = look_at
+
+        camera.on_update(fit)
+        fit()
+
+    def notify(self, title: str, body: str, *, warning: bool = False) -> None:
+        """Shows a note to everyone who looks at the page; a warning until it is closed."""
         for client in self._server.get_clients().values():
-            client.add_notification(title, body, auto_close_seconds=5.0)
+            client.add_notification(
+                title,
+                body,
+                auto_close_seconds=None if warning else 5.0,
+                color="yellow" if warning else None,
+            )
 
     def close(self) -> None:
         """Stops serving."""
@@ -157,17 +193,19 @@ class Page:
     def _show_numbers(self, snapshot: Snapshot, scale_n: float) -> None:
         with self._lock:
             errors = self._score.errors
-        contents = (
-            panel.status_html(snapshot.status),
-            panel.forces_html(snapshot.true, snapshot.estimate),
+        state = panel.status_html(snapshot.status) + panel.forces_html(snapshot)
+        shown = (
+            f"<div class='cablesense-narrow'>{state}</div>",
+            state,
             panel.probabilities_html(snapshot.probabilities, self._segment_count),
             panel.errors_html(errors),
             panel.legend_html(scale_n, snapshot.tensions_n),
         )
-        for handle, content in zip(self._numbers, contents, strict=True):
+        for handle, content in zip(self._numbers, shown, strict=True):
             if handle.content != content:
                 handle.content = content
-        self._traces.draw()
+        self._forces.draw()
+        self._tensions.draw()
 
 
 def free_port(host: str, port: int) -> int:
@@ -264,7 +302,7 @@ class _ArmScene:
         """Shows the true and the estimated force, or hides what is None."""
         for arrow, contact, label, aside_m in (
             (self._true, true, "true", -drawing.ARROWS_APART_M / 2),
-            (self._estimate, estimate, "estimated", drawing.ARROWS_APART_M / 2),
+            (self._estimate, estimate, "est.", drawing.ARROWS_APART_M / 2),
         ):
             if contact is None or contact.magnitude_n <= 0.0:
                 arrow.hide()
@@ -274,7 +312,7 @@ class _ArmScene:
                 self._contacts_m[contact.segment - 1] + aside_m * along,
                 contact.force_base_n,
                 self._clearance_m,
-                f"{label} {contact.magnitude_n:.1f} N at {contact.angle_deg:.0f}°",
+                f"{label} {panel.force_text(contact.magnitude_n)}",
             )
 
     def _add_ground_and_base(self) -> None:
@@ -340,6 +378,7 @@ class _ForceArrow:
                 mesh.vertices,
                 mesh.faces,
                 color=rgb,
+                scale=1e-3,  # else the first arrow fills the view until its size has come
                 cast_shadow=False,
                 receive_shadow=False,
             )

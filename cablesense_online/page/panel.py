@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -23,7 +22,8 @@ from cablesense_online.page.drawing import (
     css,
     segment_rgb,
 )
-from cablesense_online.page.live_arm import Contact, Errors, Status
+from cablesense_online.page.live_arm import Snapshot, Status
+from cablesense_online.page.score import Errors
 from cablesense_sim.mechanism import Mechanism
 
 JOINT_LIMIT_DEG = 20.0
@@ -38,12 +38,14 @@ class Actions:
             at the commanded pose, and force in N; 0 N lets go.
         command: takes joint angles (2N,), rad.
         tare: takes a tare.
+        undo_tare: goes back to the tare before.
         breathe: asks for a breath.
     """
 
     push: Callable[[int, float, float], None]
     command: Callable[[Array], None]
     tare: Callable[[], None]
+    undo_tare: Callable[[], None]
     breathe: Callable[[], None]
 
 
@@ -96,6 +98,10 @@ class Controls:
         with gui.add_folder("Estimator"):
             hint = "takes the present tensions as the unloaded state"
             tare = gui.add_button("Tare", icon=viser.Icon.SCALE, hint=hint)
+            hint = "goes back to the tare before the last, after one under load"
+            undo = gui.add_button(
+                "Undo the tare", icon=viser.Icon.ARROW_BACK_UP, color="gray", hint=hint
+            )
             hint = "moves the arm a little, so that friction shows what it hides"
             breathe = gui.add_button("Breathe", icon=viser.Icon.LUNGS, hint=hint)
         self._button.on_click(self._act(lambda _: self._toggle()))
@@ -107,6 +113,7 @@ class Controls:
             )
         home.on_click(self._act(lambda _: self._go_home()))
         tare.on_click(self._act(lambda _: actions.tare()))
+        undo.on_click(self._act(lambda _: actions.undo_tare()))
         breathe.on_click(self._act(lambda _: actions.breathe()))
 
     def close(self) -> None:
@@ -204,19 +211,33 @@ def status_html(status: Status) -> str:
     )
 
 
-def forces_html(true: Contact | None, estimate: Contact | None) -> str:
-    """True and estimated contact, one below the other, with units."""
+def forces_html(snapshot: Snapshot) -> str:
+    """True and estimated contact, one below the other, and the stated 95 % interval."""
     rows = "<tr class='small'><td></td><td>segment</td><td>angle</td><td>force</td></tr>"
-    for name, rgb, contact in (("true", TRUE_RGB, true), ("estimated", ESTIMATE_RGB, estimate)):
-        cells = "<td>none</td><td class='dim'>–</td><td class='dim'>0.0 N</td>"
+    none = "<td>none</td><td class='dim'>–</td><td class='dim'>0.0 N</td>"
+    unknown = "<td>no answer</td><td class='dim'>–</td><td class='dim'>–</td>"
+    for name, rgb, contact, otherwise in (
+        ("true", TRUE_RGB, snapshot.true, none),
+        ("estimated", ESTIMATE_RGB, snapshot.estimate, none if snapshot.state.known else unknown),
+    ):
+        cells = otherwise
         if contact is not None:
             cells = (
                 f"<td>{contact.segment}</td><td>{contact.angle_deg:.1f}°</td>"
-                f"<td>{contact.magnitude_n:.1f} N</td>"
+                f"<td>{force_text(contact.magnitude_n)}</td>"
             )
         title = f"<td class='force' style='color:{css(rgb)}'>▶ {name}</td>"
         rows += f"<tr id='cablesense-{name}'>{title}{cells}</tr>"
+    interval = "–"
+    if (bounds := snapshot.bounds) is not None:
+        interval = f"{bounds.low_n:.2f} to {force_text(bounds.high_n, 2)}"
+    rows += f"<tr class='small'><td colspan='3'>95 % of the force</td><td>{interval}</td></tr>"
     return _panel(f"<table>{rows}</table>")
+
+
+def force_text(force_n: float, digits: int = 1) -> str:
+    """A force with its unit; forces below 10 N have a digit more."""
+    return f"{force_n:.{digits + (digits < 2 and force_n < 9.95)}f} N"
 
 
 def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
@@ -235,7 +256,7 @@ def probabilities_html(probabilities: Array | None, segment_count: int) -> str:
 
 
 def errors_html(errors: Errors) -> str:
-    """Mean errors so far."""
+    """Mean errors so far, missed contacts and wrong segments among them."""
     right = None if errors.segment_right is None else 100.0 * errors.segment_right
     cells = "".join(
         f"<div><div class='small'>{name}</div>"
@@ -246,7 +267,10 @@ def errors_html(errors: Errors) -> str:
             ("force error", errors.magnitude_mae_n, "{:.2f} N"),
         )
     )
-    count = f"<div class='small'>mean over {errors.count} steady moments</div>"
+    count = f"mean over {errors.count} moments at rest"
+    if errors.unanswered:
+        count += f", {100.0 * errors.unanswered:.1f} % more had no answer"
+    count = f"<div class='small'>{count}</div>"
     return _panel(f"<div class='errors'>{cells}</div>{count}")
 
 
@@ -271,85 +295,3 @@ def traces_legend_html(segment_count: int) -> str:
         for n in range(1, segment_count + 1)
     )
     return _panel(f"<div class='small'>{marks}</div>")
-
-
-_DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
-_RANGE_N = {
-    end: {"soft": soft, "mode": 1, "pad": 0.05} for end, soft in (("min", 0.0), ("max", 100.0))
-}
-"""The y axis covers 0 to 100 N and grows in the browser: new scales would rebuild the plot."""
-
-
-class TraceBuffer:
-    """A ring of the last samples of M cables, thinned to an even spacing in time."""
-
-    def __init__(self, cable_count: int, window_s: float = 12.0, samples: int = 240) -> None:
-        self._step_s = window_s / samples
-        self._window_s = window_s
-        self._cable_count = cable_count
-        self._rows: deque[Array] = deque(maxlen=samples)  # time, then tensions
-
-    def add(self, time_s: float, tensions_n: Array) -> bool:
-        """Keeps a sample unless it follows too closely; a clock that jumps back starts anew."""
-        since_s = time_s - self._rows[-1][0] if self._rows else np.inf
-        if since_s < -self._window_s:
-            self._rows.clear()
-        elif since_s < self._step_s:
-            return False
-        self._rows.append(np.append(time_s, tensions_n))
-        return True
-
-    @property
-    def peak_n(self) -> float:
-        """The largest tension kept, 0 before the first."""
-        return float(max((row[1:].max() for row in self._rows), default=0.0))
-
-    @property
-    def columns(self) -> tuple[Array, ...]:
-        """Seconds before the newest sample, then N of each cable; at least two samples long."""
-        if len(self._rows) < 2:
-            empty = np.array([-self._window_s, 0.0])
-            return (empty, *np.full((self._cable_count, 2), np.nan))
-        times, *tensions = np.array(self._rows).T
-        times = times - times[-1]
-        inside = times >= -self._window_s
-        return (times[inside], *(cable[inside] for cable in tensions))
-
-
-class TracePlot:
-    """A TraceBuffer drawn in the page; `draw` shows what it holds."""
-
-    def __init__(self, gui: viser.GuiApi, mechanism: Mechanism) -> None:
-        self.buffer = TraceBuffer(mechanism.cable_count)
-        segments = mechanism.cable_segment.tolist()
-        series: list[Any] = [
-            {
-                "label": f"cable_{cable + 1}",
-                "stroke": css(segment_rgb(segment)),
-                "width": 1.5,
-                "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
-                "points": {"show": False},
-            }
-            for cable, segment in enumerate(segments)
-        ]
-        line = {"stroke": "#2c323c", "width": 1}
-        font = "11px sans-serif"
-        look = {"labelSize": 18, "labelFont": font, "font": font, "stroke": "#9aa3b2"}
-        axes: list[Any] = [
-            {"scale": scale, "label": label, "size": size, "grid": line, "ticks": line, **look}
-            for scale, label, size in (("x", "time, s", 28), ("y", "tension, N", 46))
-        ]
-        self._plot = gui.add_uplot(
-            self.buffer.columns,
-            ({"label": "s"}, *series),
-            scales={"x": {"time": False}, "y": {"range": _RANGE_N}},
-            axes=tuple(axes),
-            legend={"show": False},
-            cursor={"show": False},
-            height=290,
-            padding=(10, 14, 0, 0),
-        )
-
-    def draw(self) -> None:
-        """Sends the traces to the page."""
-        self._plot.data = self.buffer.columns

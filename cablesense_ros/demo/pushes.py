@@ -13,8 +13,8 @@ import numpy as np
 from rich.table import Table
 
 from cablesense_base import Array, CableSenseError
-from cablesense_msgs_py.messages import Level
-from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot, angle_error_deg
+from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot
+from cablesense_online.page.score import angle_error_deg
 from cablesense_ros.arm_client import ArmClient, record
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
@@ -114,7 +114,7 @@ class PushRecord:
     @property
     def estimated(self) -> np.ndarray:
         """(K,) whether an estimate was there, be it of no contact."""
-        return np.array([one.status.level is not Level.STALE for one in self.snapshots])
+        return np.array([one.answered for one in self.snapshots])
 
 
 def play_script(

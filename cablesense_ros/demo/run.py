@@ -145,7 +145,6 @@ _Played = tuple[dict[str, Any], Table | str, Callable[[Path], None]]
 def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Played:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from cablesense_msgs_py.messages import Level
     from cablesense_online.page.live_arm import LiveArm
     from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo import pushes
@@ -157,7 +156,7 @@ def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Con
     live = LiveArm(arm, joint_speed_rad_s=pushes.JOINT_SPEED_RAD_S)
 
     def estimated() -> bool:
-        return live.snapshot(time.monotonic()).status.level is not Level.STALE
+        return live.snapshot(time.monotonic()).answered
 
     with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
         client = ArmClient(node, arm, live, "estimator")

@@ -16,7 +16,7 @@ from cablesense_online.page.drawing import (
     quaternion_z_to,
     tension_rgb,
 )
-from cablesense_online.page.panel import TraceBuffer
+from cablesense_online.page.traces import TraceBuffer
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m, segment_rotations
@@ -119,12 +119,12 @@ def test_keeps_the_last_window_thinned_evenly():
     assert times[0] >= -2.0
     assert (np.diff(times) > 0.09).all()
     np.testing.assert_array_equal(third, -first)
-    assert buffer.peak_n == first.max()
+    assert buffer.peak == first.max()
 
 
 def test_starts_with_a_plot_that_can_be_drawn():
     buffer = TraceBuffer(3)
-    assert buffer.peak_n == 0.0
+    assert buffer.peak == 0.0
     assert all(len(column) == 2 for column in buffer.columns)
 
 
@@ -134,4 +134,4 @@ def test_a_clock_that_jumps_back_starts_anew():
     buffer.add(1.0, np.array([5.0]))
     buffer.add(2.0, np.array([6.0]))
     np.testing.assert_array_equal(buffer.columns[1], [5.0, 6.0])
-    assert buffer.peak_n == 6.0
+    assert buffer.peak == 6.0

@@ -43,6 +43,7 @@ class Asked(list):
             lambda *push: self.append(("push", *push)),
             lambda command_rad: self.append(("command", *np.rad2deg(command_rad))),
             lambda: self.append(("tare",)),
+            lambda: self.append(("undo",)),
             lambda: self.append(("breathe",)),
         )
 

@@ -1,6 +1,5 @@
-"""The state that the page shows, its port, and the errors it adds up."""
+"""The state that the page shows, and its port."""
 
-import dataclasses
 import socket
 from types import SimpleNamespace as Message
 
@@ -8,16 +7,8 @@ import numpy as np
 import pytest
 
 from cablesense_base import CableSenseError
-from cablesense_msgs_py.messages import Level
-from cablesense_online.page.live_arm import (
-    STALE_S,
-    Contact,
-    LiveArm,
-    Score,
-    Snapshot,
-    Status,
-    angle_error_deg,
-)
+from cablesense_msgs_py.messages import ForceState, Level
+from cablesense_online.page.live_arm import STALE_S, ForceBounds, LiveArm
 from cablesense_online.page.page import PageError, free_port
 from cablesense_sim.arm import open_arm
 
@@ -40,6 +31,18 @@ def wrench(frame, force=(0.0, 0.0, 0.0)):
 
 def tensions():
     return Message(name=list(ARM.cable_names), effort=[50.0] * 12)
+
+
+def told(state):
+    """A `status` message."""
+    header = Message(stamp=Message(sec=1, nanosec=0))
+    return Message(header=header, status=[Message(message=state.value)])
+
+
+def diagnosed(part, level, text):
+    """A `/diagnostics` message of the estimator."""
+    name = f"estimator: {part}"
+    return Message(status=[Message(name=name, level=bytes([level]), message=text)])
 
 
 def test_a_push_makes_the_true_contact_that_was_asked_for(live):
@@ -68,6 +71,7 @@ def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
     for now_s in (0.0, 30.0):
         live.snapshot(now_s)
     live.on_tensions(tensions(), 30.0)
+    live.on_status(told(ForceState.CONTACT), 30.0)
     live.on_wrench(wrench("segment_1", (0.0, 0.0, 10.0)), 30.0)
     estimate = live.snapshot(30.0).estimate
     assert estimate.angle_deg == pytest.approx(0.0)
@@ -78,12 +82,63 @@ def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
 def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
     assert live.snapshot(0.0).status.level is Level.STALE
     live.on_tensions(tensions(), 1.0)
+    live.on_status(told(ForceState.CONTACT), 1.0)
     live.on_wrench(wrench("segment_1", (0.0, 5.0, 0.0)), 1.0)
     assert live.snapshot(1.1).status.headline == "Contact on segment 1"
     live.on_tensions(tensions(), 2.0)
     later = live.snapshot(1.0 + 2 * STALE_S)
     assert later.estimate is None
+    assert later.state is ForceState.SILENT
     assert later.status.level is Level.STALE
+    assert "silent" in later.status.headline
+
+
+@pytest.mark.parametrize("state", [each for each in ForceState if not each.known])
+def test_what_is_not_known_is_never_shown_as_no_contact(live, state):
+    live.on_tensions(tensions(), 1.0)
+    live.on_wrench(wrench("base_link"), 1.0)
+    live.on_status(told(state), 1.0)
+    shown = live.snapshot(1.0)
+    assert shown.status.headline != "No contact"
+    assert shown.status.level is not Level.OK
+    assert shown.probabilities is None
+
+
+def test_the_stated_interval_is_that_between_two_wrenches(live):
+    live.on_tensions(tensions(), 1.0)
+    live.on_status(told(ForceState.HIDDEN), 1.0)
+    assert live.snapshot(1.0).bounds is None
+    live.on_lower(wrench("base_link"), 1.0)
+    live.on_upper(wrench("segment_2", (0.0, 3.0, -4.0)), 1.0)
+    shown = live.snapshot(1.0)
+    assert shown.bounds == ForceBounds(0.0, 5.0)
+    assert "up to 5.0 N" in shown.status.headline
+
+
+@pytest.mark.parametrize(
+    ("part", "level", "shown"),
+    [
+        ("cables", Level.WARN, Level.OK),
+        ("cable_tensions", Level.WARN, Level.OK),
+        ("cable_tensions", Level.ERROR, Level.ERROR),
+        ("tare", Level.WARN, Level.WARN),
+        ("plausibility", Level.ERROR, Level.ERROR),
+    ],
+)
+def test_a_warning_that_lessens_no_trust_is_a_note_alone(live, part, level, shown):
+    live.on_tensions(tensions(), 1.0)
+    live.on_status(told(ForceState.FREE), 1.0)
+    live.on_diagnostics(diagnosed(part, level, "as it is"), 1.0)
+    status = live.snapshot(1.0).status
+    assert (status.level, status.notes) == (shown, ("as it is",))
+
+
+def test_of_a_load_along_the_segment_nothing_can_be_felt(live):
+    live.on_load(wrench("segment_2", (50.0, 3.0, 4.0)))
+    true = live.snapshot(0.0).true
+    assert (true.segment, true.magnitude_n) == (2, pytest.approx(5.0))
+    live.on_load(wrench("segment_2", (50.0, 0.0, 0.0)))
+    assert live.snapshot(0.0).true is None
 
 
 @pytest.mark.parametrize("frame", ["segment_5", "segment_0", "base_link", ""])
@@ -112,70 +167,3 @@ def test_a_busy_port_gives_the_next_and_a_foreign_host_a_remedy():
         assert free_port("127.0.0.1", port) > port
     with pytest.raises(PageError, match="another --host or --port"):
         free_port("203.0.113.7", 8080)
-
-
-OK = Status(Level.OK, "fine")
-
-
-def contact(segment=2, angle=350.0, newtons=40.0):
-    return Contact(segment, angle, newtons, np.array([0.0, 0.0, newtons]))
-
-
-def moment(time_s, true, estimate, status=OK, pose=0.0):
-    return Snapshot(time_s, np.full(8, pose), np.full(12, 50.0), true, estimate, None, status)
-
-
-def test_angles_wrap_around():
-    assert angle_error_deg(359.0, 1.0) == pytest.approx(2.0)
-    assert angle_error_deg(10.0, 200.0) == pytest.approx(170.0)
-
-
-def test_errors_are_means_over_steady_moments():
-    score = Score(settling_s=1.0)
-    true, estimate = contact(angle=350.0, newtons=40.0), contact(angle=4.0, newtons=41.0)
-    for time_s in np.arange(0.0, 3.0, 0.1):
-        score.add(moment(time_s, true, estimate))
-    errors = score.errors
-    assert errors.segment_right == 1.0
-    assert errors.angle_mae_deg == pytest.approx(14.0)
-    assert errors.magnitude_mae_n == pytest.approx(1.0)
-    assert errors.count == 20
-
-
-def test_a_wrong_segment_counts_against_the_share_alone():
-    score = Score(settling_s=0.0)
-    score.add(moment(0.0, contact(2), contact(3)))
-    score.add(moment(0.1, contact(2), contact(2)))
-    assert score.errors.segment_right == 0.5
-    assert score.errors.angle_mae_deg == 0.0
-
-
-def test_silence_about_nothing_is_right_and_about_a_push_is_wrong():
-    score = Score(settling_s=0.0)
-    score.add(moment(0.0, None, None))
-    assert score.errors.segment_right == 1.0
-    assert score.errors.angle_mae_deg is None
-    score.add(moment(1.0, contact(), None))
-    assert score.errors.segment_right == 0.5
-
-
-@pytest.mark.parametrize("change", ["load", "pose"])
-def test_a_change_starts_the_settling_anew(change):
-    score = Score(settling_s=1.0)
-    before = moment(0.0, contact(), contact())
-    score.add(before)
-    assert score.add(dataclasses.replace(before, time_s=1.5))
-    after = (
-        moment(1.6, contact(newtons=60.0), contact())
-        if change == "load"
-        else moment(1.6, contact(), contact(), pose=0.05)
-    )
-    assert not score.add(after)
-    assert not score.add(dataclasses.replace(after, time_s=2.5))
-    assert score.add(dataclasses.replace(after, time_s=2.7))
-
-
-def test_stale_estimates_are_not_judged():
-    score = Score(settling_s=0.0)
-    assert not score.add(moment(0.0, None, None, Status(Level.STALE, "silent")))
-    assert score.errors.segment_right is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cablesense_msgs_py.messages import Level
+from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.page.live_arm import Contact, Snapshot, Status
 from cablesense_ros.demo.pushes import (
     PushRecord,
@@ -23,15 +23,19 @@ from cablesense_ros.demo.pushes import (
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
 
 
-def recorded(script, estimate_of, level=Level.OK):
+def recorded(script, estimate_of, unknown=None):
     times = np.arange(0.0, script[-1].end_s, 0.04)
     snapshots = []
     for time_s in times:
         push = next((p for p in script if p.start_s <= time_s < p.end_s), None)
         estimate = estimate_of(push) if push else None
         pose = np.zeros(8)
-        status = Status(level, "fine")
-        snapshots.append(Snapshot(time_s, pose, np.full(12, 50.0), None, estimate, None, status))
+        state = unknown or (ForceState.CONTACT if estimate else ForceState.FREE)
+        status = Status(Level.OK, "fine")
+        tensions = np.full(12, 50.0)
+        snapshots.append(
+            Snapshot(time_s, pose, tensions, None, state, estimate, None, None, status)
+        )
     return PushRecord(times, snapshots)
 
 
@@ -47,6 +51,12 @@ def test_a_minute_visits_every_segment_straight_and_bent():
     assert any(not push.command_rad.any() for push in script)
     assert all(a.end_s < b.start_s for a, b in pairwise(script))
     assert all(push.move_s < push.start_s < push.end_s for push in script)
+
+
+def test_a_weak_arm_is_pushed_in_its_own_range():
+    strong, weak = make_script(4, 60.0, seed=0), make_script(4, 60.0, seed=0, range_n=2.0)
+    for push, gentle in zip(strong, weak, strict=True):
+        assert gentle.magnitude_n == pytest.approx(push.magnitude_n / 100.0, rel=0.01)
 
 
 def test_the_seed_makes_the_script():
@@ -90,7 +100,7 @@ def test_a_wrong_segment_has_no_direction_error():
 
 def test_silence_and_no_contact_are_told_apart():
     script = make_script(4, 4.0, seed=0)
-    (silent,) = push_results(script, recorded(script, exact, level=Level.STALE))
+    (silent,) = push_results(script, recorded(script, exact, unknown=ForceState.SILENT))
     (none,) = push_results(script, recorded(script, lambda _: None))
     assert (silent.sample_count, silent.estimate) == (0, None)
     assert none.sample_count > 10

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import threading
 import time
@@ -63,12 +64,15 @@ class Tab:
     def __init__(self, address):
         self._socket = connect(address, max_size=None)
         self._count = 0
+        self.resize(WIDTH, HEIGHT)
+
+    def resize(self, width, height):
         self.call(
             "Emulation.setDeviceMetricsOverride",
-            width=WIDTH,
-            height=HEIGHT,
+            width=width,
+            height=height,
             deviceScaleFactor=1,
-            mobile=False,
+            mobile=width < 500,
         )
 
     def call(self, method, **parameters):
@@ -156,14 +160,19 @@ def browser_program():
 
 
 @pytest.fixture(scope="module")
-def page_url(tmp_path_factory, browser_program):
+def processes(tmp_path_factory, browser_program):
     environment = own_graph()
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     page = node_command("page", {"port": 18_080, "home_at_start": True})
     commands = {"sim": node_command("sim"), "estimator": node_command("estimator"), "page": page}
     with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
-        yield processes.wait_for_line("page", "page: ", 40.0)
+        yield processes
         processes.check()
+
+
+@pytest.fixture(scope="module")
+def page_url(processes):
+    return processes.wait_for_line("page", "page: ", 40.0)
 
 
 @pytest.fixture
@@ -231,12 +240,19 @@ def test_controls_are_there(browser):
         "document.body.innerText.includes('Move the joints') && document.body.innerText",
         "its controls",
     )
-    for label in ("Push the arm", "segment", "angle, °", "force, N", "joint 4 yaw, °", "Tare"):
+    for label in (
+        "Push the arm",
+        "segment",
+        "angle, °",
+        "force, N",
+        "joint 4 yaw, °",
+        "Undo the tare",
+    ):
         assert label in text
     font = browser.evaluate("getComputedStyle(document.querySelector('.cablesense')).fontSize")
     assert font == "13px"
-    for label in ("contact probability", "cable tension", "direction error", "time, s"):
-        assert label in text or label == "time, s"
+    for label in ("contact probability", "cable tension", "direction error", "95 % of the force"):
+        assert label in text
 
 
 def right(row):
@@ -267,6 +283,20 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(browser):
     browser.click_button("Release")
     wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
     wait_for_cells(browser, "estimated", lambda row: row[:1] == ["none"])
+
+
+STATUS = "document.querySelector('#cablesense-status').innerText"
+
+
+def test_a_silent_estimator_is_never_no_contact(processes, browser):
+    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate")
+    processes["estimator"].signal(signal.SIGSTOP)
+    try:
+        browser.wait_for(f"{STATUS} === 'The estimator is silent'", "the silence")
+        assert cells(browser, "estimated")[0] == "no answer"
+    finally:
+        processes["estimator"].signal(signal.SIGCONT)
+    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate again")
 
 
 def wait_for_drawing(browser, timeout_s=40.0):
@@ -305,6 +335,31 @@ def test_another_website_gets_no_websocket_of_the_page(page_url, browser, websit
     for path in (address, address.rpartition("/")[0]):
         assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
     tab.close()
+
+
+def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(page_url, browser):
+    phone = browser.new_tab("about:blank")
+    try:
+        phone.resize(390, 844)
+        phone.call("Page.navigate", url=page_url)
+        phone.wait_for("!!document.querySelector('.cablesense-narrow #cablesense-true')", "it")
+        phone.wait_for(
+            "document.querySelector('.cablesense-narrow').getBoundingClientRect().width > 300",
+            "the estimate over the width of the phone",
+        )
+        places = phone.evaluate(
+            "[...document.querySelectorAll('.cablesense, .cablesense *, button')]"
+            ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
+            ".map(r => [r.left, r.right])"
+        )
+        assert min(left for left, _ in places) >= 0
+        assert max(right for _, right in places) <= 390
+        summary = phone.evaluate(
+            "document.querySelector('.cablesense-narrow').getBoundingClientRect().top"
+        )
+        assert 0 < summary < 844 / 2
+    finally:
+        phone.close()
 
 
 VISITORS = "document.querySelector('#cablesense-visitors')?.innerText"

@@ -1,0 +1,115 @@
+"""How good the estimates were so far: true against estimated contacts, the arm at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cablesense_msgs_py.messages import ForceState
+from cablesense_online.page.live_arm import Snapshot
+
+SETTLING_S = 1.0
+"""A comparison waits this long after a change: the arm swings and the estimate follows."""
+STILL_N = 0.01
+STILL_RAD = 0.003
+"""Load and pose that change by less stand still."""
+GUESS_DEG = 90.0
+"""The direction error of a contact that was missed or told of another segment: a guess's mean."""
+
+
+def angle_error_deg(a_deg: float, b_deg: float) -> float:
+    """The smaller turn between two angles, 0 … 180 degrees."""
+    return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Mean errors over the `count` moments with an answer so far; None before the first.
+
+    Attributes:
+        count: of moments that were compared.
+        unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
+        segment_right: share, 0 … 1, of moments with the right segment, or rightly none.
+        angle_mae_deg: over moments that something touched; `GUESS_DEG` for a miss.
+        magnitude_mae_n: over moments that something touched, or was said to. Where that was not
+            on one segment, all of the greater force is wrong.
+    """
+
+    count: int
+    unanswered: float | None
+    segment_right: float | None
+    angle_mae_deg: float | None
+    magnitude_mae_n: float | None
+
+
+class Score:
+    """Adds up errors while load and pose stay put."""
+
+    def __init__(self, settling_s: float = SETTLING_S) -> None:
+        self._settling_s = settling_s
+        self._still: Snapshot | None = None
+        self._still_since_s = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Discards every comparison."""
+        self._count = self._right = self._unanswered = 0
+        self._touched, self._turned_deg = 0, 0.0
+        self._pressed, self._off_n = 0, 0.0
+
+    def add(self, snapshot: Snapshot) -> bool:
+        """Takes one moment; gives whether it counted: load and pose must have stood still."""
+        if self._changed(snapshot):
+            self._still_since_s = snapshot.time_s
+        if snapshot.time_s - self._still_since_s < self._settling_s:
+            return False
+        if snapshot.tensions_n is None or snapshot.state is ForceState.MOVING:
+            return False
+        if not snapshot.state.known:
+            self._unanswered += 1
+            return True
+        true, estimate = snapshot.true, snapshot.estimate
+        self._count += 1
+        if true is None and estimate is None:
+            self._right += 1
+            return True
+        self._pressed += 1
+        self._touched += true is not None
+        if true is not None and estimate is not None and true.segment == estimate.segment:
+            self._right += 1
+            self._turned_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
+            self._off_n += abs(true.magnitude_n - estimate.magnitude_n)
+        else:
+            self._turned_deg += GUESS_DEG * (true is not None)
+            self._off_n += max(each.magnitude_n for each in (true, estimate) if each is not None)
+        return True
+
+    def _changed(self, snapshot: Snapshot) -> bool:
+        """Whether load or pose differ from those since which the arm has stood still."""
+        still = self._still
+        if still is not None and (still.true is None) == (snapshot.true is None):
+            force_moved = 0.0
+            if still.true is not None and snapshot.true is not None:
+                difference = still.true.force_base_n - snapshot.true.force_base_n
+                force_moved = float(np.abs(difference).max())
+            pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
+            if force_moved < STILL_N and pose_moved < STILL_RAD:
+                return False
+        self._still = snapshot
+        return True
+
+    @property
+    def errors(self) -> Errors:
+        """The errors so far."""
+
+        def share(total: float, count: int) -> float | None:
+            return total / count if count else None
+
+        return Errors(
+            self._count,
+            share(self._unanswered, self._count + self._unanswered),
+            share(self._right, self._count),
+            share(self._turned_deg, self._touched),
+            share(self._off_n, self._pressed),
+        )
