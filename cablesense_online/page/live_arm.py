@@ -95,19 +95,22 @@ class Snapshot:
 
     @property
     def answered(self) -> bool:
-        """Whether the estimator told a force, or that none can be seen."""
-        return self.state.known or self.state is ForceState.HIDDEN
+        """Whether the estimator told a contact, or that none can be seen."""
+        return self.state in _STATED
 
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
+_TOLD = (ForceState.CONTACT, ForceState.UNCONFIRMED)
+_STATED = (*_TOLD, ForceState.FREE, ForceState.HIDDEN)
 _LEAST_FELT_N = 1e-3
 _HARMLESS = frozenset({"cables", "cable_tensions"})
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
 _HEADLINES = {
     ForceState.FREE: "No contact",
     ForceState.CONTACT: "Contact",
+    ForceState.UNCONFIRMED: "Unconfirmed contact",
     ForceState.HIDDEN: "No contact seen",
     ForceState.MOVING: "Moving: no estimate",
     ForceState.UNTARED: "No tare: no estimate",
@@ -257,11 +260,10 @@ class LiveArm:
             command = self._motion.advance(elapsed_s)
             fresh = now_s - self._state_s <= STALE_S
             state = self._state if fresh else ForceState.SILENT
-            told = state is ForceState.CONTACT and now_s - self._estimate_s <= STALE_S
+            told = state in _TOLD and now_s - self._estimate_s <= STALE_S
             estimate = self._estimated(command) if told else None
             bounds = None
-            stated = state.known or state is ForceState.HIDDEN
-            if stated and (now_s - self._bounds_s <= STALE_S).all():
+            if state in _STATED and (now_s - self._bounds_s <= STALE_S).all():
                 bounds = ForceBounds(*self._bounds_n.tolist())
             status = self._status(state, estimate, bounds, now_s)
             if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:

@@ -66,7 +66,7 @@ class Score:
             return False
         if snapshot.tensions_n is None or snapshot.state is ForceState.MOVING:
             return False
-        if not snapshot.state.known:
+        if not snapshot.state.known and snapshot.estimate is None:
             self._unanswered += 1
             return True
         true, estimate = snapshot.true, snapshot.estimate

@@ -355,9 +355,9 @@ def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(page_url, brows
         assert min(left for left, _ in places) >= 0
         assert max(right for _, right in places) <= 390
         summary = phone.evaluate(
-            "document.querySelector('.cablesense-narrow').getBoundingClientRect().top"
+            "document.querySelector('.cablesense-narrow').getBoundingClientRect().bottom"
         )
-        assert 0 < summary < 844 / 2
+        assert 0 < summary <= 844
     finally:
         phone.close()
 
