@@ -320,23 +320,6 @@ def keep_screenshot(browser):
         Path(PICTURE).write_bytes(browser.screenshot())
 
 
-OPENED = """new Promise(done => {
-    const socket = new WebSocket(%r, [%r]);
-    socket.onopen = () => done("open");
-    socket.onerror = () => done("refused");
-})"""
-"""Whether a page gets a WebSocket of this address."""
-
-
-def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
-    address = page_url.replace("http", "ws").rstrip("/")
-    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
-    tab = browser.new_tab(website)
-    for path in (address, address.rpartition("/")[0]):
-        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
-    tab.close()
-
-
 def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser):
     browser.resize(390, 844)
     try:
@@ -357,6 +340,23 @@ def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser):
         assert 0 < summary <= 844
     finally:
         browser.resize(WIDTH, HEIGHT)
+
+
+OPENED = """new Promise(done => {
+    const socket = new WebSocket(%r, [%r]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+"""Whether a page gets a WebSocket of this address."""
+
+
+def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
+    address = page_url.replace("http", "ws").rstrip("/")
+    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
+    tab = browser.new_tab(website)
+    for path in (address, address.rpartition("/")[0]):
+        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
+    tab.close()
 
 
 VISITORS = "document.querySelector('#cablesense-visitors')?.innerText"
