@@ -101,21 +101,39 @@ def put_joint_angles(message: Any, angles_rad: Array) -> None:
     message.position = array.array("d", angles_rad.tolist())
 
 
-def joint_command_rad(message: Any, order: NamedOrder) -> Array:
+def joint_command_rad(message: Any, order: NamedOrder, present_rad: Array | None = None) -> Array:
     """The (2N,) joint angles that a `JointState` commands, in the arm's order.
 
+    It may name other machines' joints, and some of this arm's: the others keep their `present_rad`
+    (2N,), straight where there is none.
+
     Raises:
-        ContractError: a joint is missing, unknown or repeated, or an angle is not finite or out of
-        reach.
+        ContractError: none of the arm's joints is named, or one repeatedly, or an angle is not
+            finite or out of reach.
     """
-    angles = order.arrange(message.name, message.position, "position")
-    for name, angle in zip(order.names, angles, strict=True):
+    names, angles = message.name, message.position
+    if tuple(names) != order.names:
+        if len(angles) != len(names):
+            raise ContractError(f"position holds {len(angles)} values for {len(names)} names")
+        of_arm = {name: i for i, name in enumerate(order.names)}
+        named = [
+            (of_arm[name], angle)
+            for name, angle in zip(names, angles, strict=True)
+            if name in of_arm
+        ]
+        if not named or len(dict(named)) < len(named):
+            order.pick(names, angles, "position")  # says what is wrong
+        angles = np.zeros(len(of_arm)) if present_rad is None else present_rad.copy()
+        for place, angle in named:
+            angles[place] = angle
+    command = np.array(order.pick(order.names, angles, "position"), dtype=np.float64)
+    for name, angle in zip(order.names, command, strict=True):
         if not abs(angle) <= MAX_JOINT_ANGLE_RAD:
             raise ContractError(
                 f"position of {name} is {angle:g} rad; it must be finite and within "
                 f"±{MAX_JOINT_ANGLE_RAD:.3f} rad (a third of pi)"
             )
-    return angles
+    return command
 
 
 def cable_offsets_m(message: Any, order: NamedOrder) -> Array:

@@ -294,7 +294,7 @@ class Estimation:
             CableSenseError: the message breaks the contract, or the arm has no static equilibrium
                 at this command; the command before it stays.
         """
-        command = joint_command_rad(message, self._joint_order)
+        command = joint_command_rad(message, self._joint_order, self.gate.command_rad)
         turn = None if self._model.in_motion else breath_turn(message)
         if turn is None:
             return self._go_to(command)

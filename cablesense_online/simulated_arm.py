@@ -90,6 +90,11 @@ class SimulatedArm:
         self._began_s = self._now_s = now_s
         self.resets = 0
 
+    @property
+    def target_rad(self) -> Array:
+        """(2N,) the last command."""
+        return self._motion.target_rad
+
     def go_to(self, joint_angles_rad: Array) -> None:
         """Begin to move to commanded joint angles (2N,).
 

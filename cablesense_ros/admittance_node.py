@@ -124,7 +124,9 @@ class AdmittanceNode(ConfiguredNode):
     def _on_command(self, message: JointState) -> None:
         if breath_turn(message) is not None:
             return
-        command = checked_command(self._mechanism, joint_command_rad(message, self._joints))
+        present_rad = self._controller.command_rad
+        command = joint_command_rad(message, self._joints, present_rad)
+        command = checked_command(self._mechanism, command)
         if self._controller.received_command(command, time.monotonic()):
             self.get_logger().warning(
                 "another node commands: that pose is home from now on",

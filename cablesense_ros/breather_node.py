@@ -70,7 +70,7 @@ class BreatherNode(Node):
     def _on_command(self, message: JointState) -> None:
         if breath_turn(message) is not None:
             return
-        command_rad = joint_command_rad(message, self._joints)
+        command_rad = joint_command_rad(message, self._joints, self._base_rad)
         if self._base_rad is not None and np.array_equal(command_rad, self._base_rad):
             return
         self._base_rad, self._commanded_ns = command_rad, self._now_ns()

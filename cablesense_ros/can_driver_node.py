@@ -112,7 +112,7 @@ class CanDriverNode(ConfiguredNode):
             JointState,
             topics.JOINT_COMMANDS,
             COMMAND,
-            lambda message: motion.go_to(joint_command_rad(message, joints)),
+            lambda message: motion.go_to(joint_command_rad(message, joints, motion.target_rad)),
         )
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
         self._entities.callback(self.destroy_publisher, out)

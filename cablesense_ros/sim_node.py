@@ -87,7 +87,8 @@ class SimNode(Node):
             described.publish(String(data=urdf_xml(arm)))
 
         def on_command(message: JointState) -> None:
-            self._simulated.go_to(joint_command_rad(message, joints))
+            present_rad = self._simulated.target_rad
+            self._simulated.go_to(joint_command_rad(message, joints, present_rad))
 
         def on_offsets(message: JointState) -> None:
             self._simulated.offset(cable_offsets_m(message, cables))

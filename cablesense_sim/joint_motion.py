@@ -69,6 +69,11 @@ class JointMotion:
         return self.state[0] if self.moving else self._target_rad
 
     @property
+    def target_rad(self) -> Array:
+        """(2N,) where it ends."""
+        return self._target_rad
+
+    @property
     def course(self) -> tuple[float, ...]:
         """All that the set-points to come follow from: `resume` continues with them."""
         times = (self._elapsed_s, self._duration_s)

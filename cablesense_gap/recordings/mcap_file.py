@@ -76,7 +76,8 @@ class BagRows:
         """
         self._taken[topic] += 1
         if topic == topics.JOINT_COMMANDS:
-            self._command = _same(self._command, joint_command_rad(message, self._joints))
+            command = joint_command_rad(message, self._joints, self._command)
+            self._command = _same(self._command, command)
         elif topic == topics.CABLE_OFFSETS:
             self._offset = bool(cable_offsets_m(message, self._cables).any())
         elif topic == topics.APPLIED_WRENCH:

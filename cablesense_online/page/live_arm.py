@@ -179,9 +179,9 @@ class LiveArm:
         """
         if breath_turn(message) is not None:
             return
-        command = checked_command(self.mechanism, joint_command_rad(message, self._joints))
+        command = joint_command_rad(message, self._joints, self._motion.target_rad)
         with self._lock:
-            self._motion.go_to(command)
+            self._motion.go_to(checked_command(self.mechanism, command))
 
     def on_load(self, message: Any) -> None:
         """Takes an `applied_wrench` message; it replaces the load on its segment."""

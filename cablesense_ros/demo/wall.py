@@ -150,7 +150,7 @@ class WallObserver:
 
     def _on_command(self, message: JointState) -> None:
         with self._lock:
-            self._command = joint_command_rad(message, self._joints)
+            self._command = joint_command_rad(message, self._joints, self._command)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         _, force_n, _ = read_wrench(message, self._frames)

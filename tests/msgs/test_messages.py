@@ -52,6 +52,28 @@ def test_order_is_by_name():
     np.testing.assert_array_equal(command, [0.1, 0.2])
 
 
+def test_joints_of_others_are_passed_over_and_those_not_named_stay():
+    present = np.array([0.3, 0.4])
+    some = message(["gripper", "joint_1_yaw", "rail"], [9.0, 0.1, math.nan])
+    np.testing.assert_array_equal(joint_command_rad(some, ORDER, present), [0.3, 0.1])
+    np.testing.assert_array_equal(joint_command_rad(some, ORDER), [0.0, 0.1])
+    np.testing.assert_array_equal(present, [0.3, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("names", "complaint"),
+    [
+        (["gripper", "rail"], "missing 'joint_1_pitch'"),
+        (["joint_1_yaw", "joint_1_yaw"], "more than once 'joint_1_yaw'"),
+        (["joint_1_yaw"], "2 values for 1 names"),
+        ([], "2 values for 0 names"),
+    ],
+)
+def test_a_command_of_no_joint_of_the_arm_or_of_one_twice_is_refused(names, complaint):
+    with pytest.raises(ContractError, match=complaint):
+        joint_command_rad(message(names, [0.0, 0.0]), ORDER)
+
+
 @pytest.mark.parametrize("angle", [math.nan, math.inf, 1.1, -30.0])
 def test_angles_out_of_reach_are_refused_by_name(angle):
     with pytest.raises(ContractError, match="joint_1_yaw"):
