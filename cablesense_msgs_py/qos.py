@@ -64,6 +64,7 @@ INPUTS: Final = {
 
 CONTRACT: Final = {
     **INPUTS,
+    topics.JOINT_TRAJECTORY: TopicType("trajectory_msgs/msg/JointTrajectory", COMMAND, COMMAND),
     topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
     topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED, LATCHED),
     topics.DIAGNOSTICS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),

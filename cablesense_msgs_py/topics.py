@@ -18,6 +18,9 @@ SIMULATED_TENSIONS: Final = "simulated_tensions"
 """As `cable_tensions`, from a sim whose output is played out as CAN frames by `can_emulator`."""
 JOINT_COMMANDS: Final = "joint_commands"
 """`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
+JOINT_TRAJECTORY: Final = "joint_trajectory"
+"""`trajectory_msgs/JointTrajectory`: taken by arm and estimator alone, as the joint commands that
+it comes to."""
 CABLE_OFFSETS: Final = "cable_offsets"
 """`sensor_msgs/JointState`: cable names, `position` in m by which each cable is to be longer than
 its commanded length. This and `joint_commands` state in `header.frame_id` whether they belong to a

@@ -38,6 +38,7 @@ from cablesense_ros.node_process import (
     run_node,
     steady_timer,
 )
+from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
 
@@ -108,12 +109,14 @@ class CanDriverNode(ConfiguredNode):
             shown.header.stamp = self.get_clock().now().to_msg()
             out.publish(shown)
 
-        commands = self._refuse.subscribe(
-            JointState,
-            topics.JOINT_COMMANDS,
-            COMMAND,
-            lambda message: motion.go_to(joint_command_rad(message, joints, motion.target_rad)),
+        def follow(message: JointState) -> None:
+            motion.go_to(joint_command_rad(message, joints, motion.target_rad))
+
+        commands = self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, follow)
+        trajectories = TrajectoryInput(
+            self, self._refuse, arm.joint_names, lambda: motion.target_rad, follow
         )
+        self._entities.callback(trajectories.destroy)
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
         self._entities.callback(self.destroy_publisher, out)
         self._entities.callback(self.destroy_subscription, commands)

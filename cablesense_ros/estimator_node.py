@@ -34,6 +34,7 @@ from cablesense_ros.node_process import (
     subscribe_to_one,
 )
 from cablesense_ros.parameters import parameter_values
+from cablesense_ros.trajectory_input import TrajectoryInput
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -72,6 +73,14 @@ class EstimatorNode(ConfiguredNode):
         offsets = self._refuse_command.subscribe(
             JointState, topics.CABLE_OFFSETS, COMMAND, self._on_offsets
         )
+        trajectories = TrajectoryInput(
+            self,
+            self._refuse_command,
+            self._loaded.arm.joint_names,
+            lambda: self._estimation.gate.command_rad,
+            self._on_command,
+        )
+        self._inputs.callback(trajectories.destroy)
         for subscription in (samples, commands, offsets):
             self._inputs.callback(self.destroy_subscription, subscription)
         timer = steady_timer(self, STALE_CHECK_S, self._check_stale)

@@ -34,6 +34,7 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.dynamics import moving_arm
@@ -100,6 +101,9 @@ class SimNode(Node):
             self, "message refused, commands, offsets and loads stay as they were"
         )
         self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, on_command)
+        TrajectoryInput(
+            self, self._refuse, arm.joint_names, lambda: self._simulated.target_rad, on_command
+        )
         self._refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, on_offsets)
         self._refuse.subscribe(WrenchStamped, topics.APPLIED_WRENCH, COMMAND, on_load)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)

@@ -18,6 +18,7 @@ from rclpy.time import Time
 from ros_graph import Graph, NodeProcess, force
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py.messages import ForceState
@@ -203,6 +204,28 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     tared.push(2, (0.0, 0.0, 0.0))
     tared.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
     tared.spin(1.5)
+
+
+def test_a_trajectory_is_followed_and_its_end_is_a_command(tared):
+    angles = tared.listen(JointState, "/joint_states")
+    out = tared.node.create_publisher(JointTrajectory, "/joint_trajectory", 10)
+    tared.until(lambda: out.get_subscription_count() == 2, "sim and estimator")
+    tared.until(lambda: angles, "joint states")
+    for goal in (0.03, 0.0):
+        point = JointTrajectoryPoint(positions=[7.0, goal])
+        point.time_from_start.sec = 2
+        message = JointTrajectory(joint_names=["gripper", "joint_2_yaw"], points=[point])
+        out.publish(message)
+        tared.until(
+            lambda goal=goal: abs(angles[-1].position[3] - goal) < 1e-3, "the arm to arrive"
+        )
+    tared.until(
+        lambda: _values(tared, "joint_commands")["command (deg)"] == ", ".join(["0.00"] * 8),
+        "the estimator to know",
+    )
+    seen = [state.position[3] for state in angles]
+    assert any(0.01 < angle < 0.02 for angle in seen)
+    tared.node.destroy_publisher(out)
 
 
 def test_a_stream_of_commands_that_hardly_differ_hides_no_contact(tared):
