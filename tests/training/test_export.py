@@ -1,5 +1,7 @@
 """A network's file answers as the network does, is whole or absent, and is the same every time."""
 
+from copy import deepcopy
+
 import numpy as np
 import onnx
 import pytest
@@ -7,6 +9,7 @@ import torch
 from model_fixtures import metadata_for
 
 from cablesense_sim.arm import open_arm
+from cablesense_training import export
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import AGREEMENT, export_model
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS, Estimator
@@ -65,19 +68,36 @@ def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name
         assert np.isfinite(there).all()
 
 
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory):
+    """Of the small network: what takes long of an export is done once."""
+    path = tmp_path_factory.mktemp("graph") / "model.onnx"
+    export_model(_small_network(), path, _metadata(command="", seed=0))
+    model = onnx.load(path)
+    del model.metadata_props[:]
+    return model
+
+
+@pytest.fixture
+def quick_export(graph, monkeypatch):
+    monkeypatch.setattr(export, "_to_onnx", lambda *_: deepcopy(graph))
+
+
 @pytest.mark.slow
-def test_the_same_network_makes_the_same_bytes_and_its_metadata_travel(tmp_path):
+def test_the_same_network_makes_the_same_bytes_and_its_metadata_travel(graph, tmp_path):
     metadata = _metadata(command="cablesense train --seed 5", seed=5)
     paths = [tmp_path / name for name in ("first.onnx", "second.onnx")]
-    for path in paths:
-        export_model(_small_network(), path, metadata)
+    export_model(_small_network(), paths[0], metadata)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(export, "_to_onnx", lambda *_: deepcopy(graph))
+        export_model(_small_network(), paths[1], metadata)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert Estimator.load(paths[0]).metadata == metadata
 
 
 @pytest.mark.slow
-def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr("cablesense_training.export.AGREEMENT", -1.0)
+def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch, quick_export):
+    monkeypatch.setattr(export, "AGREEMENT", -1.0)
     kept = tmp_path / "model.onnx"
     kept.write_text("what was there")
     with pytest.raises(TrainingError, match="differs by"):
@@ -87,7 +107,7 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_place_that_cannot_be_written_is_named_and_stays_clean(tmp_path):
+def test_a_place_that_cannot_be_written_is_named_and_stays_clean(tmp_path, quick_export):
     (tmp_path / "folder").mkdir()
     with pytest.raises(TrainingError, match="cannot be written"):
         export_model(_small_network(), tmp_path / "folder", _metadata())

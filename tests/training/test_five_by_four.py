@@ -27,6 +27,7 @@ def arm_file(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def small_test_set(monkeypatch):
     monkeypatch.setattr("cablesense_training.model_training.TEST_SAMPLES", 300)
+    monkeypatch.setattr("cablesense_online.misfit_limit.POSES", 1)
 
 
 def test_it_is_described(arm_file):
