@@ -58,6 +58,9 @@ EXTRAS = {
         "scikit-learn",  # the gradient-boosting baseline
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
     ],
+    "test": [
+        "pytest",  # `colcon test` takes it for a package that names it under this extra
+    ],
     "dev": [
         "catkin-pkg",  # reads package.xml, in tests
         "colcon-core",  # the real build of the ROS package, in a test

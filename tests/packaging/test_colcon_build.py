@@ -4,9 +4,11 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+from colcon_core.task.python.test import has_test_dependency
 
 pytestmark = pytest.mark.slow
 
@@ -70,6 +72,15 @@ def test_all_arms_models_parameters_and_launch_files_are_installed(
     tracked = {n.relative_to(folder) for n in tracked_files() if n.is_relative_to(folder)}
     installed = build[0] / "share/cablesense_ros" / Path(folder).name
     assert {p.relative_to(installed) for p in installed.rglob("*") if p.is_file()} == tracked
+
+
+def test_colcon_takes_pytest_for_the_tests() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import setuptools  # brings distutils, which Python 3.12 lacks
+
+        declared = setuptools.distutils.core.run_setup(CHECKOUT / "setup.py", stop_after="init")
+    assert has_test_dependency({"extras_require": declared.extras_require}, "pytest")
 
 
 def test_programs_can_be_run(build: tuple[Path, str]) -> None:
