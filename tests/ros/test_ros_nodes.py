@@ -415,6 +415,19 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
     assert "Traceback" not in process.log
 
 
+def test_ctrl_c_while_the_modules_are_read_leaves_no_traceback(graph):
+    process = NodeProcess(SIM, namespace="/early")
+
+    def takes_sigterm():
+        caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{process.pid}/status").read_text())
+        return int(caught.group(1), 16) >> (signal.SIGTERM - 1) & 1
+
+    graph.until(takes_sigterm, "the package")
+    process.signal(signal.SIGINT)
+    assert process.wait() == 0, process.log
+    assert "Traceback" not in process.log
+
+
 @pytest.mark.parametrize(
     "numbers",
     [
