@@ -85,6 +85,9 @@ def main() -> None:
     done = {path.stem: each for path, each in zip(recordings, found, strict=True) if each}
     verdicts = {name: verdict for name, (verdict, _) in done.items()}
     truth = [answer for answer in everything if answer.recording in done]
+    if not truth:
+        print(f"no case was done in time; go on with --folder {folder}")
+        return
     rough = [answer for answer in truth if "capstan_friction" in answer.effects]
     result = {
         **harness.origin(),

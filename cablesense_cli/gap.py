@@ -99,15 +99,27 @@ def predict(
             "bundled one."
         ),
     ] = "cdsm_lab",
+    settle: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Estimate from so many first rows in which state the arm began: plays, shares of "
+            "friction, creep, zeros that drift.",
+        ),
+    ] = 0,
     force: ForceOption = False,
 ) -> None:
     """Predict the tensions of a recording, without noise, from its commands and loads alone.
 
+    With --settle the first rows are read too, as a recording has a past of its own.
+
     Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """
+    from cablesense_base import CableSenseError
     from cablesense_gap.arm_simulator import find_amended
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.csv_file import write_csv
+    from cablesense_gap.settling import settled
     from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 
@@ -115,15 +127,21 @@ def predict(
     output_file(out, force=force, inputs=(recording, arm_file))
     described = load_arm(arm_file)
     recorded = read_recording(recording, described)
+    if settle >= len(recorded):
+        raise CableSenseError(
+            f"--settle {settle}: {recording} has {len(recorded)} rows; leave some to predict"
+        )
     console = Console()
     with console.status("predicting"):
+        described = settled(described, recorded, settle)
         tensions_n = replay_arm(
             described, recorded.time_s, recorded.command_rad, recorded.forces_n
         )
     write_csv(out, replace(recorded, tensions_n=tensions_n))
     difference = recorded.tensions_n - tensions_n
-    gap_n = float((difference**2).mean() ** 0.5)
-    console.print(f"{out}: {len(recorded)} rows, {gap_n:.3f} N (RMS) from what was read")
+    gap_n = float((difference[settle:] ** 2).mean() ** 0.5)
+    over = f", over those after the {settle} that the state was estimated from" if settle else ""
+    console.print(f"{out}: {len(recorded)} rows, {gap_n:.3f} N (RMS) from what was read{over}")
 
 
 def protocol(

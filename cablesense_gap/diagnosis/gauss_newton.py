@@ -32,6 +32,7 @@ _CLOSE = 5e-3
 _WORTH = 5e-3
 _MOST_DAMPING = 0.5
 _FINAL_STEPS = 3
+_SEVERAL = 3
 
 
 def refine(
@@ -98,6 +99,10 @@ class _Fit:
         self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
+        slow = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+        effects = {term.effect for term in self._terms}
+        several = len(effects) >= _SEVERAL and bool(effects & slow)
+        self._beside_slow = np.array([several and t.effect not in slow for t in self._terms])
 
     def run(
         self,
@@ -147,17 +152,29 @@ class _Fit:
     def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
         """The prediction (R, C) at one point, with its derivatives (K, R, C).
 
-        Known derivatives by what fades stay: there are many, and they matter for a few rows.
+        Known derivatives by what fades stay: there are many, and they matter for a few rows. Among
+        several effects, those by what does not depend on history are taken without what does.
         """
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
         varied = np.arange(len(point)) if known is None else self._lasting
-        variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[varied]))]
-        predicted = self._problem.simulator.predict(variants)
-        found = (predicted[1:] - predicted[0]) / steps[varied].reshape(-1, 1, 1)
-        found[~np.isfinite(found).all(axis=(1, 2))] = 0.0
-        columns = np.zeros((len(point), *predicted[0].shape)) if known is None else known.copy()
-        columns[varied] = found
-        return predicted[0], columns
+        columns = None if known is None else known.copy()
+        predicted: Array = np.empty(0)
+        for plain in (True, False) if self._beside_slow.any() else (False,):
+            own = varied[self._beside_slow[varied] == plain]
+            variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[own]))]
+            if plain:
+                kept = {t for t, fast in zip(self._terms, self._beside_slow, strict=True) if fast}
+                variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
+            about, *moved = self._problem.simulator.predict(variants)
+            found = (np.array(moved).reshape(len(own), *about.shape) - about) / steps[own].reshape(
+                -1, 1, 1
+            )
+            found[~np.isfinite(found).all(axis=(1, 2))] = 0.0
+            columns = np.zeros((len(point), *about.shape)) if columns is None else columns
+            columns[own] = found
+            predicted = about
+        assert columns is not None
+        return predicted, columns
 
     def _assignment(self, point: Array) -> dict[Term, float]:
         numbers = zip(self._terms, self._parameters, point, strict=True)

@@ -7,18 +7,20 @@ worse by more than chance over the trials.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.gauss_newton import refit
-from cablesense_gap.diagnosis.places import Placing, linear_effects, place
+from cablesense_gap.diagnosis.places import LinearEffect, Placing, linear_effects, place
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
 from cablesense_gap.diagnosis.screening import Offered, Screened, screen_pairs
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_sim.effects.effect import WHOLE_ARM
 
+Spread = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 Fit = Callable[[Problem, Screened], Hypothesis | None]
 
 _MOST_EFFECTS = 7
@@ -39,11 +41,20 @@ class JointSelection:
     """Grows one explanation by effects and places, as long as held-out trials bear it out."""
 
     def __init__(
-        self, problem: Problem, pool: WorkerPool, candidates: Sequence[Candidate], fit: Fit
+        self,
+        problem: Problem,
+        spread: Spread,
+        candidates: Sequence[Candidate],
+        fit: Fit,
+        known: Offered,
     ) -> None:
-        """`candidates` are simulated about each fit; `fit` begins from what screening finds."""
-        self._problem, self._pool, self._fit = problem, pool, fit
-        self._candidates = candidates
+        """`spread` gives what a function makes of the problem and each of some values.
+
+        `candidates` are simulated about each fit, others `known` as they are; `fit` begins from
+        what screening finds.
+        """
+        self._problem, self._spread, self._fit = problem, spread, fit
+        self._candidates, self._known = candidates, known
         every = problem.simulator.candidates
         self._worth = {c.effect: max(_PLACE_WORTH, len(c.places) ** _ELSEWHERE) for c in every}
 
@@ -64,12 +75,11 @@ class JointSelection:
             yield best
 
     def _offered(self, about: Hypothesis) -> Offered:
-        linear = self._pool.map(
-            linear_effects, self._candidates, [about for _ in self._candidates]
-        )
+        linear = self._spread(partial(_linear_about, about), self._candidates)
         whole = {t.effect for t in about.values if t.place == WHOLE_ARM}
         single = {t.effect for t in about.values} - whole
-        return {
+        others = {e: shapes for e, shapes in self._known.items() if e not in about.effects}
+        return others | {
             c.effect: [
                 tuple(e for e in every if c.effect not in single or e.place != WHOLE_ARM)
                 for every in shapes
@@ -96,7 +106,7 @@ class JointSelection:
     def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
         """Each effect that others may stand in for taken out, and another one put in."""
         found = []
-        for rest in left_out(self._problem, self._pool, hypothesis, self._idle(hypothesis, 3.0)):
+        for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, 3.0)):
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
@@ -106,7 +116,7 @@ class JointSelection:
         least = min(map(self._forecast, screened[:1]), default=np.inf)
         most = min(before, _PROMISING * least)
         tried = [s for s in screened[:_TRIED] if self._forecast(s) <= most]
-        fitted = [h for h in self._pool.map(self._fit, tried) if h is not None]
+        fitted = [h for h in self._spread(self._fit, tried) if h is not None]
         best = min(fitted, key=self._judged, default=None)
         return best if best is not None and self._judged(best) < before else None
 
@@ -134,9 +144,7 @@ class JointSelection:
         while len(hypothesis.effects) > 1:
             rests = [
                 rest
-                for rest in left_out(
-                    self._problem, self._pool, hypothesis, self._idle(hypothesis, _PROMISING)
-                )
+                for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, _PROMISING))
                 if self._judged(rest) <= self._judged(hypothesis)
                 or not borne_out(hypothesis, rest)
             ]
@@ -154,18 +162,24 @@ class JointSelection:
 
 
 def left_out(
-    problem: Problem,
-    pool: WorkerPool,
-    hypothesis: Hypothesis,
-    effects: Sequence[str] | None = None,
+    spread: Spread, hypothesis: Hypothesis, effects: Sequence[str] | None = None
 ) -> list[Hypothesis]:
     """The hypothesis without each of its effects, all other numbers refitted."""
     rests: list[dict[Term, float]] = [
         {t: v for t, v in hypothesis.values.items() if t.effect != effect}
         for effect in (hypothesis.effects if effects is None else effects)
     ]
-    refitted = pool.map(refit, rests, [_STEPS_AGAIN for _ in rests])
-    return [h for h in refitted if h is not None]
+    return [h for h in spread(_refitted, rests) if h is not None]
+
+
+def _refitted(problem: Problem, values: Mapping[Term, float]) -> Hypothesis | None:
+    return refit(problem, values, _STEPS_AGAIN)
+
+
+def _linear_about(
+    about: Hypothesis, problem: Problem, candidate: Candidate
+) -> list[tuple[LinearEffect, ...]]:
+    return linear_effects(problem, candidate, about)
 
 
 def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:

@@ -62,13 +62,18 @@ def linear_effects(
 ) -> list[tuple[LinearEffect, ...]]:
     """For each combination of starting shapes, the candidate in every place.
 
-    Linear about the nominal mechanism, or about a hypothesis; places that this has already, and
-    those that the mechanism cannot be simulated with, are left out. A history-dependent effect is
-    simulated in all places and shapes side by side, which is worth while only for such a one.
+    Linear about the nominal mechanism, or about a hypothesis without what depends on history in
+    it; places that this has already, and those that the mechanism cannot be simulated with, are
+    left out. A history-dependent effect is simulated in all places and shapes side by side, which
+    is worth while only for such a one.
     """
-    known = {} if about is None else dict(about.values)
+    everything = {} if about is None else dict(about.values)
+    slow = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+    known = {term: value for term, value in everything.items() if term.effect not in slow}
     base = problem.nominal if about is None else about.without_tolerances
-    taken = {term.place for term in known if term.effect == candidate.effect}
+    if len(known) < len(everything):
+        base = problem.simulator.predict([known])[0]
+    taken = {term.place for term in everything if term.effect == candidate.effect}
     offered = [place for place in candidate.places if place not in taken]
     shapes = [p for p in candidate.parameters if p.role == "shape"]
     combined = [

@@ -151,10 +151,13 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 
 
 def _left_out_ratios(problem: Problem, ranked: Sequence[Ranked], whole: Hypothesis) -> list[float]:
-    """By which factor what is left grows without each of the effects; 0 where nobody tried."""
-    costs = {r.effects: problem.cost_of(r.hypothesis) for r in ranked if r.hypothesis}
-    without = [tuple(e for e in whole.effects if e != effect) for effect in whole.effects]
-    return [costs.get(effects, 0.0) / problem.cost_of(whole) for effects in without]
+    """By which factor what is left grows without each of the effects."""
+    costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.hypothesis)]
+    own = set(whole.effects)
+    return [
+        min(cost for effects, cost in costs if effects <= own - {effect}) / problem.cost_of(whole)
+        for effect in whole.effects
+    ]
 
 
 def log_weights(

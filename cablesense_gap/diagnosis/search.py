@@ -91,7 +91,7 @@ class _Search:
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
         self._explore()
-        self._refine_best(len(self._problem.simulator.candidates))
+        self._refine_best(2)
         self._leave_out()
         self._progress("done", 1.0)
         worth_it = [h for h in self._found.values() if not self._is_idle(h)]
@@ -110,7 +110,7 @@ class _Search:
         self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
         self._reselect_best(cheap)
         if not self._is_resolved():
-            self._select_jointly([c for c in candidates if not c.history_dependent])
+            self._select_jointly(2, {})
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
 
@@ -132,6 +132,7 @@ class _Search:
         }
         self._fit_history_dependent(few, best)
         self._refine_best(2)
+        self._leave_out()
         self._progress("judging what depends on the past on all rows", 0.95)
         new = [
             (h, self._about.get(id(h), sketch.problem).tolerance_columns)
@@ -171,14 +172,18 @@ class _Search:
         ]
         self._fit(pairs[:_MOST_EXPENSIVE_PAIRS], "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
+        if not self._is_resolved():
+            self._select_jointly(2, expensive)
 
-    def _select_jointly(self, candidates: Sequence[Candidate]) -> None:
-        selection = JointSelection(self._problem, self._pool, candidates, fit)
-        start = min([self._none, *self._found.values()], key=self._problem.cost_of)
+    def _select_jointly(self, most: int, known: Offered) -> None:
+        """From the best explanation with so many effects, or fewer, on."""
+        candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
+        selection = JointSelection(self._problem, self._map, candidates, fit, known)
+        few = [h for h in self._found.values() if len(h.effects) <= most]
+        start = min([self._none, *few], key=self._problem.cost_of)
         for k, grown in enumerate(selection.run(start, self._is_explained)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
-            if grown is not start:
-                self._keep(grown)
+            self._keep(grown)
 
     def _is_explained(self, hypothesis: Hypothesis) -> bool:
         """Whether it leaves what the sensors leave."""
@@ -217,7 +222,7 @@ class _Search:
 
     def _fitted(self, screened: Sequence[Screened]) -> Iterator[Hypothesis | None]:
         """One by one in as many processes; a few expensive ones each in all processes."""
-        expensive = {c.effect for c in self._problem.simulator.candidates if c.history_dependent}
+        expensive = self._slow()
         if all(len(s.effects) == 1 and expensive.issuperset(s.effects) for s in screened):
             return (fit(self._spread, one) for one in screened)
         return self._map(fit, screened)
@@ -241,12 +246,16 @@ class _Search:
             self._keep(alone)
 
     def _refine_best(self, most: int) -> None:
-        """The best explanations with so many effects and fewer, as they compete in the end."""
+        """The best with so many effects and fewer, and the best of all, as they compete."""
         best: dict[int, Hypothesis] = {}
-        for hypothesis in sorted(self._found.values(), key=self._problem.cost_of):
+        ordered = sorted(self._found.values(), key=self._problem.cost_of)
+        for hypothesis in ordered:
             best.setdefault(len(hypothesis.effects), hypothesis)
+        few = [h for count, h in best.items() if count <= most]
         done = {id(hypothesis) for hypothesis in self._refined}
-        rough = [h for count, h in best.items() if count <= most and id(h) not in done]
+        rough = list(
+            {id(h): h for h in [*ordered[: most - 1], *few] if id(h) not in done}.values()
+        )
         for fitted, about in (final_refinement(self._spread, one) for one in rough):
             self._found[fitted.effects] = fitted
             self._refined.append(fitted)
@@ -254,10 +263,12 @@ class _Search:
 
     def _leave_out(self) -> None:
         """The best explanation without each of its effects, down to what nothing can miss."""
-        cost_of = self._problem.cost_of
+        cost_of, slow = self._problem.cost_of, self._slow()
         best = min([self._none, *self._found.values()], key=cost_of)
+        if self._whole.sketch and self._problem is self._whole and slow & set(best.effects):
+            return  # that was done on the sketch
         while len(best.effects) > 2:
-            rests = left_out(self._problem, self._pool, best)
+            rests = left_out(self._map, best)
             for rest in rests:
                 self._keep(rest)
             least = min((self._found[rest.effects] for rest in rests), key=cost_of)
@@ -277,6 +288,10 @@ class _Search:
         gap = excess(self._none.held_out_rmse**2, floor)
         best = min(map(self._problem.cost_of, self._found.values()), default=float("inf"))
         return best <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
+
+    def _slow(self) -> set[str]:
+        """Effects that are expensive to simulate."""
+        return {c.effect for c in self._problem.simulator.candidates if c.history_dependent}
 
     def _least(self, screened: Iterable[Screened]) -> float:
         """The least excess that any of them leaves."""

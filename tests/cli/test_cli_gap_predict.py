@@ -115,3 +115,17 @@ def test_what_cannot_be_is_one_line(recording, tmp_path, arm, out, text):
     assert text in str(result.exception)
     assert "\n" not in str(result.exception)
     assert not (tmp_path / out).exists()
+
+
+def test_the_state_is_settled_on_the_first_rows_and_never_on_all(recording, tmp_path):
+    arm, out = tmp_path / "arm.yaml", tmp_path / "predicted.csv"
+    play = {
+        Term("actuator_backlash", "cable_5", "play_m"): 2e-4,
+        Term("actuator_backlash", "cable_5", "start"): 1.0,
+    }
+    write_arm(arm, amended_arm(LAB, play, {}), "made for this test")
+    result = run(recording, "--arm", arm, "--out", out, "--settle", 20)
+    assert result.exit_code == 0, result.output
+    assert "over those after the 20" in result.output.replace("\n", " ")
+    refused = run(recording, "--arm", arm, "--out", out, "--force", "--settle", 80)
+    assert "--settle 80" in str(refused.exception)
