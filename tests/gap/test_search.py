@@ -357,6 +357,7 @@ def several(count):
     return library
 
 
+@pytest.mark.slow  # the whole search, five effects deep
 def test_five_effects_at_once_are_found_with_their_sizes_and_nothing_else():
     library = several(5) | PLAIN
     truth = {
@@ -377,3 +378,17 @@ def test_a_gain_in_one_trial_of_many_may_be_chance():
     lucky[3] = whole.squares.sum()
     assert not borne_out(whole, replace(whole, squares=whole.squares + lucky))
     assert borne_out(whole, replace(whole, squares=2.0 * whole.squares))
+
+
+@pytest.mark.slow  # the whole search, twice as deep
+@pytest.mark.parametrize("sketch", [False, True])
+def test_what_depends_on_history_is_found_beside_several_others(sketch):
+    library = several(3) | {FADING: FADES}
+    linear_truth = {amount(n, "b"): size for n, size in zip("def", (3, -2, 1.5), strict=True)}
+    truth = {**linear_truth, AMOUNT: 4.0, RATE: 3.0}
+    problem = problem_of(Sums(library), truth)
+    if sketch:
+        problem = sketched(problem, OnSomeRows(library), ROWS_OF_THE_SKETCH)
+    found = best(search(problem))
+    assert found.effects == ("d", "e", "f", "fading")
+    assert found.values == pytest.approx(truth, rel=0.1)
