@@ -56,7 +56,7 @@ known, by
 Shares and gaps are RMS over all cables; gaps and what is unexplained are on trials that were not
 fitted; the sensors' floor is 0.072 N.
 
-| recording | share of each effect | probability of just these | gap before | gap after | unexplained |
+| recording | shares | probability | gap before | gap after | unexplained |
 | --- | --- | --- | --- | --- | --- |
 """
 
@@ -107,9 +107,10 @@ def _budget(name: str, verdict: Verdict) -> str:
         f"{effect} {share.share_n:.2f} N ({' '.join(share.places) or 'arm'})"
         for effect, share in verdict.shares.items()
     ]
+    gap = verdict.gap
     return (
         f"| [{name}]({name}/report.html) | {'; '.join(shares) or ' + '.join(verdict.effects)} | "
-        f"{verdict.probability:.2f} | {verdict.gap.before_n:.2f} N | {verdict.gap.after_n:.2f} N | "
+        f"{verdict.probability:.2f} | {gap.before_n:.2f} N | {gap.after_n:.2f} N | "
         f"{verdict.unexplained_n or 0.0:.2f} N, {verdict.unexplained_share or 0.0:.0%} |"
     )
 
