@@ -110,7 +110,7 @@ class _Search:
         self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
         self._reselect_best(cheap)
         if not self._is_resolved():
-            self._select_jointly(2, {})
+            self._select_jointly({})
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
 
@@ -172,15 +172,24 @@ class _Search:
         ]
         self._fit(pairs[:_MOST_EXPENSIVE_PAIRS], "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
-        if not self._is_resolved():
-            self._select_jointly(2, expensive)
+        if not self._is_resolved() and self._may_help(expensive):
+            self._select_jointly(expensive)
 
-    def _select_jointly(self, most: int, known: Offered) -> None:
-        """From the best explanation with so many effects, or fewer, on."""
+    def _may_help(self, offered: Offered) -> bool:
+        """Whether the best explanation has one of these, or leaves what one may explain."""
+        problem = self._problem
+        best = min([self._none, *self._found.values()], key=problem.cost_of)
+        if set(offered) & set(best.effects):
+            return True
+        beside = screen_singles(problem, offered, best)[:1]
+        left = [problem.cost(s.placed.mean_square, s.placed.tolerance_chi2) for s in beside]
+        return min(left, default=np.inf) < _WORTH_PAIRING * problem.cost_of(best)
+
+    def _select_jointly(self, known: Offered) -> None:
+        """From the best explanation on; of `known` effects the columns are those offered."""
         candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
         selection = JointSelection(self._problem, self._map, candidates, fit, known)
-        few = [h for h in self._found.values() if len(h.effects) <= most]
-        start = min([self._none, *few], key=self._problem.cost_of)
+        start = min([self._none, *self._found.values()], key=self._problem.cost_of)
         for k, grown in enumerate(selection.run(start, self._is_explained)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
             self._keep(grown)
