@@ -249,7 +249,11 @@ class _Fit:
             held_out[rows] += np.tensordot(coefficients, every[:, rows], axes=1)
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
-        spread = np.sqrt(covariance.diagonal())
+        # of a number at its bound: how far from there the readings allow it, the others free
+        gram, moment, off = data.gram.sum(0), data.moment.sum(0), self._offset(point)
+        freed = solve(gram, moment, self._precision, off, weight_)
+        spread = np.sqrt(_covariance(data, freed, self._precision, weight_).diagonal())
+        spread[at] = np.sqrt(covariance.diagonal()[at])
         values = self._assignment(point)
         units = [
             value if is_logarithmic(parameter) else parameter.typical

@@ -312,3 +312,15 @@ def test_it_ends_at_the_planted_number():
 
 def test_without_a_step_the_numbers_stay():
     assert refit(PROBLEM, {GAIN: 1.0}, 0).values == {GAIN: 1.0}
+
+
+@pytest.mark.parametrize("truth", [0.0, -0.05])
+def test_a_number_at_its_bound_is_known_as_far_as_the_readings_tell(truth: float) -> None:
+    """Less than a hair's breadth from the bound is not known where the readings scatter."""
+    term, column = amount("gain", "a"), SIGNALS[0]
+    problem = problem_of(Sums(linear("gain", ["a"])), {term: truth})
+    found = refine(problem, {term: Parameter("amount", "1", 0.0, 9.0, 1.0, "")}, [[0.5]])
+    assert found is not None
+    alone = 1.96 * FLOOR / np.sqrt((column**2).sum())
+    assert found.values[term] < alone
+    assert 0.5 * alone < found.deviations[term] < 3.0 * alone
