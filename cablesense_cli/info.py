@@ -48,6 +48,13 @@ def info(
     bend_deg: Annotated[
         float, typer.Option(help="With --blind: the command, every joint bent so far.")
     ] = 5.0,
+    template: Annotated[
+        bool, typer.Option("--template", help="Print an arm file to start from instead.")
+    ] = False,
+    keys: Annotated[
+        bool,
+        typer.Option("--keys", help="Print the reference of the arm file's keys instead."),
+    ] = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
@@ -57,10 +64,19 @@ def info(
 
     Examples: [bold]cablesense info cdsm[/bold], [bold]cablesense info my_arm.yaml --json[/bold],
     [bold]cablesense info config/models/cdsm.onnx[/bold], [bold]cablesense info --effects[/bold],
-    [bold]cablesense info cdsm_friction --blind --load-n 30[/bold]
+    [bold]cablesense info cdsm_friction --blind --load-n 30[/bold],
+    [bold]cablesense info --template > my_arm.yaml[/bold]
     """
     from rich.console import Console
 
+    if template or keys:
+        given = "--template" if template else "--keys"
+        others = ["file", "effects", "blind", "load_n", "bend_deg", "json_output"]
+        refuse_given(context, [*others, *(["keys"] if template else [])], f"with {given}")
+        from cablesense_cli.arm_reference import arm_keys_markdown, arm_template
+
+        print(arm_template() if template else arm_keys_markdown(), end="" if template else "\n")
+        return
     if not blind:
         refuse_given(context, ["load_n", "bend_deg"], "without --blind")
     if effects:
