@@ -211,6 +211,7 @@ def check(
             show_default="four standard deviations of a reading",
         ),
     ] = None,
+    namespace: Annotated[str, typer.Option(help="Live: of the arm's nodes.")] = "",
     json_output: JsonOption = False,
 ) -> None:
     """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
@@ -249,12 +250,12 @@ def check(
                 f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
             )
         prompts = Console(stderr=True)
-        series, made = capture_tensions(names, seconds, pulled, prompts.print)
+        series, made = capture_tensions(names, seconds, pulled, prompts.print, namespace)
         report = check_sensors(series, expected, made)
     else:
         if pull is not None:
             raise CommissioningError("--pull is for a live arm; of a recording it is --pulls FILE")
-        refuse_given(context, ["seconds"], "on a recording")
+        refuse_given(context, ["seconds", "namespace"], "on a recording")
         recorded = read_recording(recording, described)
         made = [] if pulls is None else read_pulls(pulls, names)
         report = check_sensors(series_of(recorded, names), expected, made)

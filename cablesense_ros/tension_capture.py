@@ -26,7 +26,11 @@ _WAKE_S = 0.1
 
 
 def capture_tensions(
-    cable_names: Sequence[str], rest_s: float, pulled: Sequence[str], say: Callable[[str], object]
+    cable_names: Sequence[str],
+    rest_s: float,
+    pulled: Sequence[str],
+    say: Callable[[str], object],
+    namespace: str = "",
 ) -> tuple[TensionSeries, list[Pull]]:
     """Readings at rest, then while a person pulls one cable after another as `say` asks.
 
@@ -35,13 +39,14 @@ def capture_tensions(
         rest_s: how long the arm is left alone first.
         pulled: cables to pull, in this order.
         say: takes a line for the person.
+        namespace: of the arm's nodes.
 
     Raises:
         CommissioningError: nothing comes, or two publish.
         ContractError: messages break the contract.
     """
     samples, never = _Samples(cable_names), Future()
-    with spun_node("sensor_check") as (node, executor):
+    with spun_node("sensor_check", namespace) as (node, executor):
 
         def wait(seconds: float) -> None:
             end_s = time.monotonic() + seconds
@@ -65,7 +70,7 @@ def capture_tensions(
         if not samples.times_s:
             raise CommissioningError(
                 f"nothing on {topics.CABLE_TENSIONS} in {_FIRST_SAMPLE_S:g} s: is the driver "
-                "running and active, in this ROS_DOMAIN_ID and without a namespace?"
+                "running and active, in this ROS_DOMAIN_ID and namespace?"
             )
         wait(_JOINING_S)
         samples.forget()

@@ -46,9 +46,10 @@ def check(*arguments, first_sample_s=5.0):
 
 
 def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted():
-    sim = NodeProcess("cablesense_ros.sim_node")
+    sim = NodeProcess("cablesense_ros.sim_node", "/left")
+    at = ("--namespace", "left", "--rate", "100")
     try:
-        result = check("--seconds", "2", "--pull", "cable_3", "--rate", "100", "--json")
+        result = check("--seconds", "2", "--pull", "cable_3", *at, "--json")
     finally:
         assert sim.stop() == 0, sim.log
     content = json.loads(result.stdout)
