@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from cablesense_cli.options import JsonOption, print_json, refuse_given, titled_table
+from cablesense_base.files import output_file
+from cablesense_cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionError,
+    print_json,
+    refuse_given,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from cablesense_training.evaluation.metrics import ErrorMetrics, SingleContactMetrics
@@ -26,12 +35,24 @@ def evaluate(
     ] = 20_260_001,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
     model: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             help="Evaluate this single-contact model (a path, or a bundled name) alone, "
-            "on its own arm."
+            "on its own arm. With --recording repeatable: before and after an adaptation."
         ),
-    ] = "",
+    ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: the known loads of this recording (.csv, .mcap, rosbag2 folder), of "
+            "the model's arm."
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="With --recording: also draw estimated against true forces, .png."),
+    ] = None,
+    force: ForceOption = False,
     table2: Annotated[
         bool,
         typer.Option(
@@ -44,17 +65,34 @@ def evaluate(
 
     Without options: single contacts on the straight arm, at random poses, on a compliant arm, and
     from tensions alone; several contacts at once. With [bold]--table2[/bold]: the six loads that
-    were hung on the physical arm.
+    were hung on the physical arm. With [bold]--recording[/bold]: a model on one's own arm, by
+    segment and by force.
 
     Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
-    [bold]cablesense evaluate --model my_arm.onnx[/bold]
+    [bold]cablesense evaluate --model my_arm.onnx[/bold],
+    [bold]cablesense evaluate --recording loads.mcap --model my_arm.onnx[/bold]
     """
-    if table2:
+    models = model or []
+    if recording is None:
+        refuse_given(context, ("picture", "force"), "without --recording")
+        if len(models) > 1:
+            raise OptionError("several --model go with --recording alone; give one")
+    if recording is not None:
+        drawn = ("samples", "seed", "workers", "table2")
+        refuse_given(context, drawn, "with --recording, which draws no samples")
+        if not models:
+            raise OptionError("--recording needs --model, the model that is to be judged on it")
+        if picture is None:
+            refuse_given(context, ["force"], "without --picture")
+        else:
+            output_file(picture, force=force, inputs=(recording, *models))
+        content, tables = _recorded(recording, models, picture)
+    elif table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
-        content, tables = _table2(model)
-    elif model:
-        content, tables = _one_model(model, samples, seed, workers)
+        content, tables = _table2("".join(models))
+    elif models:
+        content, tables = _one_model(models[0], samples, seed, workers)
     else:
         content, tables = _comparison(samples, seed, workers)
     if json_output:
@@ -104,6 +142,51 @@ def _table2(model: str) -> Result:
         ],
     )
     return {"model": estimator.metadata.network, "rows": content}, [table]
+
+
+def _recorded(recording: Path, models: list[str], picture: Path | None) -> Result:
+    from cablesense_gap.recorded_contacts import draw_recorded_errors, recorded_errors
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_training.inference.estimator import Estimator
+    from cablesense_training.inference.metadata import find_model
+
+    opened = {name: Estimator.load(find_model(name)) for name in models}
+    found = {
+        name: recorded_errors(read_recording(recording, estimator.metadata.arm), estimator)
+        for name, estimator in opened.items()
+    }
+    if picture is not None:
+        draw_recorded_errors(picture, found)
+    headings = ("", "rows", *_ERRORS)
+    tables = []
+    for name, each in found.items():
+        parts = [("all loads", each.whole.errors)]
+        parts += [(f"segment {n}", part.errors) for n, part in each.by_segment.items()]
+        parts += [
+            (f"{part.low_n:g} to {part.high_n:g} N", part.errors)
+            for part in each.whole.bins
+            if part.errors.contacts
+        ]
+        rows = [(what, f"{e.contacts:,}", *_error_cells(e)) for what, e in parts]
+        if each.false_n == each.false_n:
+            free = (each.truth.segment == 0).sum()
+            rows.append(("released", f"{free:,}", "", "", f"{each.false_n:.3f} N told", "", ""))
+        title = f"{name} on {recording.name}, arm {opened[name].metadata.arm_identity}"
+        tables.append(titled_table(title, *headings, right=headings[1:], rows=rows))
+    return {name: each.as_json() for name, each in found.items()}, tables
+
+
+_ERRORS = ("contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
+
+
+def _error_cells(errors: ErrorMetrics) -> tuple[str, ...]:
+    return (
+        f"{errors.contact_accuracy:.2%}",
+        f"{errors.direction_mae_deg:.2f}°",
+        f"{errors.magnitude_mae_n:.3f} N",
+        f"{errors.magnitude_rmse_n:.3f} N",
+        f"{errors.magnitude_coverage95:.1%}",
+    )
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:

@@ -27,6 +27,7 @@ from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
 from cablesense_gap.diagnosis.gauss_newton import refit
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.pipeline import problem_of
+from cablesense_gap.recorded_contacts import tares_n
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Estimator as Errors
@@ -92,7 +93,7 @@ def tared_loads(recording: Recording) -> TaredLoads:
 
     A load under a command that was not rested at before has no tare and is left out.
     """
-    tare = _tares_n(recording)
+    tare = tares_n(recording)
     trial = np.unique(recording.trial, return_inverse=True)[1]
     size = np.linalg.norm(recording.load_n, axis=1)
     peak = np.zeros(int(trial.max(initial=0)) + 1)
@@ -107,25 +108,6 @@ def tared_loads(recording: Recording) -> TaredLoads:
         trial=trial[row],
         at_peak=size[row] >= AT_PEAK * peak[trial[row]],
     )
-
-
-def _tares_n(recording: Recording) -> Array:
-    """(R, M) for loaded rows, NaN where there is none."""
-    loaded = recording.load_segment > 0
-    moved = (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
-    tare = np.full_like(recording.tensions_n, np.nan)
-    first: int | None = None  # of the latest unloaded rows at the present command
-    last = 0
-    for row in range(len(recording)):
-        if moved[row]:
-            first = None
-        if not loaded[row]:
-            if first is None or loaded[row - 1]:
-                first = row
-            last = row
-        elif first is not None:
-            tare[row] = recording.tensions_n[first : last + 1].mean(axis=0)
-    return tare
 
 
 Answering = Callable[[TaredLoads], Array]

@@ -2,11 +2,16 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import pytest
+from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
+from cablesense_cli.options import OptionError
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_sim.replay import replay_arm
 from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
 from cablesense_training.inference.metadata import find_model
 
@@ -90,3 +95,31 @@ def test_a_model_of_several_contacts_is_refused():
     result = CliRunner().invoke(app, ["evaluate", "--model", "cdsm_multi"])
     assert result.exit_code != 0
     assert "multi-contact" in str(result.exception)
+
+
+def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path):
+    recorded = small_recording()
+    true_n = replay_arm(LAB, recorded.time_s, recorded.command_rad, recorded.forces_n)
+    file, picture = tmp_path / "loads.csv", tmp_path / "errors.png"
+    write_csv(file, replace(recorded, tensions_n=true_n))
+    models = ("--model", "cdsm_lab", "--model", "peers/cdsm_lab_closed_form")
+    content = json.loads(_run("--recording", file, *models, "--json"))
+    assert list(content) == list(models[1::2])
+    shown = _run("--recording", file, *models[:2], "--picture", picture)
+    for words in ("segment 4", "10 to 50", "released"):
+        assert words in shown
+    assert picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ("--recording loads.csv", "--recording needs --model"),
+        ("--recording loads.csv --model cdsm --samples 300", "--samples has no effect"),
+        ("--picture errors.png", "--picture has no effect without --recording"),
+        ("--model cdsm --model cdsm_lab", "several --model go with --recording alone"),
+    ],
+)
+def test_options_of_a_recording_do_not_go_with_others(arguments, what):
+    with pytest.raises(OptionError, match=what):
+        CliRunner().invoke(app, ["evaluate", *arguments.split()], catch_exceptions=False)

@@ -98,6 +98,8 @@ def answers(turned_deg: float = 0.0, more: float = 1.0, segment: int | None = No
         magnitude_n=SIZE_N * more,
         magnitude_std_n=nothing,
         angle_std_deg=nothing,
+        low_n=nothing,
+        high_n=nothing,
     )
     return answered_n(ARM, LOADS, said)
 

@@ -1,0 +1,80 @@
+"""A model on the known loads of a recording: tares, errors by segment, refusals, the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_recordings import CYCLE, LAB, small_recording
+
+from cablesense_gap.recorded_contacts import draw_recorded_errors, recorded_errors, tares_n
+from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_sim.replay import read_tensions_n, replay_arm
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import find_model
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """As the laboratory's arm would read it."""
+    made = small_recording()
+    true_n = replay_arm(LAB, made.time_s, made.command_rad, made.forces_n)
+    readings = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
+    return replace(made, tensions_n=readings)
+
+
+@pytest.fixture(scope="module")
+def estimator() -> Estimator:
+    return Estimator.load(find_model("cdsm_lab"))
+
+
+def test_a_healthy_arm_is_estimated_right_on_every_segment(
+    recording: Recording, estimator: Estimator
+) -> None:
+    found = recorded_errors(recording, estimator)
+    assert set(found.by_segment) == {1, 2, 3, 4}
+    assert found.whole.contact_accuracy > 0.99
+    assert found.false_n < 0.05
+    for each in found.by_segment.values():
+        assert each.errors.contacts == 2 * np.count_nonzero(CYCLE)
+        assert each.errors.magnitude_mae_n < 0.3
+        assert each.errors.direction_mae_deg < 2.0
+
+
+def test_a_sensor_that_answers_half_as_much_shows_on_the_segments_that_it_reads(
+    recording: Recording, estimator: Estimator
+) -> None:
+    tensions = recording.tensions_n.copy()
+    tensions[:, 11] = 50.0 + 0.5 * (tensions[:, 11] - 50.0)  # ends on segment 4
+    found = recorded_errors(replace(recording, tensions_n=tensions), estimator)
+    first, *_, last = (each.errors.magnitude_mae_n for each in found.by_segment.values())
+    assert last > 3.0 * first
+
+
+def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
+    made = small_recording()
+    tensions = np.arange(float(len(made)))[:, None] * np.ones(12)
+    tare = tares_n(replace(made, tensions_n=tensions))[:, 0]
+    loaded = made.load_segment > 0
+    released = np.flatnonzero(np.isfinite(tare) & ~loaded)
+    assert released.size
+    for row in released:
+        before = np.flatnonzero(loaded[:row])[-1]
+        assert tare[row] == tare[before] < row
+
+
+def test_loads_without_a_tare_are_refused(recording: Recording, estimator: Estimator) -> None:
+    loaded = recording.rows(recording.load_segment > 0)
+    with pytest.raises(RecordingError, match="no tare to estimate from"):
+        recorded_errors(loaded, estimator)
+
+
+def test_two_models_are_drawn_side_by_side(
+    recording: Recording, estimator: Estimator, tmp_path: Path
+) -> None:
+    found = recorded_errors(recording, estimator)
+    path = tmp_path / "errors.png"
+    draw_recorded_errors(path, {"before": found, "after": found})
+    assert path.read_bytes().startswith(b"\x89PNG")
