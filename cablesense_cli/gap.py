@@ -77,7 +77,10 @@ def diagnose(
         def show(doing: str, done: float) -> None:
             progress.update(task, description=doing.replace("_", " "), completed=done)
 
-        found = make(recorded, nominal, show, workers)
+        def warn(finding: str) -> None:
+            progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
+
+        found = make(recorded, nominal, show, workers, warn)
         if retrain:
             errors = estimator_errors(found.recording, nominal, found.amended, show, workers)
             verdict = found.verdict.model_copy(update={"estimator": errors})

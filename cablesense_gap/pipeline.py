@@ -35,7 +35,7 @@ from cablesense_gap.diagnosis.problem import (
 )
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.experiments import next_experiment
-from cablesense_gap.recordings.checks import check_recording, refuse_unusable
+from cablesense_gap.recordings.checks import check_recording, refuse_unusable, stiffness_findings
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
@@ -106,10 +106,12 @@ def diagnose(
     arm: Arm,
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
+    on_finding: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what makes the recorded arm differ from the nominal one.
 
-    `progress` is called with what is under way and which share of the whole is done.
+    `progress` is called with what is under way and which share of the whole is done, `on_finding`
+    with each problem of the recording before the search begins.
 
     Raises:
         RecordingError: the recording cannot be used.
@@ -127,6 +129,9 @@ def diagnose(
         nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
     findings = check_recording(whole, arm, nominal, rows)
     refuse_unusable(whole, findings)
+    findings += stiffness_findings(recording, arm, nominal)
+    for finding in findings:
+        on_finding(finding.text)
     problem = problem_of(recording, simulator, nominal)
     calibration = bundled_calibration()
     found = posterior(search(problem, progress, workers), problem.floor, calibration)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from itertools import pairwise
@@ -28,6 +28,7 @@ from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
 FEWEST_ROWS, FEWEST_TRIALS = 6, 2
@@ -37,6 +38,9 @@ GOOD_ROWS, GOOD_TRIALS = 200, 8
 _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
 _GAP_INTERVALS = 10.0
+_MILLISECONDS = (700.0, 1400.0)
+"""Steps of time over those of the sensors, where milliseconds are taken for seconds."""
+_OTHER_RATE = 3.0
 _MOVED_FLOORS = 50.0
 """A cable whose prediction varies by this many noise floors must show it."""
 _STUCK_TRIALS = 3
@@ -45,6 +49,10 @@ _LEAST_CORRELATION = 0.5
 """No effect turns the responses of half the cables further away from the prediction than this."""
 _SCALES = (0.2, 5.0)
 """Nor does any scale them by more."""
+_STIFFNESS_ROWS = 40
+_SOFTER = (0.3, 0.1, 0.03, 0.01)
+_STIFFER = (3.0, 10.0, 30.0, 100.0)
+_WORTH_FLOORS = 2.0
 _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
@@ -179,6 +187,48 @@ def channel_findings(
     return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
 
 
+def stiffness_findings(recording: Recording, arm: Arm, nominal_n: Array) -> list[Finding]:
+    """Whether the readings are those of an arm many times as stiff, or as soft, as the nominal.
+
+    `nominal_n` (R, M) is the nominal arm's prediction. Effects of the arm file are left out.
+    """
+    rows = np.unique(np.linspace(0, len(recording) - 1, _STIFFNESS_ROWS).astype(int))
+    few, mechanism = recording.rows(rows), mechanism_of(arm)
+
+    def left_n(predicted_n: Array) -> float:
+        residual = few.tensions_n - predicted_n
+        return float((residual - residual.mean(axis=0)).std())
+
+    own_n = left_n(nominal_n[rows])
+    if own_n < _WORTH_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors))):
+        return []
+    found: dict[float, float] = {}
+    for way in (_SOFTER, _STIFFER):
+        for factor in way:
+            other = replace(
+                mechanism,
+                stiffness_n_m=factor * mechanism.stiffness_n_m,
+                cable_stiffness_n_m=factor * mechanism.cable_stiffness_n_m,
+            )
+            try:
+                rest = solve_equilibrium(other, few.command_rad, few.forces_n)
+            except EquilibriumError:
+                break  # nor does a softer one
+            found[factor] = left_n(rest.tensions_n)
+    best = min(found, key=found.__getitem__, default=1.0)
+    if found.get(best, own_n) >= _BETTER * own_n:
+        return []
+    times = f"{best:g} times as stiff" if best > 1.0 else f"{1.0 / best:g} times as soft"
+    return [
+        _warn(
+            "stiffness",
+            f"the readings fit an arm whose cables are {times} as those of arm {arm.name} "
+            f"({found[best]:.2g} N are left, not {own_n:.2g} N); see the cables' stiffness in the "
+            "arm file",
+        )
+    ]
+
+
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if len(recording) == 0:
         yield _refuse("rows", "has no rows; it must have one per sample")
@@ -205,7 +255,6 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
 
 
 def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    del arm
     steps, same_trial = np.diff(recording.time_s), np.diff(recording.trial) == 0
     back = np.append(False, steps <= 0.0)
     if back.any():
@@ -218,6 +267,22 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     within = steps[same_trial]
     if within.size:
         usual = float(np.median(within))
+        slower = usual * arm.sensors.rate_hz
+        if _MILLISECONDS[0] <= slower <= _MILLISECONDS[1]:
+            yield _refuse(
+                "milliseconds",
+                f"{TIME} goes in steps of {usual:g}, where the sensors of arm {arm.name} read "
+                f"every {1.0 / arm.sensors.rate_hz:g} s; times are in s, and these seem to be "
+                "milliseconds",
+            )
+            return
+        if not 1.0 / _OTHER_RATE <= slower <= _OTHER_RATE:
+            yield _warn(
+                "rate",
+                f"rows come every {usual:.3g} s, where sensors.rate_hz = {arm.sensors.rate_hz:g} "
+                f"of arm {arm.name} says every {1.0 / arm.sensors.rate_hz:g} s; see whether "
+                "times are in s, and whether the arm file is that of this arm",
+            )
         gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
         if gap.any():
             yield _warn(

@@ -131,6 +131,12 @@ def _checked_columns(path: Path, wanted: list[str], arm: Arm) -> int:
                     f"{path}: its first line has no end; it must name the columns"
                 )
             header = [name.strip() for name in next(csv.reader([line]), [])]
+            if len(header) == 1 and (other := next((c for c in ";\t" if c in line), "")):
+                named = "semicolons" if other == ";" else "tabs"
+                raise RecordingError(
+                    f"{path}: {named} stand between its columns; a recording has commas there, "
+                    "and a point in its numbers"
+                )
             _check_names(path, header, wanted, arm)
             _check_lines(path, file, len(header), MAX_NUMBERS // len(wanted))
     except (OSError, ValueError, csv.Error) as error:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.recordings import csv_file
-from cablesense_gap.recordings.csv_file import read_csv, write_csv
+from cablesense_gap.recordings.csv_file import all_columns, read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 
@@ -200,3 +200,11 @@ def test_more_rows_than_memory_is_meant_for_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_file, "MAX_NUMBERS", 4 * 26)
     with pytest.raises(RecordingError, match="more than 4 rows"):
         read_csv(written(tmp_path), LAB)
+
+
+@pytest.mark.parametrize(("mark", "named"), [(";", "semicolons"), ("\t", "tabs")])
+def test_other_marks_between_columns_are_named(tmp_path, mark, named):
+    path = tmp_path / "semicolons.csv"
+    path.write_text(mark.join(all_columns(8, 12)) + "\n")
+    with pytest.raises(RecordingError, match=f"{named} stand between its columns"):
+        read_csv(path, open_arm("cdsm_lab"))

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm_variants import variant
+from gap_recordings import small_recording
 
 from cablesense_gap.recordings.checks import (
     Finding,
@@ -14,6 +16,7 @@ from cablesense_gap.recordings.checks import (
     check_recording,
     read_recording,
     refuse_unusable,
+    stiffness_findings,
 )
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import rows_of, standard_protocol
@@ -21,7 +24,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.replay import read_tensions_n
+from cablesense_sim.replay import read_tensions_n, replay_arm
 
 LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
 MECHANISM = mechanism_of(LAB)
@@ -204,3 +207,26 @@ def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_pat
     with pytest.raises(RecordingError, match=r"degrees: .*seem to be degrees"):
         read_recording(tmp_path / "degrees.csv", LAB)
     assert refused(check_form(with_((9, 4), "tensions_n", np.nan), LAB))
+
+
+@pytest.mark.parametrize("shares", [(1.0, 10.0), (10.0, 1.0)])
+@pytest.mark.slow
+def test_an_arm_file_with_another_order_of_stiffness_is_named(shares):
+    real, nominal = (variant({"cables.stiffness_n_m": 1e5 * s}, "cdsm_lab") for s in shares)
+    made = small_recording()
+    read_n, expected_n = (
+        replay_arm(arm, made.time_s, made.command_rad, made.forces_n) for arm in (real, nominal)
+    )
+    read = replace(made, tensions_n=read_tensions_n(read_n, LAB.sensors, np.random.default_rng(0)))
+    (found,) = stiffness_findings(read, nominal, expected_n)
+    way = "stiff" if shares[0] > shares[1] else "soft"
+    assert f"10 times as {way}" in found.text
+    assert not stiffness_findings(read, real, read_n)
+
+
+@pytest.mark.parametrize(("seconds", "kind"), [(1000.0, "milliseconds"), (30.0, "rate")])
+def test_times_in_another_unit_or_of_another_rate_are_named(seconds, kind):
+    made = small_recording()
+    kinds = {each.kind for each in check_form(replace(made, time_s=seconds * made.time_s), LAB)}
+    assert kind in kinds
+    assert not {"milliseconds", "rate"} & {each.kind for each in check_form(made, LAB)}
