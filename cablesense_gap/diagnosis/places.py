@@ -186,8 +186,8 @@ def place(
 ) -> list[Placed]:
     """The best places for one effect, at least one, if any is offered.
 
-    Where that is a single place, the second best single place follows if it explains nearly as
-    much: a search from there may yet end better.
+    Where that is a single place, and nothing is beside it, the second best single place follows if
+    it explains nearly as much: a search from there may yet end better.
 
     `residual` (R, C) is what is to be explained, `beside` (B, R, C) are scaled columns of effects
     already found, which are fitted along with the tolerances.
@@ -202,7 +202,7 @@ def place(
     if len(paths) == 2 and paths[0][0] and paths[0][1] < WORTH * paths[1][1]:
         best = paths[0]
     found = [best]
-    if len(best[0]) == 1:
+    if len(best[0]) == 1 and not len(beside):
         others = [search.grow([k], most=1) for k in range(len(offered)) if k != best[0][0]]
         found += sorted(others, key=lambda path: path[1])[:1]
     return [search.placed(chosen) for chosen, left in found if left <= _NEARLY * best[1]]

@@ -196,6 +196,7 @@ class _Search:
         for k, grown in enumerate(selection.run(start, self._is_explained)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
             self._keep(grown)
+        self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:1])
 
     def _is_explained(self, hypothesis: Hypothesis) -> bool:
         """Whether it leaves what the sensors leave."""
@@ -258,20 +259,20 @@ class _Search:
             self._keep(alone)
 
     def _refine_best(self, most: int) -> None:
-        """The best with so many effects and fewer, and the best of all, as they compete."""
+        """The best explanations with so many effects and fewer, as they compete in the end."""
         best: dict[int, Hypothesis] = {}
-        ordered = sorted(self._found.values(), key=self._problem.cost_of)
-        for hypothesis in ordered:
+        for hypothesis in sorted(self._found.values(), key=self._problem.cost_of):
             best.setdefault(len(hypothesis.effects), hypothesis)
-        few = [h for count, h in best.items() if count <= most]
+        self._refine([h for count, h in best.items() if count <= most])
+
+    def _refine(self, rough: Iterable[Hypothesis]) -> None:
         done = {id(hypothesis) for hypothesis in self._refined}
-        rough = list(
-            {id(h): h for h in [*ordered[: most - 1], *few] if id(h) not in done}.values()
-        )
-        for fitted, about in (final_refinement(self._spread, one) for one in rough):
-            self._found[fitted.effects] = fitted
-            self._refined.append(fitted)
-            self._about[id(fitted)] = about
+        for one in rough:
+            if id(one) not in done:
+                fitted, about = final_refinement(self._spread, one)
+                self._found[fitted.effects] = fitted
+                self._refined.append(fitted)
+                self._about[id(fitted)] = about
 
     def _leave_out(self) -> None:
         """The best explanation without each of its effects, down to what nothing can miss."""
