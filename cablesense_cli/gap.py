@@ -282,6 +282,11 @@ def _print_score(found: Score, console: Console) -> None:
     headings = ("statistic", "value", "95 % interval", "cases")
     table = titled_table(f"{found.cases} verdicts", *headings)
     shares = {name: getattr(found, field) for name, field in _SHARES.items()}
+    shares |= {
+        "effects of at least 5 floors: named": found.budgets.named,
+        "names given that are false": found.budgets.false_names,
+        "shares within a third of the truth": found.budgets.shares,
+    }
     shares |= {f"exact, {effect}": share for effect, share in found.by_effect.items()}
     for name, share in shares.items():
         if share.value is None:

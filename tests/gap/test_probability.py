@@ -21,6 +21,7 @@ from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
     imitated_share,
+    named,
     posterior,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
@@ -260,3 +261,22 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
     )
     assert sorted(group) == ["left", "right"]
     assert "alike" in reasons[0]
+
+
+def verdict_on(whole: float, without: float) -> list[Ranked]:
+    """Three effects that leave so much of 3 N, and so much without any one of them."""
+    hypotheses = [leaving(3.0), leaving(whole, "a", "b", "c")]
+    hypotheses += [leaving(without, *pair) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
+    problem = problem_of(Sums({}), {})
+    return named(problem, posterior(hypotheses, FLOOR, BUNDLED), BUNDLED)
+
+
+def test_several_effects_are_named_beside_what_stays_unexplained():
+    found = verdict_on(whole=0.9, without=2.0)
+    assert found[0].effects == ("a", "b", "c")
+    assert sum(each.probability for each in found) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("whole", "without"), [(1.8, 2.9), (0.9, 1.1)])
+def test_effects_that_leave_much_or_are_not_needed_stand_in_for_an_unlisted_one(whole, without):
+    assert verdict_on(whole, without)[0].effects == UNKNOWN

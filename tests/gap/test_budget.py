@@ -1,0 +1,62 @@
+"""The budget of a gap, against sizes that follow from what was planted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
+
+from cablesense_gap.budget import rest_of, shares
+from cablesense_gap.diagnosis.gauss_newton import refine, refit
+from cablesense_gap.diagnosis.probability import Ranked
+
+TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
+PLANTED = {
+    "gain": 2.0 * SIGNALS[1],
+    "other": -0.7 * SIGNALS[4],
+}
+
+
+def size_of(values):
+    return float(np.sqrt((values**2).mean()))
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return problem_of(Sums(linear("gain", "abc") | linear("other", "ab", SIGNALS[4:])), TRUTH)
+
+
+@pytest.fixture(scope="module")
+def budget(problem):
+    best, rival = refit(problem, TRUTH, 4), refit(problem, {amount("gain", "b"): 2.0}, 4)
+    ranked = [Ranked(best.effects, 0.8, best), Ranked(rival.effects, 0.15, rival)]
+    return shares(problem, ranked, best.values)
+
+
+def test_a_share_is_what_predictions_change_without_the_effect(budget):
+    assert list(budget) == ["gain", "other"]
+    for effect, planted in PLANTED.items():
+        assert budget[effect].share_n == pytest.approx(size_of(planted), rel=0.03)
+        low, high = budget[effect].ci95_n
+        assert low < size_of(planted) < high
+
+
+def test_the_steps_lead_from_the_gap_to_the_floor(budget):
+    assert budget["gain"].left_n == pytest.approx(
+        np.hypot(size_of(PLANTED["other"]), FLOOR), rel=0.1
+    )
+    assert budget["other"].left_n == pytest.approx(FLOOR, rel=0.1)
+
+
+def test_an_effect_is_as_probable_as_all_explanations_that_have_it(budget):
+    assert budget["gain"].probability == pytest.approx(0.95)
+    assert budget["other"].probability == pytest.approx(0.8)
+
+
+def test_what_no_effect_explains_is_stated(problem):
+    explained = rest_of(problem, refit(problem, TRUTH, 4))
+    assert explained.share < 0.05
+    half = rest_of(problem, refit(problem, {amount("gain", "b"): 2.0}, 4))
+    assert half.unexplained == pytest.approx(size_of(PLANTED["other"]), rel=0.1)
+    nothing = rest_of(problem, refine(problem, {}, [[]]))
+    assert nothing.share == pytest.approx(1.0, abs=0.05)
