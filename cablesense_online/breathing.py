@@ -39,6 +39,8 @@ _LOADED_BEND_RAD = 0.1
 """By which a load bends the joints beyond their command, all together."""
 _LEAST_RAD: Final = np.radians(0.03)
 MOST_RAD: Final = np.radians(2.0)
+_ROUNDED = 2.0
+"""Rounded bristles carry 95 % of what they can after three times the `give_m` of sharp ones."""
 _SLACK_N = 1.0
 _PHASES = 8
 
@@ -198,7 +200,7 @@ def _grip(arm: Arm, mechanism: Mechanism, command_rad: Array) -> tuple[Array, fl
         if entry.effect.name == "capstan_friction":
             values = entry.values
             grip += values["coefficient"] * (bends_rad + values["pulley_wrap_rad"])
-            give_m = max(give_m, values["give_m"])
+            give_m = max(give_m, values["give_m"] * (1.0 + _ROUNDED * values["rounding"]))
     return grip, give_m
 
 

@@ -16,7 +16,7 @@ A whole cable is taut or slack: a taut piece next to a slack one draws cable out
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from cablesense_base import Array
 _MOST_STEPS = 40
 _CIRCLES_AFTER = 10
 _SWEEPS = 30
-_SHARE_STEPS = 4
+_HALVINGS = 30
 _ROUNDING = 1e-12
 _TURNS = 12
 _CLOSE_RAD = 1e-6
@@ -53,7 +53,7 @@ class CableChains:
 
     def __init__(
         self, compliance_m_n: Array, lengths_m: Array, limit: Array, share: Array,
-        give_m: Array | float = 0.0,
+        give_m: Array | float = 0.0, rounding: Array | float = 0.0,
     ) -> None:  # fmt: skip
         """Cables (...) whose nodes carry a share of their limit, from -1 to 1.
 
@@ -65,6 +65,8 @@ class CableChains:
             share: (..., K - 1) of it that each carries.
             give_m: broadcast to (..., K - 1): cable that passes a node while the share grows by
                 one before it slips (bristles); zero sticks rigidly.
+            rounding: broadcast likewise, Dahl's exponent from 0 to below 1: bristles stiffen by
+                (1 - share)^rounding / give on the way to their limit, at 0 evenly.
         """
         compliance, lengths, limit = _first(compliance_m_n), _first(lengths_m), _first(limit)
         exists = compliance > 0.0
@@ -74,6 +76,8 @@ class CableChains:
         nodes = self._joined.shape[1:] + self._joined.shape[:1]
         give = _first(np.broadcast_to(give_m, nodes))
         self._give_m = np.where(give > _LEAST_GIVE_M, give, 0.0)
+        self._rounding = _first(np.broadcast_to(rounding, nodes))
+        self._sharp = not self._rounding.any()
         self._share = _first(np.broadcast_to(share, nodes))
         self._rigid = self._give_m <= 0.0
         self._all_rigid = bool(self._rigid.all())
@@ -106,7 +110,7 @@ class CableChains:
         passed, _ = self._passed(stretch, _first(limit), taut)
         slack = self._evenly * stretch.sum(0)
         self._natural_m = lengths - np.where(taut, stretch + _gained(passed), slack)
-        self._share = np.where(taut, np.clip(self._bent(passed), -1.0, 1.0), 0.0)
+        self._share = np.where(taut, np.clip(self._bent(passed)[0], -1.0, 1.0), 0.0)
 
     def balancing_turn_rad(
         self, lengths_m: Array, limit: Array, by_turn_m: Array, torque_n_m: Array, slope_n_m: Array
@@ -170,9 +174,32 @@ class CableChains:
         stretch = lengths - self._natural_m
         return stretch, stretch.sum(0) > 0.0
 
-    def _bent(self, passed: Array) -> Array:
-        """Share that bristles would carry if they could carry any; of rigid nodes any."""
-        return np.asarray(self._share + passed / np.where(self._give_m > 0.0, self._give_m, 1.0))
+    def _bent(self, passed: Array) -> tuple[Array, Array]:
+        """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
+
+        Of rigid nodes any. What is left to the limit, u, falls as du/dx = -u^rounding / give
+        (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken
+        to be as stiff as it is on its way back.
+        """
+        give = np.where(self._give_m > 0.0, self._give_m, 1.0)
+        if self._sharp:
+            return self._share + passed / give, 1.0 / give
+        way, evenly = np.sign(passed), 1.0 - self._rounding
+        left = np.maximum(1.0 - way * self._share, 0.0)
+        far = np.maximum(left**evenly - evenly * np.abs(passed) / give, -1.0)
+        left = np.sign(far) * np.abs(far) ** (1.0 / evenly)
+        bent = np.where(way == 0.0, self._share, way * (1.0 - left))
+        stiff = np.where(way == 0.0, 1.0 + np.abs(self._share), np.maximum(left, 0.0))
+        return bent, stiff**self._rounding / give
+
+    def _until_m(self, share: Array, node: Any = ...) -> Array:
+        """Cable that passes bristles, or those of a node, until they carry a share."""
+        give, before = self._give_m[node], self._share[node]
+        if self._sharp:
+            return np.asarray((share - before) * give)
+        way, evenly = np.sign(share - before), 1.0 - self._rounding[node]
+        left = np.maximum(1.0 - way * before, 0.0) ** evenly
+        return np.asarray(way * give * (left - (1.0 - way * share) ** evenly) / evenly)
 
     def _passed(
         self, stretch: Array, limit: Array, taut: NDArray[np.bool_]
@@ -193,11 +220,13 @@ class CableChains:
             if step % _CIRCLES_AFTER == 0:
                 passed = self._relaxed(passed, held, limit, free)
                 tensions = held + self._stiffness_n_m * _gained(passed)
-                bent = self._bent(passed)
+                bent, _ = self._bent(passed)
                 slips = np.where(rigid, np.sign(passed), np.sign(bent) * (np.abs(bent) >= 1.0))
             last, before = passed, slips
             rows = self._rows(free, slips, passed, tensions, limit)
             passed = rows.solved(held)
+            if not self._sharp:  # the way back is as stiff as can be, and begins at rest
+                passed = np.where(~rigid & (passed * last < 0.0), 0.0, passed)
             tensions = held + self._stiffness_n_m * _gained(passed)
             slips = self._slipping(free, slips, passed, tensions, limit, room)
             if np.array_equal(slips, before) and (
@@ -220,7 +249,7 @@ class CableChains:
         near, far, over = tensions[:-1], tensions[1:], np.exp(limit)
         beyond, below, ahead = near > far * over + room, near * over < far - room, passed
         if not self._all_rigid:
-            bent = self._bent(passed)
+            bent, _ = self._bent(passed)
             beyond = np.where(self._rigid, beyond, bent > 1.0 + _ROUNDING)
             below = np.where(self._rigid, below, bent < -1.0 - _ROUNDING)
             ahead = np.where(self._rigid, passed, bent - slips)
@@ -234,11 +263,11 @@ class CableChains:
         if self._all_rigid:
             return _Rows(slips != 0.0, self._stiffness_n_m, np.exp(slips * limit))
         bends = free & (slips == 0.0) & ~self._rigid
-        share = np.where(bends, np.clip(self._bent(passed), -1.0, 1.0), slips)
+        bent, stiffer = self._bent(passed)
+        share = np.where(bends, np.clip(bent, -1.0, 1.0), slips)
         ratio = np.exp(share * limit)
-        give = np.where(bends, self._give_m, np.inf)
-        steeper = ratio * limit * np.maximum(tensions[1:], 0.0) / give
-        at = np.where(bends, (share - self._share) * self._give_m, 0.0)
+        steeper = bends * stiffer * ratio * limit * np.maximum(tensions[1:], 0.0)
+        at = np.where(np.abs(bent) > 1.0, self._until_m(share), passed)
         return _Rows(bends | (slips != 0.0), self._stiffness_n_m, ratio, steeper, steeper * at)
 
     def _relaxed(self, passed: Array, held: Array, limit: Array, free: NDArray[np.bool_]) -> Array:
@@ -253,20 +282,16 @@ class CableChains:
             tensions = held + stiffness * _gained(passed)
             near, far = tensions[k], tensions[k + 1]
             k_near, k_far = stiffness[k], stiffness[k + 1]
-            phi, carried, give = limit[k], self._share[k], self._give_m[k]
-            share = carried  # that the node ends with, found by Newton's method
-            for _ in range(_SHARE_STEPS):
-                ratio = np.exp(share * phi)
-                per_m, moved = k_near + ratio * k_far, (share - carried) * give
-                steeper = ratio * phi * np.maximum(far + k_far * moved, 0.0) + per_m * give
-                missing = near - ratio * far - per_m * moved
-                share = share + missing / np.where(steeper > 0.0, steeper, np.inf)
-                share = np.clip(share, -1.0, 1.0)
-            moved = np.where(give > 0.0, (share - carried) * give, 0.0)
+            phi, low, high = limit[k], -np.ones_like(near), np.ones_like(near)
+            for _ in range(_HALVINGS):  # the share that the node ends with
+                share = 0.5 * (low + high)
+                moved = self._until_m(share, k)
+                more = near - k_near * moved > np.exp(share * phi) * (far + k_far * moved)
+                low, high = np.where(more, share, low), np.where(more, high, share)
             for way in (1.0, -1.0):
                 ratio = np.exp(way * phi)
                 most = (near - ratio * far) / np.where(free[k], k_near + ratio * k_far, 1.0)
-                slips = way * (most - np.where(give > 0.0, (way - carried) * give, 0.0)) > 0.0
+                slips = way * (most - self._until_m(np.full_like(most, way), k)) > 0.0
                 moved = np.where(slips, most, moved)
             passed[k] = np.where(free[k], moved, 0.0)
         return passed

@@ -50,6 +50,9 @@ class CapstanFriction(Effect):
         shape("give_m", "m", 0.0, 2e-3, 2e-5,
               "of cable that passes a guide from rest to slip; zero sticks rigidly",
               trials=(0.0, 3e-5)),
+        shape("rounding", "1", 0.0, 0.95, 0.5,
+              "of the way from rest to slip: Dahl's exponent; at zero it slips at once",
+              trials=(0.5,)),
     )  # fmt: skip
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
@@ -85,6 +88,7 @@ class _Guides(Transmission):
             limit,
             np.broadcast_to(start[..., None], limit.shape),
             self._values["give_m"][:, None, None],
+            self._values["rounding"][:, None, None],
         )
 
     def hold(self, rest_m: Array, longer_m: Array) -> None:

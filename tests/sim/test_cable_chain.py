@@ -12,14 +12,16 @@ from cablesense_sim.cable_chain import CableChains
 RUN_N_M, SPAN_N_M, PHI = 2e5, 5e5, 0.3
 
 
-def chains(*, pieces: tuple[float, ...], limit: list[float], start=0.0, give=0.0, pull=50.0):
+def chains(
+    *, pieces: tuple[float, ...], limit: list[float], start=0.0, give=0.0, pull=50.0, rounding=0.0
+):
     """One cable of pieces with stiffnesses, N/m, tensioned to `pull` where it carries no share."""
     compliance = 1.0 / np.array([pieces])
     lengths = np.zeros_like(compliance)
     lengths[0, 0] = pull * compliance.sum()
     phi = np.array([limit])
     share = np.full_like(phi, start)
-    return CableChains(compliance, lengths, phi, share, give), lengths, phi
+    return CableChains(compliance, lengths, phi, share, give, rounding), lengths, phi
 
 
 def walked(cable, lengths, phi, steps):
@@ -96,12 +98,15 @@ def histories(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(2, 5))
     give = draw(st.sampled_from([0.0, 1e-6, 2e-5]))
+    rounding = draw(st.sampled_from([0.0, 0.5, 0.95]))
     compliance = 10.0 ** rng.uniform(-7.0, -5.0, (8, count))
     compliance[:4, draw(st.integers(2, count)) :] = 0.0
     lengths = np.zeros_like(compliance)
     lengths[:, 0] = 50.0 * compliance.sum(-1)
     limit = rng.uniform(0.0, 0.5, (8, count - 1))
-    cable = CableChains(compliance, lengths, limit, rng.uniform(-1, 1, limit.shape), give)
+    cable = CableChains(
+        compliance, lengths, limit, rng.uniform(-1, 1, limit.shape), give, rounding
+    )
     steps = rng.normal(0.0, 20.0, (12, *compliance.shape)) * compliance
     return cable, compliance, lengths, limit, steps, give
 
@@ -158,6 +163,25 @@ def test_slopes_are_the_derivatives_by_the_lengths(history) -> None:
         scale = 1.0 / compliance[compliance > 0.0].min()
         # a kink may lie just there
         assert np.quantile(np.abs(slope - found) / scale, 0.95) < 1e-4
+
+
+@pytest.mark.parametrize("rounding", [0.0, 0.3, 0.95])
+@pytest.mark.parametrize("start", [0.0, -0.6])
+def test_bristles_near_their_limit_as_dahl_has_it(rounding: float, start: float) -> None:
+    """What is left to it, u = 1 - share, falls as du/dx = -u^rounding / give, x passed."""
+    give, reached = 3e-5, 4e-5
+    cable, lengths, phi = chains(
+        pieces=(RUN_N_M, SPAN_N_M), limit=[PHI], start=start, give=give, rounding=rounding
+    )
+    before = cable.pull(lengths, phi).tensions_n[0]
+    near, far = walked(cable, lengths, phi, [np.array([[1e-4, 0.0]])])[0]
+    passed = (far - before[1]) / SPAN_N_M
+    assert 0.0 < passed < reached
+    step = 1e-9
+    u = 1.0 - start
+    for _ in range(round(passed / step)):
+        u = max(u - step * u**rounding / give, 0.0)
+    assert np.log(near / far) == pytest.approx(PHI * (1.0 - u), abs=1e-3 * PHI)
 
 
 def test_cables_side_by_side_are_as_alone() -> None:
