@@ -28,6 +28,7 @@ from cablesense_cli.paper import paper
 from cablesense_cli.runs import demo, record, replay
 from cablesense_cli.sensors import sensors
 from cablesense_cli.train import train
+from cablesense_cli.urdf import urdf
 
 app = typer.Typer(
     name="cablesense",
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, dataset, train, evaluate, info, record, replay, paper):
+for verb in (demo, dataset, train, evaluate, info, urdf, record, replay, paper):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

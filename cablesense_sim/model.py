@@ -199,5 +199,6 @@ def _disc(x_m: float, radius_m: float) -> str:
 
 
 def _cylinder(x_m: float, length_m: float, radius_m: float) -> str:
-    return f"""<visual><origin xyz="{x_m:.6g} 0 0" rpy="0 {np.pi / 2:.9g} 0"/><geometry>
-        <cylinder length="{length_m:.6g}" radius="{radius_m:.6g}"/></geometry></visual>"""
+    shape = f"""<origin xyz="{x_m:.6g} 0 0" rpy="0 {np.pi / 2:.9g} 0"/><geometry>
+        <cylinder length="{length_m:.6g}" radius="{radius_m:.6g}"/></geometry>"""
+    return f"<visual>{shape}</visual><collision>{shape}</collision>"

@@ -61,6 +61,7 @@ def test_what_exists_is_replaced_only_by_force(folder, command, file):
         ("gap protocol --arm a.yaml --out OUT", "a.yaml"),
         ("gap withhold --count 1 --arm a.yaml --answers OUT --out b", "a.yaml"),
         ("sensors calibrate a.csv --out OUT", "a.csv"),
+        ("urdf a.yaml --out OUT", "a.yaml"),
         ("sensors calibrate none.csv --map a.yaml --out OUT", "a.yaml"),
         ("replay a.mcap --estimates OUT", "a.mcap"),
     ],
@@ -97,3 +98,11 @@ def test_a_device_a_pipe_and_a_read_only_file_are_refused_before_the_work(folder
             "train", "--data", "none.parquet", "--out", name, *force
         )
     assert {path.name for path in folder.iterdir()} == {"pipe", "link", "fixed"}
+
+
+def test_the_shape_of_an_arm_is_written_or_printed(folder):
+    assert CliRunner().invoke(app, ["urdf", "cdsm", "--out", "arm.urdf"]).exit_code == 0
+    assert "already" in refused("urdf", "cdsm", "--out", "arm.urdf")
+    printed = CliRunner().invoke(app, ["urdf"]).stdout
+    assert printed == (folder / "arm.urdf").read_text()
+    assert "<collision>" in printed
