@@ -26,7 +26,7 @@ from cablesense_base import Array
 _MOST_STEPS = 40
 _CIRCLES_AFTER = 10
 _SWEEPS = 30
-_HALVINGS = 30
+_HALVINGS = 40
 _ROUNDING = 1e-12
 _TURNS = 12
 _CLOSE_RAD = 1e-6
@@ -174,32 +174,30 @@ class CableChains:
         stretch = lengths - self._natural_m
         return stretch, stretch.sum(0) > 0.0
 
-    def _bent(self, passed: Array) -> tuple[Array, Array]:
+    def _bent(self, passed: Array, node: Any = ...) -> tuple[Array, Array]:
         """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
 
-        Of rigid nodes any. What is left to the limit, u, falls as du/dx = -u^rounding / give
-        (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken
-        to be as stiff as it is on its way back.
+        Of all nodes or of one; of rigid ones any. What is left to the limit, u, falls as
+        du/dx = -u^rounding / give (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968);
+        a bristle at rest is taken to be as stiff as it is on its way back.
         """
-        give = np.where(self._give_m > 0.0, self._give_m, 1.0)
+        give, share = self._give_m[node], self._share[node]
+        give = np.where(give > 0.0, give, 1.0)
         if self._sharp:
-            return self._share + passed / give, 1.0 / give
-        way, evenly = np.sign(passed), 1.0 - self._rounding
-        left = np.maximum(1.0 - way * self._share, 0.0)
+            return share + passed / give, 1.0 / give
+        way, evenly = np.sign(passed), 1.0 - self._rounding[node]
+        left = np.maximum(1.0 - way * share, 0.0)
         far = np.maximum(left**evenly - evenly * np.abs(passed) / give, -1.0)
         left = np.sign(far) * np.abs(far) ** (1.0 / evenly)
-        bent = np.where(way == 0.0, self._share, way * (1.0 - left))
-        stiff = np.where(way == 0.0, 1.0 + np.abs(self._share), np.maximum(left, 0.0))
-        return bent, stiff**self._rounding / give
+        bent = np.where(way == 0.0, share, way * (1.0 - left))
+        stiff = np.where(way == 0.0, 1.0 + np.abs(share), np.maximum(left, 0.0))
+        return bent, stiff ** self._rounding[node] / give
 
-    def _until_m(self, share: Array, node: Any = ...) -> Array:
-        """Cable that passes bristles, or those of a node, until they carry a share."""
-        give, before = self._give_m[node], self._share[node]
-        if self._sharp:
-            return np.asarray((share - before) * give)
-        way, evenly = np.sign(share - before), 1.0 - self._rounding[node]
-        left = np.maximum(1.0 - way * before, 0.0) ** evenly
-        return np.asarray(way * give * (left - (1.0 - way * share) ** evenly) / evenly)
+    def _slip_m(self, way: Array | float, node: Any = ...) -> Array:
+        """Cable that passes bristles, or those of a node, until they slip a way."""
+        evenly = 1.0 - self._rounding[node]
+        left = np.maximum(1.0 - way * self._share[node], 0.0)
+        return np.asarray(way * self._give_m[node] * left**evenly / evenly)
 
     def _passed(
         self, stretch: Array, limit: Array, taut: NDArray[np.bool_]
@@ -233,6 +231,13 @@ class CableChains:
                 self._all_rigid or not (np.abs(passed - last) > _ROUNDING)[free & ~rigid].any()
             ):
                 break
+        else:
+            for _ in range(_MOST_STEPS):
+                last, passed = passed, self._relaxed(passed, held, limit, free)
+                if not (np.abs(passed - last) > _ROUNDING).any():
+                    break
+            tensions = held + self._stiffness_n_m * _gained(passed)
+            rows = self._rows(free, slips, passed, tensions, limit)
         self._slips = slips
         return passed, rows
 
@@ -267,7 +272,7 @@ class CableChains:
         share = np.where(bends, np.clip(bent, -1.0, 1.0), slips)
         ratio = np.exp(share * limit)
         steeper = bends * stiffer * ratio * limit * np.maximum(tensions[1:], 0.0)
-        at = np.where(np.abs(bent) > 1.0, self._until_m(share), passed)
+        at = np.where(np.abs(bent) > 1.0, self._slip_m(share), passed)
         return _Rows(bends | (slips != 0.0), self._stiffness_n_m, ratio, steeper, steeper * at)
 
     def _relaxed(self, passed: Array, held: Array, limit: Array, free: NDArray[np.bool_]) -> Array:
@@ -282,17 +287,16 @@ class CableChains:
             tensions = held + stiffness * _gained(passed)
             near, far = tensions[k], tensions[k + 1]
             k_near, k_far = stiffness[k], stiffness[k + 1]
-            phi, low, high = limit[k], -np.ones_like(near), np.ones_like(near)
-            for _ in range(_HALVINGS):  # the share that the node ends with
-                share = 0.5 * (low + high)
-                moved = self._until_m(share, k)
+            phi, low, high = limit[k], self._slip_m(-1.0, k), self._slip_m(1.0, k)
+            for _ in range(_HALVINGS):  # what passes if the node does not slip
+                moved = 0.5 * (low + high)
+                share = np.clip(self._bent(moved, k)[0], -1.0, 1.0)
                 more = near - k_near * moved > np.exp(share * phi) * (far + k_far * moved)
-                low, high = np.where(more, share, low), np.where(more, high, share)
+                low, high = np.where(more, moved, low), np.where(more, high, moved)
             for way in (1.0, -1.0):
                 ratio = np.exp(way * phi)
                 most = (near - ratio * far) / np.where(free[k], k_near + ratio * k_far, 1.0)
-                slips = way * (most - self._until_m(np.full_like(most, way), k)) > 0.0
-                moved = np.where(slips, most, moved)
+                moved = np.where(way * (most - self._slip_m(way, k)) > 0.0, most, moved)
             passed[k] = np.where(free[k], moved, 0.0)
         return passed
 
