@@ -36,7 +36,6 @@ app = typer.Typer(
     "in which direction and how hard.",
     epilog="Start with: cablesense demo",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -93,8 +92,8 @@ def main() -> None:
         _end(" ".join(str(error).split()), getattr(error, "exit_code", 2))
     except ModuleNotFoundError as error:
         _end(
-            f"this needs the Python package {error.name}, which is not installed; in "
-            "a checkout run `make setup`, elsewhere pip install 'cablesense_ros[train,gap]'",
+            f"this needs the Python package {error.name}, which is not installed; in a "
+            "checkout run `make setup`, or pip install '.[train,gap]'",
             2,
         )
     except KeyboardInterrupt:

@@ -89,7 +89,8 @@ def dataset(
         from cablesense_training.data.protocols import protocol_from_options
     except ModuleNotFoundError as error:
         raise CableSenseError(
-            f"datasets need {error.name}; install it with: pip install 'cablesense_ros[train]'"
+            f"datasets need {error.name}, which is not installed; in a checkout run `make setup`, "
+            "or pip install '.[train]'"
         ) from error
 
     if pose == "straight":

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
 from cablesense_cli.options import (
-    ArmOption,
     DurationOption,
     ForceOption,
     JsonOption,
@@ -149,7 +148,7 @@ def predict(
 
 def protocol(
     context: typer.Context,
-    arm: ArmOption = "cdsm",
+    arm: _NominalArm = "cdsm_lab",
     out: Annotated[
         Path | None,
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),

@@ -36,8 +36,8 @@ def train(
         str,
         typer.Option(
             help="closed-form-corrected: statics and a small network, knows the pose, the most "
-            "accurate. From tensions alone: scale-aware, or the paper's decoupled, "
-            "shared-backbone and two-stage. Several contacts at once: "
+            "accurate; closed-form: statics alone. From tensions alone: scale-aware, or the "
+            "paper's decoupled, shared-backbone and two-stage. Several contacts at once: "
             "multi-contact-closed-form, or the paper's multi-contact. In motion and under "
             "friction: temporal, which is history-dependent, and its baseline memoryless."
         ),

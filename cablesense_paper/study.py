@@ -209,7 +209,7 @@ def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
     except ModuleNotFoundError as error:
         failure = (
             f"it needs the Python package {error.name}, which is not installed; in a checkout run "
-            "`make setup`, elsewhere pip install 'cablesense_ros[train,gap]'"
+            "`make setup`, or pip install '.[train,gap]'"
         )
     except Exception:
         failure = traceback.format_exc(limit=-3)

@@ -12,6 +12,7 @@ from cablesense_cli.options import command_line
 from cablesense_cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.recipes import RECIPES
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
@@ -109,3 +110,9 @@ def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
     assert str(result.exception) == "enough"
     assert (asked["samples"], asked["force_high_n"], asked["epochs"]) == (4, 50.0, 1)
     assert "--network momentary --samples 4" in asked["command"]
+
+
+def test_help_lists_every_network():
+    shown = " ".join(_run("--help").output.split())
+    for name in RECIPES:
+        assert name in shown.replace("- ", "-"), name
