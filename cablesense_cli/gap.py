@@ -48,6 +48,7 @@ def diagnose(
         ),
     ] = False,
     force: ForceOption = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
@@ -69,7 +70,7 @@ def diagnose(
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
-    console = Console()
+    console = Console(stderr=json_output)
     with task_bars(console) as progress:
         task = progress.add_task("reading", total=1.0)
 
@@ -85,6 +86,9 @@ def diagnose(
             verdict = found.verdict.model_copy(update={"estimator": errors})
             found = replace(found, verdict=verdict)
     write_diagnosis(out, found)
+    if json_output:
+        print_json(found.verdict.model_dump(mode="json", exclude_none=True))
+        return
     console.print(headline(found.verdict), soft_wrap=True)
     if len(found.recording) < len(recorded):
         console.print(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
@@ -110,6 +114,7 @@ def predict(
         ),
     ] = 0,
     force: ForceOption = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Predict the tensions of a recording, without noise, from its commands and loads alone.
 
@@ -133,7 +138,7 @@ def predict(
         raise CableSenseError(
             f"--settle {settle}: {recording} has {len(recorded)} rows; leave some to predict"
         )
-    console = Console()
+    console = Console(stderr=json_output)
     with console.status("predicting"):
         described = settled(described, recorded, settle)
         tensions_n = replay_arm(
@@ -142,6 +147,9 @@ def predict(
     write_csv(out, replace(recorded, tensions_n=tensions_n))
     difference = recorded.tensions_n - tensions_n
     gap_n = float((difference[settle:] ** 2).mean() ** 0.5)
+    if json_output:
+        print_json({"out": str(out), "rows": len(recorded), "settled": settle, "gap_n": gap_n})
+        return
     over = f", over those after the {settle} that the state was estimated from" if settle else ""
     console.print(f"{out}: {len(recorded)} rows, {gap_n:.3f} N (RMS) from what was read{over}")
 

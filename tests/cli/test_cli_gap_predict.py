@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,14 @@ def test_the_nominal_arm_gives_the_nominal_prediction(recording, tmp_path):
     assert result.exit_code == 0, result.output
     nominal = solve_equilibrium(mechanism_of(LAB), RECORDING.command_rad, RECORDING.forces_n)
     assert_allclose(read_csv(out, LAB).tensions_n, nominal.tensions_n, atol=1e-3)
+
+
+def test_json_has_the_gap_that_is_left(recording, tmp_path):
+    out = tmp_path / "predicted.csv"
+    found = json.loads(run(recording, "--arm", "cdsm_lab", "--out", out, "--json").stdout)
+    difference = read_csv(recording, LAB).tensions_n - read_csv(out, LAB).tensions_n
+    assert found["gap_n"] == pytest.approx(np.sqrt((difference**2).mean()), abs=1e-3)
+    assert found["rows"] == len(RECORDING)
 
 
 def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
