@@ -1,6 +1,6 @@
 """Estimators along sequences: in motion and at rest, history-dependent or not, under friction.
 
-    python benchmarks/temporal.py [--duration 30] [--write]
+    python benchmarks/temporal.py [--arm cdsm_friction] [--without-long] [--write]
 
 Fresh sequences of commands and contacts, seeds that no training has seen, sensor noise on.
 Memoryless estimators get the set-point at every tick, which is more than the node gives them:
@@ -8,7 +8,7 @@ there they are silent until the arm rests again, and that is a row of its own. L
 whether the state stays right; under friction there are several, as a late start weighs more than
 the time since. Stated intervals are judged by what the load does, as friction hides most of it
 while it falls and after it went. `--write` puts `temporal.json`, `temporal.md` and a picture into
-`benchmarks/results/`.
+`benchmarks/results/`; of one arm alone, with its name behind `temporal`.
 """
 
 from __future__ import annotations
@@ -76,12 +76,10 @@ CASES = (
     Case(
         "cdsm_friction",
         "capstan friction of 0.15 with half a radian of pulley wrap, from rest to rest",
-        64,
+        24,
         8,
         {
             "temporal (shipped)": "cdsm_friction",
-            "the same without memory": "peers/cdsm_friction_momentary",
-            "statics trained on that arm, sample by sample": "peers/cdsm_friction_static",
             "statics of the arm without friction": "cdsm",
         },
     ),
@@ -91,30 +89,39 @@ CASES = (
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = harness.parser(__doc__, "results/temporal.*")
-    parser.add_argument("--duration", type=float, default=30.0, help="of each, in s")
+    names = [case.arm for case in CASES]
+    parser.add_argument("--arm", choices=names, help="only this one")
+    parser.add_argument("--without-long", action="store_true", help="no long sequences")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
     options = parser.parse_args()
-    protocol = MotionProtocol(duration_s=options.duration)
+    protocol = MotionProtocol()
+    cases = [case for case in CASES if options.arm in (None, case.arm)]
+    if options.without_long:
+        cases = [case._replace(long_sequences=0) for case in cases]
     result: dict[str, Any] = {
         **harness.origin(),
         "seeds": [SEED, LONG_SEED],
         "protocol": asdict(protocol),
         "arms": {},
     }
-    figure, axes = plt.subplots(1, len(CASES), figsize=(9.0, 3.4), layout="constrained")
-    for case, axis in zip(CASES, axes, strict=True):
+    size = (4.5 * len(cases), 3.4)
+    figure, axes = plt.subplots(1, len(cases), figsize=size, layout="constrained", squeeze=False)
+    for case, axis in zip(cases, axes[0], strict=True):
         result["arms"][case.arm] = _arm(case, protocol, options.workers, axis)
     text = _tables(result)
     print(text)
     if options.write:
-        harness.write_result("temporal.json", result)
-        figure.savefig(harness.write_result("temporal.md", text).with_suffix(".png"), dpi=150)
+        name = "_".join(filter(None, ["temporal", options.arm]))
+        harness.write_result(f"{name}.json", result)
+        figure.savefig(harness.write_result(f"{name}.md", text).with_suffix(".png"), dpi=150)
 
 
 def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict[str, Any]:
     sequences = _drawn(case.arm, replace(protocol, sequences=case.sequences), SEED, workers)
-    long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
-    long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
+    long = None
+    if case.long_sequences:
+        long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
+        long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     metrics: dict[str, Any] = {}
     moving = unsettled(sequences)  # or did within half a second
     shown = moving & (sequences.segment > 0)
@@ -124,17 +131,8 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
         answer = ContactAnswer.of(found)
         metrics[name] = _plain(sequence_metrics(answer, sequences))
         metrics[name]["intervals95"] = _intervals(found, sequences)
-        error_n = _force_error_n(sequence_answer(estimator, long), long)
-        metrics[name]["by_tenth_of_the_long_courses"] = [
-            float(part.mean()) for part in np.array_split(error_n, 10, axis=1)
-        ]
-        if case.long_sequences > 1:
-            # whether the estimator has all commands, or only those after a late start
-            moved = np.abs(long.before_rad - long.before_rad[:, -1:]).max((1, 2)) > 0.0
-            metrics[name]["of_long_courses_started"] = {
-                "before the arm moved": float(error_n[moved].mean()),
-                "late": float(error_n[~moved].mean()),
-            }
+        if long is not None:
+            metrics[name] |= _along(long, _force_error_n(sequence_answer(estimator, long), long))
         metrics[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
             gated = replace(answer, segment=np.where(moving.ravel(), 0, answer.segment))
@@ -148,9 +146,23 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
     return {
         "why": case.why,
         "sequences": len(sequences),
-        "long courses": len(long),
+        "long courses": case.long_sequences,
         "estimators": metrics,
     }
+
+
+def _along(long: Sequences, error_n: Array) -> dict[str, Any]:
+    """How errors (S, T) of the force grow along long sequences."""
+    tenths = [float(part.mean()) for part in np.array_split(error_n, 10, axis=1)]
+    along: dict[str, Any] = {"by_tenth_of_the_long_courses": tenths}
+    if len(long) > 1:
+        # whether the estimator has all commands, or only those after a late start
+        moved = np.abs(long.before_rad - long.before_rad[:, -1:]).max((1, 2)) > 0.0
+        along["of_long_courses_started"] = {
+            "before the arm moved": float(error_n[moved].mean()),
+            "late": float(error_n[~moved].mean()),
+        }
+    return along
 
 
 def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
@@ -241,10 +253,6 @@ def _tables(result: dict[str, Any]) -> str:
         lines += [title, "", f"{part['sequences']} sequences.", ""]
         lines += [*harness.markdown_table(headings, rows), ""]
         trained = {name: m for name, m in estimators.items() if "trained by" in m}
-        errors_n = (
-            f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
-            for name, m in trained.items()
-        )
         phases = list(next(iter(trained.values()))["intervals95"])
         intervals = [
             " | ".join(
@@ -264,10 +272,17 @@ def _tables(result: dict[str, Any]) -> str:
             for name, m in trained.items()
             if (started := m.get("of_long_courses_started"))
         )
+        if part["long courses"]:
+            errors_n = (
+                f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
+                for name, m in trained.items()
+            )
+            lines += [
+                f"Force error along {LONG_S:g} s, by tenths of it, mean of "
+                f"{part['long courses']}: {'; '.join(errors_n)} N.{''.join(starts)}",
+                "",
+            ]
         lines += [
-            f"Force error along {LONG_S:g} s, by tenths of it, mean of {part['long courses']}: "
-            f"{'; '.join(errors_n)} N.{''.join(starts)}",
-            "",
             "Stated 95 % intervals that hold the force, and half their mean width:",
             "",
             *harness.markdown_table(" | ".join(["estimator", *phases]), intervals),

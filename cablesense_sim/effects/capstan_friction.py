@@ -37,6 +37,7 @@ class CapstanFriction(Effect):
         "Look for worn, dry or misaligned guides. Readings do not show loads within the loop that "
         "friction opens: let the arm breathe (docs/breathing.md) before a force is trusted."
     )
+    version = 2  # before, the whole cable stretched as one
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
         shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",

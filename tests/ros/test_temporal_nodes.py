@@ -7,9 +7,11 @@ import time
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
 
+from cablesense_msgs_py.messages import ForceState
 from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
@@ -64,3 +66,26 @@ def test_a_push_is_estimated_in_motion():
         assert process.stop() == 0, process.log
         assert "Traceback" not in process.log
     graph.close()
+
+
+def test_under_friction_it_says_what_may_act_unseen():
+    graph = Graph()
+    nodes = [
+        NodeProcess(f"cablesense_ros.{name}", arm="cdsm_friction")
+        for name in ("sim_node", "estimator_node")
+    ]
+    graph.until(lambda: "tare taken" in nodes[1].log, "the tare")
+    upper = graph.listen(WrenchStamped, "/estimator/wrench_upper")
+    hidden = ForceState.HIDDEN
+    graph.until(lambda: len(upper) > 50 and hidden in graph.states.values(), "what may act")
+    assert set(graph.states.values()) <= {ForceState.UNTARED, ForceState.FREE, hidden}
+    assert max(np.linalg.norm(force(wrench)) for wrench in upper) > 1.0
+    assert {force(wrench) for wrench in graph.wrenches} == {(0.0, 0.0, 0.0)}
+    graph.push(3, (0.0, 60.0, 0.0))
+    graph.until(lambda: ForceState.CONTACT in graph.states.values(), "a contact")
+    graph.spin(0.3)
+    assert graph.wrenches[-1].header.frame_id == upper[-1].header.frame_id == "segment_3"
+    assert np.linalg.norm(force(upper[-1])) > 50.0
+    codes = [node.stop() for node in nodes]
+    graph.close()
+    assert codes == [0, 0], [node.log for node in nodes]

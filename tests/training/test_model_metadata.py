@@ -10,6 +10,7 @@ from cablesense_training.inference.metadata import (
     FORMAT,
     ModelFileError,
     ModelMetadata,
+    effect_versions,
 )
 
 CDSM = open_arm("cdsm")
@@ -38,12 +39,12 @@ def test_metadata_come_back_as_they_went(arm):
     assert ModelMetadata.from_properties(metadata.to_properties(), "x") == metadata
 
 
-def test_a_model_that_was_trained_on_another_law_is_refused_with_the_remedy():
+def test_a_model_that_was_trained_on_an_older_law_is_refused_with_the_remedy():
     metadata = metadata_for(open_arm("cdsm_friction"))
-    assert ModelMetadata.from_properties(metadata.to_properties(), "arm.onnx") == metadata
-    other = metadata.model_copy(update={"effect_versions": {"capstan_friction": 7}})
-    refusal = _refused(other.to_properties())
-    assert "version 7 of the law of capstan_friction" in refusal
+    current = metadata.model_copy(update={"effect_versions": effect_versions(metadata.arm)})
+    assert ModelMetadata.from_properties(current.to_properties(), "arm.onnx") == current
+    refusal = _refused(metadata.to_properties())
+    assert "version 1 of the law of capstan_friction" in refusal
     assert refusal.endswith(f"train it again: {metadata.command}")
 
 

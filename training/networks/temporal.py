@@ -77,7 +77,7 @@ class DrawnCables:
         drawn = (lengths_m - lengths) * known
         gives = lengths_m.new_tensor(GIVES_M)
         shares = (shares + (drawn[..., None] / gives).flatten(-2)).clamp(-1.0, 1.0)
-        now_known = torch.ones_like(known)
+        now_known = 0.0 * known + 1.0  # the exporter takes ones_like for one row
         return torch.cat(
             [shares, lengths_m, set_point_rad, shares_tared, set_point_tared, now_known], dim=-1
         )
@@ -174,10 +174,11 @@ class StatedInterval(nn.Module):
     def forward(self, seen: Tensor, output: SingleContactOutput) -> Statement:
         """What is stated of B answers, of which (B, features) is `seen`."""
         none, low, high, wider = self.heads(self.seen(seen)).double().unbind(-1)
-        size, sure = torch.asinh(output.magnitude_n), torch.log(output.angle_std_deg)
+        size, sure = _asinh(output.magnitude_n), torch.log(output.angle_std_deg)
         ends = size - low - self.shift[0], size + high + self.shift[1]
-        evidence = torch.logsumexp(output.contact_logits[:, 1:], dim=-1)
-        odds = torch.asinh(output.contact_logits[:, 0] - evidence)
+        contacts = output.contact_logits[:, 1:]
+        evidence = contacts[:, 0] - torch.log_softmax(contacts, dim=-1)[:, 0]
+        odds = _asinh(output.contact_logits[:, 0] - evidence)
         return Statement(none + odds, *ends, sure + wider + self.shift[2])
 
     def stated(
@@ -189,9 +190,9 @@ class StatedInterval(nn.Module):
         """
         none, low, high, log_angle_std = self(seen, output)
         nothing = torch.zeros_like(low)
-        low_n = torch.minimum(torch.sinh(low.clamp(0.0, _LARGEST_SIZE)), output.magnitude_n)
+        low_n = torch.minimum(_sinh(low.clamp(0.0, _LARGEST_SIZE)), output.magnitude_n)
         low_n = low_n.where(torch.sigmoid(none) < self.surely, nothing)
-        high_n = torch.sinh(high.clamp(0.0, _LARGEST_SIZE))
+        high_n = _sinh(high.clamp(0.0, _LARGEST_SIZE))
         high_n = torch.maximum(high_n, output.magnitude_n.where(low_n > 0.0, nothing))
         among = torch.log_softmax(output.contact_logits[:, 1:], dim=-1)
         stated = output._replace(
@@ -329,7 +330,7 @@ class TemporalNetwork(nn.Module):
         occam = 0.5 * torch.log(determinant) + math.log(2.0) + LOG_PRIOR
         explained = (force[:, :, None] @ information * force[:, :, None]).sum((2, 3))
         evidence = 0.5 * torch.exp(self.log_trust) * explained + occam + self.belief(read)
-        none = torch.zeros_like(evidence[:, :1])
+        none = 0.0 * evidence[:, :1]
         chosen = one_hot_of_argmax(evidence)
         weight = chosen[..., None].to(force.dtype)
         best = (weight * force).sum(1)
@@ -350,7 +351,7 @@ class TemporalNetwork(nn.Module):
         )
         seen = [
             torch.softmax(logits, dim=-1),
-            torch.asinh(torch.sqrt((force * force).sum(-1))),
+            _asinh(torch.sqrt((force * force).sum(-1))),
             torch.log(torch.stack([std_n, turned_n, speed + _STILL_RAD_S], dim=-1)),
         ]
         seen_of = torch.cat([part.to(read.dtype) for part in seen], dim=-1).detach()
@@ -383,3 +384,13 @@ class TemporalNetwork(nn.Module):
     def in_joint_order(self, pitches_first: Tensor) -> Tensor:
         """From the order of `Balance` to that of the joints."""
         return pitches_first.unflatten(-1, (2, self.segment_count)).transpose(-1, -2).flatten(-2)
+
+
+def _asinh(values: Tensor) -> Tensor:
+    """In operators that ONNX Runtime has for float64."""
+    size = values.abs()
+    return torch.sign(values) * torch.log(size + torch.sqrt(size * size + 1.0))
+
+
+def _sinh(values: Tensor) -> Tensor:
+    return 0.5 * (torch.exp(values) - torch.exp(-values))
