@@ -393,7 +393,9 @@ class Estimation:
         )
         self.drift.tared()
         lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
-        self.gate.restore(command, lowest, highest, state.rest_from_ns, state.course)
+        self.gate.restore(
+            command, lowest, highest, state.rest_from_ns, state.course, state.before_ns
+        )
         self._angles_rad = self.gate.angles_rad
         self.plausibility.withheld_until_ns = state.withheld_until_ns
         self.plausibility.misfit_since_ns = state.misfit_since_ns

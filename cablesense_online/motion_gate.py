@@ -64,7 +64,7 @@ class MotionGate:
         self._speed_rad_s, self._settle_s = joint_speed_rad_s, settle_s
         self._still_rad, self._follow_rad_s = still_rad, follow_rad_s
         self._course = JointMotion(command_rad, joint_speed_rad_s)
-        self._heading = False
+        self._heading, self._course_from_ns = False, 0
         self._blind_since_ns: int | None = None
         self._commands_since = 0
         self.command_rad = self.lowest_rad = self.highest_rad = command_rad.copy()
@@ -119,14 +119,13 @@ class MotionGate:
         if self._resting and stamp_ns >= self._last_ns:
             self._last_ns = stamp_ns
             return False
-        passed_s = 0.0 if self._last_ns == _LONG_AGO_NS else (stamp_ns - self._last_ns) * 1e-9
         shut = self._may_move(stamp_ns, now_ns, now_s)
         course = self._course
         if course.moving:
-            course.advance(max(0.0, passed_s))
+            course.at(max(0, stamp_ns - self._course_from_ns) * 1e-9)
         if self._heading:
             course.go_to(self.command_rad)
-            self._heading = False
+            self._heading, self._course_from_ns = False, stamp_ns
         self._resting &= not course.moving
         if not shut:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
@@ -158,6 +157,7 @@ class MotionGate:
         first, last_ns = self._last_ns == _LONG_AGO_NS, self._last_ns
         if stamp_ns < last_ns:
             self.rest_from_ns -= last_ns - stamp_ns
+            self._course_from_ns -= last_ns - stamp_ns
             self.step = -1
         self._last_ns = stamp_ns
         if first or self._starting:
@@ -197,8 +197,9 @@ class MotionGate:
         highest_rad: Array,
         rest_from_ns: int,
         course: Sequence[float] = (),
+        at_ns: int = 0,
     ) -> None:
-        """Continue from the attributes of another gate, as they were at a sample.
+        """Continue from the attributes of another gate, as they were at a sample stamped `at_ns`.
 
         No longer is waited than for a move between these angles.
         """
@@ -208,6 +209,7 @@ class MotionGate:
             joints = len(command_rad)
             self.pose_rad = np.array(course[:joints])
             self._course.resume(course[joints:])
+            self._course_from_ns = at_ns - round(course[joints] * 1e9)
         self.lowest_rad = np.minimum(lowest_rad, command_rad)
         self.highest_rad = np.maximum(highest_rad, command_rad)
         self.rest_from_ns, self._last_ns = rest_from_ns, _LONG_AGO_NS

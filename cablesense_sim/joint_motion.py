@@ -65,7 +65,11 @@ class JointMotion:
 
     def advance(self, step_s: float) -> Array:
         """Let `step_s` pass and give the set-point (2N,) then."""
-        self._elapsed_s += step_s
+        return self.at(self._elapsed_s + step_s)
+
+    def at(self, elapsed_s: float) -> Array:
+        """The set-point (2N,) so long after the motion began."""
+        self._elapsed_s = elapsed_s
         return self.state[0] if self.moving else self._target_rad
 
     @property

@@ -202,5 +202,6 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
         if step == restored_at:
             other = gate()
             state = (watched.command_rad, watched.lowest_rad, watched.highest_rad)
-            other.restore(*state, watched.rest_from_ns, watched.course)
-            other.moving(10 * MS * step)
+            other.restore(*state, watched.rest_from_ns, watched.course, 10 * MS * step)
+            if not follows:
+                other.moving(10 * MS * step)
