@@ -203,5 +203,18 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
             other = gate()
             state = (watched.command_rad, watched.lowest_rad, watched.highest_rad)
             other.restore(*state, watched.rest_from_ns, watched.course, 10 * MS * step)
-            if not follows:
-                other.moving(10 * MS * step)
+            other.moving(10 * MS * step)
+
+
+def test_a_gate_that_is_restored_late_is_where_the_joints_are_by_then():
+    watched, other = Gate(STILL, FOLLOW), Gate(STILL, FOLLOW)
+    for step in range(20):
+        watched.command(np.array([0.0, 0.4 * FOLLOW * 0.01 * step]))
+        watched.moving(10 * MS * step)
+    state = (watched.command_rad, watched.lowest_rad, watched.highest_rad, watched.rest_from_ns)
+    other.restore(*state, watched.course, 190 * MS)
+    for step in range(20, 24):
+        watched.moving(10 * MS * step)
+    other.moving(230 * MS)
+    assert np.abs(watched.angles_rad - watched.command_rad).max() > 0.0
+    np.testing.assert_array_equal(other.angles_rad, watched.angles_rad)
