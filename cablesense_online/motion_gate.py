@@ -161,7 +161,7 @@ class MotionGate:
             self.step = -1
         self._last_ns = stamp_ns
         if first or self._starting:
-            latest_ns = stamp_ns + self._longest_wait_ns()
+            latest_ns = stamp_ns + self._longest_wait_ns(restored=not self._starting)
             if first and self.rest_from_ns > latest_ns:
                 self.shortened_s = (self.rest_from_ns - latest_ns) * 1e-9
             if self._starting or self.shortened_s:
@@ -222,10 +222,11 @@ class MotionGate:
             return 0.0
         return (self._last_ns - self._blind_since_ns) * 1e-9
 
-    def _longest_wait_ns(self) -> int:
+    def _longest_wait_ns(self, *, restored: bool) -> int:
+        """Of a move to the command; of a `restored` gate's to any that was since the last rest."""
+        ends = (self.highest_rad, self.lowest_rad) if restored else (self.command_rad,) * 2
         turn = max(
-            float((self.highest_rad - self.command_rad).max()),
-            float((self.command_rad - self.lowest_rad).max()),
+            float((self.highest_rad - ends[1]).max()), float((ends[0] - self.lowest_rad).max())
         )
         return round((move_duration_s(turn, self._speed_rad_s) + self._settle_s) * 1e9)
 
