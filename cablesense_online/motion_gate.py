@@ -208,6 +208,7 @@ class MotionGate:
         if course:
             joints = len(command_rad)
             self.pose_rad = np.array(course[:joints])
+            self.angles_rad = command_rad.copy()  # the next sample's are others
             self._course.resume(course[joints:])
             self._course_from_ns = at_ns - round(course[joints] * 1e9)
         self.lowest_rad = np.minimum(lowest_rad, command_rad)
