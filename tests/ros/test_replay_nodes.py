@@ -170,6 +170,8 @@ def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(made
         tare_samples=SETTINGS.tare_samples,
         joint_speed_deg_s=math.degrees(SETTINGS.joint_speed_rad_s),
         settle_s=SETTINGS.settle_s,
+        still_deg=math.degrees(SETTINGS.still_rad),
+        follow_deg_s=math.degrees(SETTINGS.follow_rad_s),
         tare_force=True,
     )
     try:
