@@ -256,7 +256,10 @@ def make_commands(seed: int) -> Run:
                     raise FalseAnswerError("a refused command counts") from error
             else:
                 angles = dict(zip(message.name, message.position, strict=True))
-                wanted = [math.degrees(angles[name]) for name in ARM.joint_names]
+                wanted = [
+                    math.degrees(angles[name]) if name in angles else angle_deg
+                    for name, angle_deg in zip(ARM.joint_names, before, strict=True)
+                ]
                 if not np.allclose(tared.command_deg, wanted, atol=1e-9):
                     raise FalseAnswerError(f"{wanted} was read as another command")
             answer = tared.take_pushed()

@@ -52,6 +52,7 @@ class Graph:
     """A node in this process: receives everything, can publish and call."""
 
     def __init__(self) -> None:
+        try_shutdown()  # one that a failed test left behind
         rclpy.init()
         self.node = Node("test")
         self.executor = SingleThreadedExecutor()

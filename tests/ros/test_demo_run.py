@@ -4,8 +4,9 @@ import json
 
 import pytest
 from arm_variants import five_by_four, five_by_four_text
-from small_models import small_model, written
+from typer.testing import CliRunner
 
+from cablesense_cli.app import app
 from cablesense_ros.demo import run
 from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
 
@@ -78,7 +79,10 @@ def test_an_arm_of_five_segments_with_four_cables_is_pushed(tmp_path, capfd):
     pytest.importorskip("rclpy")
     arm = tmp_path / "arm.yaml"
     arm.write_text(five_by_four_text(), encoding="utf-8")
-    model = written(tmp_path, small_model(arm=five_by_four()))
+    model = tmp_path / "model.onnx"
+    small = ["--network", "closed-form", "--samples", "300", "--out", str(model)]
+    trained = CliRunner().invoke(app, ["train", "--arm", str(arm), *small])
+    assert trained.exit_code == 0, trained.output
     options = DemoOptions(arm=str(arm), model=str(model), out=tmp_path)
     run_headless(options, duration_s=4.0, as_json=True)
     found = json.loads(capfd.readouterr().out)
