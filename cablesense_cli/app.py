@@ -20,6 +20,7 @@ import typer
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import OutputError
+from cablesense_cli.arm_file import urdf
 from cablesense_cli.dataset import dataset
 from cablesense_cli.evaluate import evaluate
 from cablesense_cli.gap import gap
@@ -28,7 +29,6 @@ from cablesense_cli.paper import paper
 from cablesense_cli.runs import demo, record, replay
 from cablesense_cli.sensors import sensors
 from cablesense_cli.train import train
-from cablesense_cli.urdf import urdf
 
 app = typer.Typer(
     name="cablesense",

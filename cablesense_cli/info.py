@@ -73,7 +73,7 @@ def info(
         given = "--template" if template else "--keys"
         others = ["file", "effects", "blind", "load_n", "bend_deg", "json_output"]
         refuse_given(context, [*others, *(["keys"] if template else [])], f"with {given}")
-        from cablesense_cli.arm_reference import arm_keys_markdown, arm_template
+        from cablesense_cli.arm_file import arm_keys_markdown, arm_template
 
         print(arm_template() if template else arm_keys_markdown(), end="" if template else "\n")
         return

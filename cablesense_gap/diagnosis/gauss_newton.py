@@ -99,10 +99,12 @@ class _Fit:
         self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
-        slow = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+        history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
         effects = {term.effect for term in self._terms}
-        several = len(effects) >= _SEVERAL and bool(effects & slow)
-        self._beside_slow = np.array([several and t.effect not in slow for t in self._terms])
+        several = len(effects) >= _SEVERAL and bool(effects & history)
+        self._without_history = np.array(
+            [several and t.effect not in history for t in self._terms]
+        )
 
     def run(
         self,
@@ -159,11 +161,13 @@ class _Fit:
         varied = np.arange(len(point)) if known is None else self._lasting
         columns = None if known is None else known.copy()
         predicted: Array = np.empty(0)
-        for plain in (True, False) if self._beside_slow.any() else (False,):
-            own = varied[self._beside_slow[varied] == plain]
+        for plain in (True, False) if self._without_history.any() else (False,):
+            own = varied[self._without_history[varied] == plain]
             variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[own]))]
             if plain:
-                kept = {t for t, fast in zip(self._terms, self._beside_slow, strict=True) if fast}
+                kept = {
+                    t for t, alone in zip(self._terms, self._without_history, strict=True) if alone
+                }
                 variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
             about, *moved = self._problem.simulator.predict(variants)
             found = (np.array(moved).reshape(len(own), *about.shape) - about) / steps[own].reshape(

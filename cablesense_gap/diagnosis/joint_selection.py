@@ -125,16 +125,16 @@ class JointSelection:
         values = () if beside is None else tuple(beside.values)
         sites = [e.terms[0][:2] for e in placed.chosen] + [t[:2] for t in values]
         count = len(values) + sum(len(e.probed) for e in placed.chosen)
-        return self._priced(
+        return self._penalised(
             self._problem.cost(placed.mean_square, placed.tolerance_chi2), sites, count
         )
 
     def _judged(self, hypothesis: Hypothesis) -> float:
         sites = [term[:2] for term in hypothesis.values]
-        return self._priced(self._problem.cost_of(hypothesis), sites, len(hypothesis.values))
+        return self._penalised(self._problem.cost_of(hypothesis), sites, len(hypothesis.values))
 
-    def _priced(self, cost: float, sites: Sequence[tuple[str, str]], count: int) -> float:
-        """What is left, dearer by each effect, by each place among many, and by each number."""
+    def _penalised(self, cost: float, sites: Sequence[tuple[str, str]], count: int) -> float:
+        """What is left, with a penalty for each effect, each place among many, and each number."""
         for effect, _ in set(sites):
             cost *= self._worth[effect]
         return cost * _EFFECT_WORTH ** len({e for e, _ in sites}) * _SIZE_WORTH**count

@@ -5,20 +5,20 @@ Screening gives where a search for numbers begins; the simulator itself fits the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
+from cablesense_gap.diagnosis.fitting import each_alone, fit, reselect_places
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
 from cablesense_gap.diagnosis.joint_selection import JointSelection, left_out
 from cablesense_gap.diagnosis.places import WORTH, linear_effects
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess, to_scaled
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
 from cablesense_gap.diagnosis.screening import (
     Offered,
     Screened,
@@ -27,17 +27,11 @@ from cablesense_gap.diagnosis.screening import (
     screen_pairs,
     screen_singles,
 )
-from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term, parameters_of
-from cablesense_sim.effects.effect import Parameter
+from cablesense_gap.simulator import Assignment, Candidate, Simulator
 
 Progress = Callable[[str, float], None]
 """Called with what is under way, and which share of the whole is done."""
 
-_STEPS, _STEPS_OF_EXPENSIVE, _STEPS_AGAIN = 8, 4, 4
-_SCALES = (0.4, 1.0, 2.5)
-_SCALES_ELSEWHERE = (0.3, 1.0, 3.0, 10.0)
-"""In typical sizes, where screening has found a size that cannot be."""
-_ROUNDS = 2
 _MOST_SINGLES = 6
 _MOST_PAIRS = 4
 _MOST_EXPENSIVE_PAIRS = 4
@@ -235,7 +229,7 @@ class _Search:
 
     def _fitted(self, screened: Sequence[Screened]) -> Iterator[Hypothesis | None]:
         """One by one in as many processes; a few expensive ones each in all processes."""
-        expensive = self._slow()
+        expensive = self._history_dependent()
         if all(len(s.effects) == 1 and expensive.issuperset(s.effects) for s in screened):
             return (fit(self._spread, one) for one in screened)
         return self._map(fit, screened)
@@ -276,9 +270,13 @@ class _Search:
 
     def _leave_out(self) -> None:
         """The best explanation without each of its effects, down to what nothing can miss."""
-        cost_of, slow = self._problem.cost_of, self._slow()
+        cost_of, history_dependent = self._problem.cost_of, self._history_dependent()
         best = min([self._none, *self._found.values()], key=cost_of)
-        if self._whole.sketch and self._problem is self._whole and slow & set(best.effects):
+        if (
+            self._whole.sketch
+            and self._problem is self._whole
+            and history_dependent & set(best.effects)
+        ):
             return  # that was done on the sketch
         while len(best.effects) > 2:
             rests = left_out(self._map, best)
@@ -302,8 +300,8 @@ class _Search:
         best = min(map(self._problem.cost_of, self._found.values()), default=float("inf"))
         return best <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
 
-    def _slow(self) -> set[str]:
-        """Effects that are expensive to simulate."""
+    def _history_dependent(self) -> set[str]:
+        """Effects that depend on history; they are expensive to simulate."""
         return {c.effect for c in self._problem.simulator.candidates if c.history_dependent}
 
     def _least(self, screened: Iterable[Screened]) -> float:
@@ -351,145 +349,3 @@ def _on_all_rows(problem: Problem, found: tuple[Hypothesis, Array]) -> Hypothesi
     predicted = problem.simulator.predict([hypothesis.values])[0]
     begun = predicted, sketch.over_all_rows(hypothesis.columns)
     return refit(about, hypothesis.values, 0, begun)
-
-
-def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
-    """The effects as the simulator has them; None where that leads nowhere.
-
-    A history-dependent effect is begun with smaller and larger sizes too, and with every
-    combination of the shapes that screening does not distinguish.
-    """
-    candidates = {c.effect: c for c in problem.simulator.candidates}
-    with_history = [
-        candidates[effect] for effect in screened.effects if candidates[effect].history_dependent
-    ]
-    ranges, beside = parameters_of(problem.simulator.candidates), screened.beside
-    known = {} if beside is None else dict(beside.values)
-    begun = [to_scaled(ranges[term], value) for term, value in known.items()]
-    start, impossible = _starts(screened, ranges)
-    own = {candidate.effect for candidate in with_history}
-
-    def varied(scale: float, shapes: Mapping[tuple[str, str], float]) -> list[float]:
-        """Of history-dependent effects the sizes scaled, the shapes put in."""
-        return [
-            value
-            if term.effect not in own
-            else max(abs(value), 0.1) * scale
-            if ranges[term].role == "size"
-            else shapes.get((term.effect, term.parameter), value)
-            for term, value in start.items()
-        ]
-
-    starts = [[*begun, *start.values()]]
-    if beside is None:
-        scales = _SCALES if with_history else (1.0,)
-        starts = [varied(scale, shapes) for scale in scales for shapes in _shapes(with_history)]
-    if impossible:
-        # where shapes act unlike their derivatives, the screening's best sum of both means nothing
-        for scale in _SCALES_ELSEWHERE:
-            elsewhere = {
-                t: scale if ranges[t].role == "size" else v for t, v in impossible.items()
-            }
-            starts.append([*begun, *(start | elsewhere).values()])
-    return refine(
-        problem,
-        {term: ranges[term] for term in (*known, *start)},
-        starts,
-        _STEPS_OF_EXPENSIVE if with_history else _STEPS,
-        screened.most_left if with_history else float("inf"),
-    )
-
-
-def _starts(
-    screened: Screened, ranges: Mapping[Term, Parameter]
-) -> tuple[dict[Term, float], dict[Term, float]]:
-    """Scaled values to begin at, and others for those of places with a size out of range."""
-    start: dict[Term, float] = {}
-    impossible: dict[Term, float] = {}
-    coefficients = iter(screened.placed.coefficients)
-    for effect in screened.placed.chosen:
-        change = {name: next(coefficients) for name in effect.probed}
-        sizes = [ranges[term] for term in effect.terms if ranges[term].role == "size"]
-        first = max(abs(change[sizes[0].name]), 0.3)
-        for term, begin in zip(effect.terms, effect.start, strict=True):
-            # sizes as screened; shapes from what screening adds beside a size of one
-            added = change.get(term.parameter, 0.0)
-            start[term] = added if ranges[term].role == "size" else begin + added / first
-        if any(not p.low <= change[p.name] * p.typical <= p.high for p in sizes):
-            impossible |= dict(zip(effect.terms, effect.start, strict=True))
-    return start, impossible
-
-
-def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], float]]:
-    """Combinations of the shapes that screening has not distinguished, of one effect at a time."""
-    combinations: list[dict[tuple[str, str], float]] = []
-    for candidate in with_history:
-        shapes = [p for p in candidate.parameters if p.role == "shape" and p.trials]
-        combinations += [
-            {
-                (candidate.effect, p.name): to_scaled(p, value)
-                for p, value in zip(shapes, values, strict=True)
-            }
-            for values in product(*(p.trials for p in shapes))
-        ]
-    return combinations or [{}]
-
-
-def reselect_places(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Hypothesis:
-    """The hypothesis with the places of each of two effects chosen again beside the other.
-
-    They were chosen linear about the nominal mechanism, and beside effects that were not there
-    yet. Of equal hypotheses the one with fewer places is given.
-    """
-    for _ in range(_ROUNDS):
-        better = hypothesis
-        for screened in _again(problem, hypothesis, offered):
-            fitted = fit(problem, screened)
-            if fitted is not None and problem.cost_of(fitted) < problem.cost_of(better):
-                better = fitted
-        if better is hypothesis:
-            break
-        hypothesis = better
-    return _fewest_places(problem, hypothesis)
-
-
-def _again(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Iterator[Screened]:
-    if len(hypothesis.effects) < 2:
-        return
-    for effect in hypothesis.effects:
-        others = {t: v for t, v in hypothesis.values.items() if t.effect != effect}
-        beside = refit(problem, others, 0)
-        if beside is None or effect not in offered:
-            continue
-        for screened in screen_singles(problem, {effect: offered[effect]}, beside):
-            placed = {linear.place for linear in screened.placed.chosen}
-            if placed != {t.place for t in hypothesis.values if t.effect == effect}:
-                yield screened
-
-
-def _fewest_places(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
-    """Places are left out as long as what is left hardly grows."""
-    sites = list(dict.fromkeys((term.effect, term.place) for term in hypothesis.values))
-    cost = problem.cost_of(hypothesis)
-    for effect, place in reversed(sites):
-        if sum(e == effect for e, _ in sites) == 1:
-            continue
-        rest = {t: v for t, v in hypothesis.values.items() if t[:2] != (effect, place)}
-        fitted = refit(problem, rest, _STEPS_AGAIN)
-        if fitted is not None and problem.cost_of(fitted) <= WORTH * cost:
-            hypothesis = fitted
-            sites.remove((effect, place))
-    return hypothesis
-
-
-def each_alone(problem: Problem, hypothesis: Hypothesis) -> Iterator[Hypothesis]:
-    """Each of two effects alone, begun with its numbers beside the other.
-
-    A search for one effect may end early where a second one then makes up for it.
-    """
-    if len(hypothesis.effects) < 2:
-        return
-    for effect in hypothesis.effects:
-        own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
-        if (fitted := refit(problem, own, _STEPS_AGAIN)) is not None:
-            yield fitted

@@ -23,12 +23,13 @@ from gap_problem import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cablesense_gap.diagnosis.fitting import fit, reselect_places
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
 from cablesense_gap.diagnosis.joint_selection import borne_out
 from cablesense_gap.diagnosis.places import linear_effects
 from cablesense_gap.diagnosis.problem import sketched
 from cablesense_gap.diagnosis.screening import screen_pairs, screen_singles
-from cablesense_gap.diagnosis.search import fit, reselect_places, search
+from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
 
 GAIN, AMOUNT, RATE = amount("gain", "b"), amount("fading", "x"), Term("fading", "x", "rate")

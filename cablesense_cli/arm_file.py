@@ -1,16 +1,20 @@
-"""The reference of the arm file: every key as the model has it, with the template's words."""
+"""What is made of an arm file: its URDF, a template to start from, the reference of its keys."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any, cast, get_args
+from pathlib import Path
+from typing import Annotated, Any, cast, get_args
 
+import typer
 from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
+from cablesense_base.files import OutputError, output_file, write_atomically
 from cablesense_base.installation import config_path
-from cablesense_sim.arm import Arm
+from cablesense_cli.options import ForceOption
+from cablesense_sim.arm import Arm, find_arm, load_arm
 
 _TEMPLATE = "arm_template.yaml"
 _UNITS = {
@@ -21,6 +25,31 @@ _OTHERWISE = {
     "cables.axial_rigidity_n": "E·A of the cable alone, in place of `stiffness_n_m`",
     "effects": "what the arm does beyond the ideal (docs/effects.md)",
 }
+
+
+def urdf(
+    arm: Annotated[
+        str, typer.Argument(help="Arm file: a path, or a bundled arm's name.")
+    ] = "cdsm",
+    out: Annotated[
+        Path | None, typer.Option(help="Write it to this file.", show_default="standard output")
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """Write the URDF of an arm: links, joints, inertia, and shapes to see and to collide with.
+
+    Joints have the names of joint_states; cables have no place in a URDF.
+
+    Example: cablesense urdf my_arm.yaml --out my_arm.urdf
+    """
+    from cablesense_sim.model import urdf_xml
+
+    file = find_arm(arm)
+    if out is None:
+        print(urdf_xml(load_arm(file)))
+        return
+    output_file(out, force=force, inputs=(file,))
+    write_atomically(out, urdf_xml(load_arm(file)) + "\n", OutputError)
 
 
 def arm_template() -> str:
