@@ -38,7 +38,8 @@ from cablesense_online.can.calibration import calibrated, load_calibration
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import FrameDecoder
 from cablesense_online.estimation import Estimation
-from cablesense_online.state import EstimatorState, StateFile
+from cablesense_online.state import EstimatorState
+from cablesense_online.state_file import StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, parse_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.data.generation import draw_dataset

@@ -21,7 +21,8 @@ from fuzz_watched import FalseAnswerError, Outcome, Run, item_random, require_on
 from rosbags.typesys import Stores, get_typestore
 
 from cablesense_base import Array, CableSenseError
-from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_online.state import EstimationSettings
 from cablesense_sim.arm import open_arm

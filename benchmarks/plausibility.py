@@ -60,12 +60,7 @@ class Bench:
         statics = UnloadedTensions(self.arm)
         self.mechanism = statics.mechanism
         self.check = PlausibilityCheck(
-            statics,
-            self.arm.sensors,
-            TARE_SAMPLES,
-            LARGEST_MISFIT,
-            self.estimator.metadata.force_range_n,
-            self.arm.cable_names,
+            statics, self.arm, TARE_SAMPLES, LARGEST_MISFIT, self.estimator.metadata
         )
         self.command = np.deg2rad(self.rng.uniform(-10.0, 10.0, self.arm.joint_count))
         unloaded = statics.predict_n(self.command)

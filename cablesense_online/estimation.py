@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import (
     BREATH_END,
     NO_CONTACT,
-    UNKNOWN_WRENCH,
     Contact,
     ForceState,
     NamedOrder,
@@ -26,16 +25,15 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathReadings
 from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.drift import DriftWatch
 from cablesense_online.models import (
-    LARGEST_MISFIT,
     AnyEstimator,
     ContactModel,
     HistoryDependentModel,
     MultiContactModel,
-    force_bounds,
 )
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
@@ -53,69 +51,20 @@ from cablesense_online.state import (
     EstimatorState,
     Event,
     EventKind,
+    EventLog,
 )
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import reading_variance_n2
-from cablesense_training.inference.estimator import Estimate, MultiEstimator
-from cablesense_training.inference.metadata import MisfitLimit
+from cablesense_training.inference.estimator import MultiEstimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
-MOST_EVENTS = 256
-"""Between two samples; of more, the oldest that has a later one of its kind is left out."""
-
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
-_INCOMPLETE = "the arm file lists effects of actuators, friction or sensors"
-_NOTHING = np.zeros(0)
 _REFUSED = {
     ProblemKind.CLOCK: ForceState.STALE,
     ProblemKind.MISFIT: ForceState.IMPLAUSIBLE,
 }
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
-
-
-class Answer(NamedTuple):
-    """The answer to one sample; by default that of none.
-
-    Attributes:
-        contact: `NO_CONTACT` also when the force is not known; of several the strongest.
-        force: what is known of it.
-        estimate: that it rests on; none where there is none, or where it is of several contacts.
-        contact_m: (N,) where on its axis each segment is touched; empty without an estimate.
-        probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
-        stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
-        problem: why the sample could not be used.
-        new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
-        state: the state that answers rest on from this sample on, where that has changed.
-        all: contacts that a model of several has told, the strongest first.
-    """
-
-    contact: Contact = NO_CONTACT
-    force: ForceState = ForceState.SILENT
-    estimate: Estimate | None = None
-    contact_m: Sequence[float] = ()
-    probabilities: Sequence[float] = ()
-    stamp_ns: int = 0
-    problem: SampleError | None = None
-    new_tare: Tare | None = None
-    state: EstimatorState | None = None
-    all: Sequence[Contact] = ()
-
-    @property
-    def bounds(self) -> tuple[Contact, Contact] | None:
-        """Ends of the 95 % intervals of force and direction; none without an estimate."""
-        if self.estimate is None:
-            return None
-        return force_bounds(self.estimate, self.contact, self.contact_m)
-
-    def wrench(self, unknown_force: str) -> Sequence[float] | None:
-        """Force, N, and torque, N·m, to be published (6,); none where none is.
-
-        A contact is, also an unconfirmed one; `unknown_force` as in `EstimationSettings`.
-        """
-        if self.contact.segment or self.force.known or unknown_force == "zero":
-            return self.contact.wrench
-        return UNKNOWN_WRENCH if unknown_force == "nan" else None
 
 
 class Estimation:
@@ -170,7 +119,7 @@ class Estimation:
             settings.tare_samples,
             settings.tare_steady_n,
             settings.tare_deviation_n or math.inf,
-            complete=unloaded.complete,
+            complete=not unloaded.incomplete,
             automatic=settings.auto_tare,
         )
         self._statics = ContactStatics(unloaded.mechanism)
@@ -180,17 +129,26 @@ class Estimation:
             reading_variance_n2(arm.sensors) ** 0.5,
             settings.tare_samples,
             arm.cable_names,
-            "" if unloaded.complete else _INCOMPLETE,
+            unloaded.incomplete,
         )
-        self.plausibility = self._plausibility_check(unloaded, estimator)
+        largest_misfit = settings.largest_misfit
+        self.plausibility = PlausibilityCheck(
+            unloaded,
+            arm,
+            settings.tare_samples,
+            largest_misfit,
+            # without a limit the estimator may be any object that answers
+            estimator.metadata if largest_misfit else None,
+            self._model.unchecked,
+        )
         self.reproducible = not self._model.in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
         self._angles_rad = self.gate.angles_rad
         self.command_received = False
         self.largest_force_n = 0.0
-        self._events: list[Event] = []
-        self._note(EventKind.START, self.gate.command_rad)
+        self._events = EventLog()
+        self._events.note(EventKind.START, self.gate.command_rad)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this number of its own on.
@@ -209,7 +167,7 @@ class Estimation:
             self.gate.wait_anew()
             self.breathing.moved()
             self.tares.forget_readings()
-            self._note(EventKind.PUBLISHER)
+            self._events.note(EventKind.PUBLISHER)
         return another
 
     def sample(self, raw: bytes, now_ns: int, now_s: float) -> Answer:
@@ -226,7 +184,7 @@ class Estimation:
             moving = self.gate.moving(stamp_ns, now_ns, now_s)
             if self.gate.step:
                 self.breathing.moved()
-                self._note(_STEPS[self.gate.step])
+                self._events.note(_STEPS[self.gate.step])
             if not moving and self.gate.angles_rad is not self._angles_rad:
                 self._follow()
             if self._events:
@@ -241,7 +199,7 @@ class Estimation:
                 return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             freed = self.breathing.without_friction(picked, stamp_ns)
             if self.breathing.learnt:
-                self._note(EventKind.BREATH)
+                self._events.note(EventKind.BREATH)
             if freed is None:
                 return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
             tensions = np.array(freed)
@@ -324,7 +282,7 @@ class Estimation:
         if not self.breathing.silent(now_s):
             return False
         self.breathing.give_up("the breather fell silent in mid-breath")
-        self._note(EventKind.BREATH)
+        self._events.note(EventKind.BREATH)
         if self._breath_rad is not None:
             self._go_to(self._breath_rad)
         return True
@@ -361,7 +319,7 @@ class Estimation:
         self._settings = self._settings.model_copy(update=update)
         self.clock.stale_after_s = self.publisher.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n
-        self._note(EventKind.SETTINGS)
+        self._events.note(EventKind.SETTINGS)
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; those from before count no more."""
@@ -369,7 +327,7 @@ class Estimation:
         self.publisher = FollowedPublisher(self.clock.stale_after_s)
         self.tares.forget_readings()
         self._model.restart(self.gate.command_rad)
-        self._note(EventKind.START, self.gate.command_rad)
+        self._events.note(EventKind.START, self.gate.command_rad)
 
     def restore(self, state: EstimatorState) -> None:
         """Answer from the next sample on as the object that made the state did.
@@ -401,7 +359,7 @@ class Estimation:
         self.plausibility.misfit_since_ns = state.misfit_since_ns
         self.breathing.restore(state.breath)
         self._repeat(state.events, command)
-        self._events.clear()
+        self._events = EventLog()
 
     @property
     def at_pose(self) -> ContactStatics:
@@ -423,11 +381,11 @@ class Estimation:
         dropped = False
         if np.array_equal(command_rad, self.gate.command_rad):
             if self._pose_assumed:
-                self._note(EventKind.POSE_CONFIRMED)
+                self._events.note(EventKind.POSE_CONFIRMED)
         elif self.gate.follows(command_rad):
             self.gate.command(command_rad)
             self._model.command(command_rad)
-            self._note(EventKind.COMMAND, command_rad)
+            self._events.note(EventKind.COMMAND, command_rad)
         else:
             dropped = self.tares.command(command_rad, first=not self.command_received)
             if dropped:
@@ -435,7 +393,7 @@ class Estimation:
             self.gate.command(command_rad)
             self.breathing.moved()
             self._model.command(command_rad)
-            self._note(EventKind.COMMAND, command_rad)
+            self._events.note(EventKind.COMMAND, command_rad)
         self.command_received = True
         return dropped
 
@@ -455,7 +413,7 @@ class Estimation:
         if not (stamp_ns or lasting):
             raise ContractError("header.stamp is 0; a breath's messages state their times")
         if self.breathing.mark(turn, max(stamp_ns, 1), lasting=lasting):
-            self._note(EventKind.BREATH)
+            self._events.note(EventKind.BREATH)
 
     def _model_of(
         self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
@@ -469,32 +427,6 @@ class Estimation:
         if isinstance(estimator, MultiEstimator):
             return MultiContactModel(estimator, self.tares, self.gate, self._statics)
         return ContactModel(estimator, self.tares, self.gate)
-
-    def _plausibility_check(
-        self, unloaded: UnloadedTensions, estimator: AnyEstimator
-    ) -> PlausibilityCheck:
-        settings, arm = self._settings, self._arm
-        unchecked = ""
-        if self._model.in_motion:
-            unchecked = "the model is history-dependent"
-        elif self._model.several:
-            unchecked = "the model tells several contacts at once"
-        elif not unloaded.complete:
-            unchecked = _INCOMPLETE
-        range_n, limit_from = 0.0, ""
-        if settings.largest_misfit:  # or the estimator may be any object that answers
-            range_n = estimator.metadata.force_range_n
-            limit_from = _limit_origin(settings.largest_misfit, estimator.metadata.misfit_limit)
-        return PlausibilityCheck(
-            unloaded,
-            arm.sensors,
-            settings.tare_samples,
-            settings.largest_misfit,
-            range_n,
-            arm.cable_names,
-            unchecked,
-            limit_from,
-        )
 
     def _judge(self, tensions: Array, contact: Contact, stamp_ns: int) -> str:
         """Watch an arm at rest for drift, and require that its readings fit the contact.
@@ -512,27 +444,17 @@ class Estimation:
             check.check(difference_n, self.gate.pose_rad, contact, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
-                self._note(EventKind.MISFIT)
+                self._events.note(EventKind.MISFIT)
         return check.doubt
 
     def _tared(self, how: EventKind) -> None:
         self._model.tared()
         self.drift.tared()
-        self._note(how)
+        self._events.note(how)
 
     @property
     def _pose_assumed(self) -> bool:
         return self.tares.taken_by_itself and not self.command_received
-
-    def _note(self, kind: EventKind, command_rad: Array = _NOTHING) -> None:
-        """For the next state; a start once, however often it is started before a sample."""
-        event, events = Event(kind, tuple(command_rad.tolist())), self._events
-        if kind is EventKind.START and event in events:
-            return
-        events.append(event)
-        if len(events) > MOST_EVENTS:
-            later = {other.kind: i for i, other in enumerate(events)}
-            del events[next(i for i, other in enumerate(events) if later[other.kind] > i)]
 
     def _repeat(self, events: Sequence[Event], command_rad: Array) -> None:
         """Bring the model to where the events brought it when the state was made."""
@@ -549,12 +471,11 @@ class Estimation:
             self.reproducible |= event.kind is EventKind.START
 
     def _changed_state(self, stamp_ns: int) -> EstimatorState:
-        events, self._events = tuple(self._events), []
         gate, tare, unloaded = self.gate, self.tares.present, self.tares.unloaded_n
         linear_at = self.tares.linear_at_rad
         return EstimatorState(
             before_ns=stamp_ns,
-            events=events,
+            events=self._events.taken(),
             arm=self._arm.identity,
             settings=self._settings,
             origin=self._origin,
@@ -572,15 +493,3 @@ class Estimation:
             misfit_since_ns=self.plausibility.misfit_since_ns,
             breath=self.breathing.state(),
         )
-
-
-def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
-    """Where a limit comes from, as text."""
-    if stated is not None and largest_misfit == stated.largest_misfit:
-        return (
-            f"of the model file: above it are {stated.above} of {stated.samples} simulated "
-            f"healthy samples, by noise alone a share of {stated.false_alarm_rate:g}"
-        )
-    if stated is None and largest_misfit == LARGEST_MISFIT:
-        return "by default: the model file states none"
-    return "of the parameter largest_misfit"

@@ -48,14 +48,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
     assert isinstance(estimator, Estimator)
     metadata, rng = estimator.metadata, np.random.default_rng(seed)
     statics, count = UnloadedTensions(arm), arm.segment_count
-    check = PlausibilityCheck(
-        statics,
-        arm.sensors,
-        metadata.tare_samples,
-        _UNLIMITED,
-        metadata.force_range_n,
-        arm.cable_names,
-    )
+    check = PlausibilityCheck(statics, arm, metadata.tare_samples, _UNLIMITED, metadata)
     reach_m, range_rad = statics.mechanism.contact_m.tolist(), np.deg2rad(metadata.pose_range_deg)
 
     def readings(tensions_n: Array, count: int) -> Array:
@@ -99,7 +92,7 @@ def put_simulated_limit(path: Path) -> MisfitLimit | None:
         ModelFileError: no such model file, or it cannot be written.
     """
     loaded, limit = LoadedModel.open(path), None
-    if isinstance(loaded.estimator, Estimator) and UnloadedTensions(loaded.arm).complete:
+    if isinstance(loaded.estimator, Estimator) and not UnloadedTensions(loaded.arm).incomplete:
         limit = _limit(np.fromiter(simulated_misfits(loaded), float), loaded.arm.cable_count - 2)
     replace_misfit_limit(path, limit)
     return limit

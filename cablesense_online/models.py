@@ -113,9 +113,11 @@ class ContactModel:
     Attributes:
         in_motion: whether it estimates while the arm moves.
         several: whether it tells several contacts at once.
+        unchecked: why its answers cannot be checked against readings; empty where they can.
     """
 
     in_motion = several = False
+    unchecked = ""
 
     def __init__(self, estimator: Estimator, tares: Tares, gate: MotionGate) -> None:
         self._estimator, self._tares, self._gate = estimator, tares, gate
@@ -167,6 +169,7 @@ class HistoryDependentModel(ContactModel):
     """
 
     in_motion = True
+    unchecked = "the model is history-dependent"
 
     def __init__(
         self,
@@ -248,6 +251,7 @@ class MultiContactModel(ContactModel):
     """
 
     several = True
+    unchecked = "the model tells several contacts at once"
 
     def __init__(
         self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, statics: ContactStatics

@@ -29,10 +29,12 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.force_fit import Fit, ForceFits
+from cablesense_online.models import LARGEST_MISFIT
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim.arm import Sensors
+from cablesense_sim.arm import Arm
 from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
+from cablesense_training.inference.metadata import MisfitLimit, ModelMetadata
 
 FORCE_OFF_N: Final = 5.0
 """An estimate so far from the force that fits best is not vouched for."""
@@ -72,25 +74,26 @@ class PlausibilityCheck:
     def __init__(
         self,
         statics: UnloadedTensions,
-        sensors: Sensors,
+        arm: Arm,
         tare_samples: int,
         largest_misfit: float,
-        force_range_n: float,
-        cable_names: Sequence[str],
+        model: ModelMetadata | None,
         unchecked: str = "",
-        limit_from: str = "",
     ) -> None:
-        """`force_range_n` is that of the model's training; `largest_misfit` 0 checks nothing.
+        """`largest_misfit` 0 checks nothing, and is all that does without the metadata of a model.
 
-        `limit_from` states where that limit comes from.
+        `unchecked`: why a model's answers cannot be checked.
         """
-        self._limit_from = limit_from
+        sensors, range_n = arm.sensors, model.force_range_n if model else 0.0
+        self._limit_from = _limit_origin(largest_misfit, model.misfit_limit if model else None)
         spread_n = max(difference_variance_n2(sensors, tare_samples) ** 0.5, _LEAST_SPREAD_N)
         self._fits = ForceFits(statics, spread_n)
         self._sensors, self._tare_samples = sensors, tare_samples
-        self.unchecked = unchecked if largest_misfit else "switched off (largest_misfit is 0)"
-        self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * force_range_n
-        self._cable_names = cable_names
+        self.unchecked = unchecked or statics.incomplete
+        if not largest_misfit:
+            self.unchecked = "switched off (largest_misfit is 0)"
+        self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * range_n
+        self._cable_names = arm.cable_names
         self.withheld_until_ns = self.misfit_since_ns = 0
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
@@ -311,3 +314,15 @@ class _SteadyContact:
         """Average anew."""
         self.sum_n[:] = 0.0
         self.count, self.began_ns = 0, stamp_ns
+
+
+def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
+    """Where a limit comes from, as text."""
+    if stated is not None and largest_misfit == stated.largest_misfit:
+        return (
+            f"of the model file: above it are {stated.above} of {stated.samples} simulated "
+            f"healthy samples, by noise alone a share of {stated.false_alarm_rate:g}"
+        )
+    if stated is None and largest_misfit == LARGEST_MISFIT:
+        return "by default: the model file states none"
+    return "of the parameter largest_misfit"

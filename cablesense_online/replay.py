@@ -19,7 +19,8 @@ from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.serialized import WrenchWriter, stamp_ns, wrench_writers
 from cablesense_msgs_py.topics import ContractError, Frames
-from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.recorded_run import RecordedRun, Step, shows_contact
 from cablesense_online.state import LIVE_SETTINGS, EstimatorState

@@ -1,36 +1,25 @@
 """The estimator's state: all that its answers rest on beside the samples, in its one form.
 
 With a state and the samples from there on every answer is determined, whatever came before.
-`EstimatorState` is validated wherever it comes from, and has two serialisations:
-
-- a message of `~/journal`, published whenever the state changes: a
-  `diagnostic_msgs/DiagnosticArray` with one status for each event since the state before and one
-  for each part of the state, numbers as text with all their digits;
-- `StateFile`, a JSON file that keeps the latest state, so that an estimator that was killed
-  continues with its tare. Without it, one that starts beside a loaded arm would have no tare
-  until the load goes.
+`EstimatorState` is validated wherever it comes from, and has two serialisations: the file of
+`state_file.py`, and here a message of `~/journal`, published whenever the state changes. That is a
+`diagnostic_msgs/DiagnosticArray` with one status for each event since the state before and one for
+each part of the state, numbers as text with all their digits.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 from math import tau
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cablesense_base import CableSenseError
-from cablesense_base.files import read_bounded_text, write_atomically
+from cablesense_base import Array
 from cablesense_base.plain_yaml import Count, Number, describe_problem
-from cablesense_msgs_py.messages import BREATH_END, Level, Status
+from cablesense_msgs_py.messages import BREATH_END
 from cablesense_msgs_py.topics import ContractError
 from cablesense_sim.arm import Arm
 
@@ -75,6 +64,10 @@ LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
 """Those that may change while an estimator runs."""
 
 
+MOST_EVENTS: Final = 256
+"""Between two samples; of more, the oldest that has a later one of its kind is left out."""
+
+
 class EventKind(Enum):
     """What has changed."""
 
@@ -98,6 +91,31 @@ class Event:
 
     kind: EventKind
     command_rad: Numbers = ()
+
+
+class EventLog:
+    """What has changed since the last state."""
+
+    def __init__(self) -> None:
+        self._events: list[Event] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._events)
+
+    def note(self, kind: EventKind, command_rad: Array | None = None) -> None:
+        """For the next state; a start once, however often it is started before a sample."""
+        event = Event(kind, () if command_rad is None else tuple(command_rad.tolist()))
+        if kind is EventKind.START and event in self._events:
+            return
+        self._events.append(event)
+        if len(self._events) > MOST_EVENTS:
+            later = {other.kind: i for i, other in enumerate(self._events)}
+            del self._events[next(i for i, x in enumerate(self._events) if later[x.kind] > i)]
+
+    def taken(self) -> tuple[Event, ...]:
+        """Those so far, in order; none of them is given again."""
+        events, self._events = tuple(self._events), []
+        return events
 
 
 class BreathState(BaseModel):
@@ -223,7 +241,7 @@ class EstimatorState(BaseModel):
         return {**self.origin, **{name: _text(value) for name, value in self.settings}}
 
 
-def _validated(values: Mapping[str, Any]) -> EstimatorState:
+def validated_state(values: Mapping[str, Any]) -> EstimatorState:
     """A state from the values of a serialisation, whose settings and origin are one mapping.
 
     Raises:
@@ -341,7 +359,7 @@ def state_of(message: Any) -> EstimatorState:
         for field, of in BreathState.model_fields.items()
         if field in breath
     }
-    return _validated(values)
+    return validated_state(values)
 
 
 def _values(status: Any) -> dict[str, str]:
@@ -350,119 +368,3 @@ def _values(status: Any) -> dict[str, str]:
 
 def _text(value: float | str | tuple[float, ...]) -> str:
     return " ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
-
-
-FORMAT: Final = "cablesense estimator state 1"
-MAX_BYTES: Final = 200_000
-ALIVE_PERIOD_S: Final = 1.0
-"""So often the file's time is renewed: it shows when its estimator was last alive."""
-
-
-class StateFileError(CableSenseError):
-    """A state file that cannot be continued from, or not be written."""
-
-
-class StateFile:
-    """The latest state of one estimator in a file.
-
-    A state is kept in memory and written by the next `flush`, so that no sample waits for a disk.
-    """
-
-    def __init__(
-        self, path: str | Path, within_s: float, now_s: Callable[[], float] = time.time
-    ) -> None:
-        """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
-        self._path = Path(path) if str(path) else None
-        self._within_s, self._now_s = within_s, now_s
-        self._state: EstimatorState | None = None
-        self._written = self._ours = False
-        self._tried_s = float("-inf")
-        self._problem = ""
-
-    def read(self, arm_identity: str) -> EstimatorState | None:
-        """The state of an estimator of the same arm that was alive a moment ago; None without one.
-
-        Raises:
-            StateFileError: there is a file, and it cannot be continued from.
-        """
-        if self._path is None or not self._path.exists():
-            return None
-        age_s = self._now_s() - self._path.stat().st_mtime
-        if not -self._within_s <= age_s <= self._within_s:
-            raise StateFileError(
-                f"{self._path}: its estimator was last alive {age_s:.0f} s ago; at most "
-                f"{self._within_s:g} s is accepted"
-            )
-        text = read_bounded_text(self._path, MAX_BYTES, "a state file", StateFileError)
-        try:
-            values = json.loads(text)
-        except (ValueError, RecursionError):
-            values = None
-        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
-            raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
-        try:
-            state = _validated(values | {"events": ()})
-        except ContractError as error:
-            raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
-        if state.arm != arm_identity:
-            raise StateFileError(
-                f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
-            )
-        if not state.tared_n:
-            raise StateFileError(f"{self._path}: its estimator had no tare")
-        self._state, self._written, self._ours = state, True, True
-        return state
-
-    def keep(self, state: EstimatorState) -> None:
-        """Take over the state that answers rest on from now on."""
-        self._state, self._written = state, False
-
-    def flush(self) -> None:
-        """Write the state that was kept, or renew the file's time.
-
-        Where that fails the file is removed, as it holds an earlier state, or one whose estimator
-        seems to be dead; it is tried again every `ALIVE_PERIOD_S`.
-
-        Raises:
-            StateFileError: it cannot be written.
-        """
-        now_s = self._now_s()
-        recently = 0.0 <= now_s - self._tried_s < ALIVE_PERIOD_S
-        done = self._written or bool(self._problem)
-        if self._path is None or self._state is None or (recently and done):
-            return
-        self._tried_s = now_s
-        try:
-            if self._written:
-                os.utime(self._path)
-            else:
-                values = self._state.model_dump(exclude={"events", "origin"})
-                values["settings"] = self._state.settings_text()
-                text = json.dumps({"format": FORMAT, **values}, indent=1)
-                write_atomically(self._path, text, StateFileError)
-        except (OSError, StateFileError) as error:
-            cause = error if isinstance(error, StateFileError) else f"{self._path}: {error}"
-            self._problem = f"{cause}; {self._invalidated(self._path)}"
-            self._written = False
-            raise StateFileError(self._problem) from error
-        self._written, self._ours, self._problem = True, True, ""
-
-    def status(self) -> Status | None:
-        """Whether the present state is in the file; none where no file is wanted."""
-        if self._path is None:
-            return None
-        if self._problem:
-            return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
-        return Status("state file", Level.OK, f"the state is kept in {self._path}")
-
-    def _invalidated(self, path: Path) -> str:
-        """Leave no earlier state in the file; gives what a restart comes to, as text."""
-        started = "until it is, an estimator that is started again begins without tare"
-        if not self._ours:
-            return started
-        for spoil in (partial(path.unlink, missing_ok=True), partial(os.truncate, path, 0)):
-            with suppress(OSError):
-                spoil()
-                self._ours = False
-                return started
-        return "an earlier state stays in it: delete it before an estimator is started again"

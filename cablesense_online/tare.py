@@ -39,20 +39,24 @@ _ONE_POSE_RAD = 1e-3
 """Readings of a tare are of poses within this of the first."""
 
 
+_INCOMPLETE = "the arm file lists effects of actuators, friction or sensors"
+
+
 class UnloadedTensions:
     """The static equilibrium of an arm that is commanded as if its effects were unknown.
 
     Attributes:
         mechanism: the arm with what its effects change of it.
-        complete: whether the arm lists no effects of actuators, friction or sensors, which may
-            move readings away from this equilibrium; manufacturing tolerances do by little.
+        incomplete: why they may not be those of the arm at rest by themselves; empty where they
+            are.
     """
 
     def __init__(self, arm: Arm) -> None:
         self._nominal, entries = mechanism_of(arm), entries_of(arm)
         self.mechanism = amended(self._nominal, entries)
         causes = [[entry for entry in entries if not entry.effect.tolerance]]
-        self.complete = not (actuations(causes) or transmissions(causes) or sensings(causes))
+        past = actuations(causes) or transmissions(causes) or sensings(causes)
+        self.incomplete = _INCOMPLETE if past else ""
 
     def predict_n(self, command_rad: Array) -> Array:
         """Tensions (M,) at rest at a command (2N,).

@@ -20,9 +20,11 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, SENSOR
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, StateFile
+from cablesense_online.state import LIVE_SETTINGS, EstimationSettings
+from cablesense_online.state_file import StateFile
 from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import (

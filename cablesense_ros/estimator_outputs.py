@@ -29,7 +29,8 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.estimation import Answer, Estimation
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
 from cablesense_online.state import put_state
 from cablesense_ros.node_process import diagnostic_array, overridable
 

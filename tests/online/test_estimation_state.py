@@ -18,8 +18,7 @@ from sample_feed import (
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT
 from cablesense_msgs_py.topics import ContractError
-from cablesense_online.estimation import MOST_EVENTS
-from cablesense_online.state import Event, EventKind
+from cablesense_online.state import MOST_EVENTS, Event, EventKind
 from cablesense_online.tare import UnloadedTensions
 from cablesense_training.inference.estimator import Estimate
 

@@ -19,11 +19,10 @@ from cablesense_online.state import (
     EstimatorState,
     Event,
     EventKind,
-    StateFile,
-    StateFileError,
     put_state,
     state_of,
 )
+from cablesense_online.state_file import StateFile, StateFileError
 from cablesense_sim.arm import open_arm
 
 diagnostic_msgs = pytest.importorskip("diagnostic_msgs.msg")

@@ -1,4 +1,4 @@
-"""A test leaves the environment and the handlers of signals as it found them."""
+"""What tests of real nodes share; each restores the environment and the signals' handlers."""
 
 import os
 import signal
@@ -16,3 +16,14 @@ def surroundings_restored():
         yield
     for one, handler in handlers.items():
         signal.signal(one, handler)
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """A node in the process of the tests."""
+    pytest.importorskip("rclpy")
+    from ros_graph import Graph
+
+    talking = Graph()
+    yield talking
+    talking.close()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE
 from lifecycle_msgs.msg import Transition
-from ros_graph import Graph, NodeProcess
+from ros_graph import NodeProcess
 from sensor_msgs.msg import JointState
 
 from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
@@ -45,13 +45,6 @@ class Adapter:
 
     def request(self, text):
         self.amplifier.request(text)
-
-
-@pytest.fixture(scope="module")
-def graph():
-    talking = Graph()
-    yield talking
-    talking.close()
 
 
 @pytest.fixture(scope="module")

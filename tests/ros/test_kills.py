@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
-from ros_graph import Graph, NodeProcess, force
+from ros_graph import NodeProcess, force
 
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.node_process import qos_profile
@@ -23,13 +23,6 @@ pytestmark = [
 
 LOAD_N = np.array([0.0, 30.0, -40.0])
 SEGMENT = 3
-
-
-@pytest.fixture(scope="module")
-def graph():
-    talking = Graph()
-    yield talking
-    talking.close()
 
 
 class Nodes:

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
-from ros_graph import Graph, NodeProcess, force
+from ros_graph import NodeProcess, force
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -39,13 +39,6 @@ pytestmark = [
 ARM = open_arm("cdsm")
 UNLOADED = solve_equilibrium(mechanism_of(ARM), np.zeros(8)).tensions_n
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
-
-
-@pytest.fixture(scope="module")
-def graph():
-    talking = Graph()
-    yield talking
-    talking.close()
 
 
 @pytest.fixture(scope="module")

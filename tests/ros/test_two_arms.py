@@ -3,7 +3,7 @@
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from ros_graph import Graph, NodeProcess
+from ros_graph import NodeProcess
 
 from cablesense_msgs_py.messages import ForceState, Level, read_force_state
 
@@ -14,13 +14,6 @@ pytestmark = [
 ]
 
 ARMS = ("left", "right")
-
-
-@pytest.fixture(scope="module")
-def graph():
-    talking = Graph()
-    yield talking
-    talking.close()
 
 
 @pytest.fixture(scope="module")

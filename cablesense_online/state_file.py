@@ -1,0 +1,137 @@
+"""A JSON file that keeps the estimator's latest state.
+
+An estimator that was killed continues with its tare. Without it, one that starts beside a loaded
+arm would have no tare until the load goes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from cablesense_base import CableSenseError
+from cablesense_base.files import read_bounded_text, write_atomically
+from cablesense_msgs_py.messages import Level, Status
+from cablesense_msgs_py.topics import ContractError
+from cablesense_online.state import EstimatorState, validated_state
+
+FORMAT: Final = "cablesense estimator state 1"
+MAX_BYTES: Final = 200_000
+ALIVE_PERIOD_S: Final = 1.0
+"""So often the file's time is renewed: it shows when its estimator was last alive."""
+
+
+class StateFileError(CableSenseError):
+    """A state file that cannot be continued from, or not be written."""
+
+
+class StateFile:
+    """The latest state of one estimator in a file.
+
+    A state is kept in memory and written by the next `flush`, so that no sample waits for a disk.
+    """
+
+    def __init__(
+        self, path: str | Path, within_s: float, now_s: Callable[[], float] = time.time
+    ) -> None:
+        """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
+        self._path = Path(path) if str(path) else None
+        self._within_s, self._now_s = within_s, now_s
+        self._state: EstimatorState | None = None
+        self._written = self._ours = False
+        self._tried_s = float("-inf")
+        self._problem = ""
+
+    def read(self, arm_identity: str) -> EstimatorState | None:
+        """The state of an estimator of the same arm that was alive a moment ago; None without one.
+
+        Raises:
+            StateFileError: there is a file, and it cannot be continued from.
+        """
+        if self._path is None or not self._path.exists():
+            return None
+        age_s = self._now_s() - self._path.stat().st_mtime
+        if not -self._within_s <= age_s <= self._within_s:
+            raise StateFileError(
+                f"{self._path}: its estimator was last alive {age_s:.0f} s ago; at most "
+                f"{self._within_s:g} s is accepted"
+            )
+        text = read_bounded_text(self._path, MAX_BYTES, "a state file", StateFileError)
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError):
+            values = None
+        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+            raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
+        try:
+            state = validated_state(values | {"events": ()})
+        except ContractError as error:
+            raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
+        if state.arm != arm_identity:
+            raise StateFileError(
+                f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
+            )
+        if not state.tared_n:
+            raise StateFileError(f"{self._path}: its estimator had no tare")
+        self._state, self._written, self._ours = state, True, True
+        return state
+
+    def keep(self, state: EstimatorState) -> None:
+        """Take over the state that answers rest on from now on."""
+        self._state, self._written = state, False
+
+    def flush(self) -> None:
+        """Write the state that was kept, or renew the file's time.
+
+        Where that fails the file is removed, as it holds an earlier state, or one whose estimator
+        seems to be dead; it is tried again every `ALIVE_PERIOD_S`.
+
+        Raises:
+            StateFileError: it cannot be written.
+        """
+        now_s = self._now_s()
+        recently = 0.0 <= now_s - self._tried_s < ALIVE_PERIOD_S
+        done = self._written or bool(self._problem)
+        if self._path is None or self._state is None or (recently and done):
+            return
+        self._tried_s = now_s
+        try:
+            if self._written:
+                os.utime(self._path)
+            else:
+                values = self._state.model_dump(exclude={"events", "origin"})
+                values["settings"] = self._state.settings_text()
+                text = json.dumps({"format": FORMAT, **values}, indent=1)
+                write_atomically(self._path, text, StateFileError)
+        except (OSError, StateFileError) as error:
+            cause = error if isinstance(error, StateFileError) else f"{self._path}: {error}"
+            self._problem = f"{cause}; {self._invalidated(self._path)}"
+            self._written = False
+            raise StateFileError(self._problem) from error
+        self._written, self._ours, self._problem = True, True, ""
+
+    def status(self) -> Status | None:
+        """Whether the present state is in the file; none where no file is wanted."""
+        if self._path is None:
+            return None
+        if self._problem:
+            return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
+        return Status("state file", Level.OK, f"the state is kept in {self._path}")
+
+    def _invalidated(self, path: Path) -> str:
+        """Leave no earlier state in the file; gives what a restart comes to, as text."""
+        started = "until it is, an estimator that is started again begins without tare"
+        if not self._ours:
+            return started
+        for spoil in (partial(path.unlink, missing_ok=True), partial(os.truncate, path, 0)):
+            with suppress(OSError):
+                spoil()
+                self._ours = False
+                return started
+        return "an earlier state stays in it: delete it before an estimator is started again"
