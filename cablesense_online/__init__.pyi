@@ -1,6 +1,6 @@
 """Public names; `__init__.py` imports each when it is first used."""
 
-from .estimation import Answer as Answer
+from .answer import Answer as Answer
 from .estimation import Estimation as Estimation
 from .models import LoadedModel as LoadedModel
 from .models import load_model as load_model

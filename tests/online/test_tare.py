@@ -116,8 +116,8 @@ def test_an_arm_whose_file_lists_more_than_the_model_has_is_not_judged_by_it():
     assert tares.status().level is Level.OK
     friction = {"effect": "capstan_friction", "at": "arm", "parameters": {"coefficient": 0.1}}
     zero = {"effect": "cable_tolerance", "at": "cable_1", "parameters": {"zero_n": 0.3}}
-    assert UnloadedTensions(variant({"effects": [zero]})).complete
-    assert not UnloadedTensions(variant({"effects": [zero, friction]})).complete
+    assert not UnloadedTensions(variant({"effects": [zero]})).incomplete
+    assert UnloadedTensions(variant({"effects": [zero, friction]})).incomplete
 
 
 def test_readings_of_a_reported_contact_are_refused_until_all_are_newer():
