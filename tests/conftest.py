@@ -29,22 +29,37 @@ def _in_real_time(nodeid):
     return nodeid.startswith("tests/ros/")
 
 
-class _RealTimeOnOneWorker(LoadFileScheduling):
-    """Tests of real nodes follow one another; others stay with those of their file."""
+def _in_browser(nodeid):
+    return nodeid.startswith("tests/ros/test_page_browser")
+
+
+class _RealTimeOnTwoWorkers(LoadFileScheduling):
+    """Tests of real nodes follow one another, beside those that a browser shows.
+
+    The others stay with those of their file.
+    """
 
     def _split_scope(self, nodeid):
-        return "real time" if _in_real_time(nodeid) else super()._split_scope(nodeid)
+        alone = _in_real_time(nodeid) and not _in_browser(nodeid)
+        return "real time" if alone else super()._split_scope(nodeid)
 
 
 def pytest_xdist_make_scheduler(config, log):
-    return _RealTimeOnOneWorker(config, log)
+    return _RealTimeOnTwoWorkers(config, log)
 
 
 def pytest_collection_modifyitems(config, items):
-    """Of several workers the first has the real nodes; files that take long come before others."""
+    """Of several workers the first two have the real nodes; of others, long files come first."""
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-        items.sort(key=lambda item: (not _in_real_time(item.nodeid), -slow[item.path], item.path))
+        items.sort(
+            key=lambda item: (
+                not _in_real_time(item.nodeid),
+                _in_browser(item.nodeid),
+                -slow[item.path],
+                item.path,
+            )
+        )
 
 
 def pytest_runtest_setup(item):
