@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from cablesense_base.files import output_file
+from cablesense_base.files import output_file, write_atomically
 from cablesense_cli.options import (
     ForceOption,
     JsonOption,
@@ -145,18 +145,22 @@ def _table2(model: str) -> Result:
 
 
 def _recorded(recording: Path, models: list[str], picture: Path | None) -> Result:
-    from cablesense_gap.recorded_contacts import draw_recorded_errors, recorded_errors
+    from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_training.inference.estimator import Estimator
+    from cablesense_gap.report.pictures import drawn_errors
+    from cablesense_gap.report.style import image_bytes, style
     from cablesense_training.inference.metadata import find_model
+    from cablesense_training.inference.temporal_estimator import open_estimator
 
-    opened = {name: Estimator.load(find_model(name)) for name in models}
+    opened = {name: open_estimator(find_model(name)) for name in models}
     found = {
         name: recorded_errors(read_recording(recording, estimator.metadata.arm), estimator)
         for name, estimator in opened.items()
     }
     if picture is not None:
-        draw_recorded_errors(picture, found)
+        with style():
+            image = image_bytes(drawn_errors(found), "png")
+        write_atomically(picture, image, OptionError)
     headings = ("", "rows", *_ERRORS)
     tables = []
     for name, each in found.items():

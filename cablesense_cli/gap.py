@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
+from cablesense_cli.adapt import adapt
 from cablesense_cli.options import (
     DurationOption,
     ForceOption,
@@ -39,14 +40,6 @@ def diagnose(
     ],
     arm: _NominalArm = "cdsm_lab",
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
-    retrain: Annotated[
-        bool,
-        typer.Option(
-            "--retrain",
-            help="Also train force estimators for both arms, and compare them on held-out loads; "
-            "takes minutes.",
-        ),
-    ] = False,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
@@ -63,9 +56,6 @@ def diagnose(
     from cablesense_gap.report.text import headline
     from cablesense_sim.arm import find_arm, load_arm
 
-    if retrain:  # what it needs is missed now rather than after the diagnosis
-        from cablesense_gap.retraining import estimator_errors
-
     arm_file = find_arm(arm)
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
@@ -81,10 +71,6 @@ def diagnose(
             progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
 
         found = make(recorded, nominal, show, workers, warn)
-        if retrain:
-            errors = estimator_errors(found.recording, nominal, found.amended, show, workers)
-            verdict = found.verdict.model_copy(update={"estimator": errors})
-            found = replace(found, verdict=verdict)
     write_diagnosis(out, found)
     if json_output:
         print_json(found.verdict.model_dump(mode="json", exclude_none=True))
@@ -370,5 +356,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (diagnose, predict, protocol, record, score, withhold):
+for verb in (diagnose, adapt, predict, protocol, record, score, withhold):
     gap.command()(verb)

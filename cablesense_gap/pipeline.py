@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +107,13 @@ def diagnose(
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     on_finding: Callable[[str], None] = lambda _: None,
+    unseen: Collection[int] = (),
 ) -> Diagnosis:
     """Find what makes the recorded arm differ from the nominal one.
 
     `progress` is called with what is under way and which share of the whole is done, `on_finding`
-    with each problem of the recording before the search begins.
+    with each problem of the recording before the search begins. The readings of the trials
+    `unseen` are only checked: neither the search nor any figure of the verdict has them.
 
     Raises:
         RecordingError: the recording cannot be used.
@@ -132,7 +134,7 @@ def diagnose(
     findings += stiffness_findings(recording, arm, nominal)
     for finding in findings:
         on_finding(finding.text)
-    problem = problem_of(recording, simulator, nominal)
+    problem = problem_of(recording, simulator, nominal, unseen)
     calibration = bundled_calibration()
     found = posterior(search(problem, progress, workers), problem.floor, calibration)
     ranked = named(problem, found, calibration)
@@ -196,13 +198,16 @@ def diagnose(
     )
 
 
-def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) -> Problem:
+def problem_of(
+    recording: Recording, simulator: ArmSimulator, nominal: Array, unseen: Collection[int] = ()
+) -> Problem:
     """The recording as the search works on it.
 
-    Rows do not count where the arm may have more than one static equilibrium.
+    Rows do not count where the arm may have more than one static equilibrium, nor do those of the
+    trials `unseen`.
     """
-    used = has_one_equilibrium(nominal, simulator.arm)
-    folds = folds_of(recording)
+    used = has_one_equilibrium(nominal, simulator.arm) & ~np.isin(recording.trial, list(unseen))
+    folds = folds_of(recording, unseen)
     problem = prepare(simulator, recording.tensions_n, recording.trial, folds, used)
     rows = rows_of_the_way(recording)
     if len(rows) > _SKETCH_SHARE * len(recording):
@@ -210,17 +215,19 @@ def problem_of(recording: Recording, simulator: ArmSimulator, nominal: Array) ->
     return sketched(problem, ArmSimulator(simulator.arm, recording.rows(rows)), rows)
 
 
-def folds_of(recording: Recording) -> NDArray[np.int64]:
+def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:
     """(T,) fold 0 to 4 of each trial, in the order of their numbers.
 
     Trials of one kind, by the segment that is loaded and by whether the arm moves, are dealt
-    to the folds in turn, so that each fold leaves some of every kind to fit to.
+    to the folds in turn, so that each fold leaves some of every kind to fit to. Those `unseen` are
+    dealt apart from the others.
     """
-    kinds: dict[tuple[int, bool], list[int]] = {}
+    kinds: dict[tuple[bool, int, bool], list[int]] = {}
     for t, number in enumerate(np.unique(recording.trial)):
         rows = recording.trial == number
         moves = bool((np.ptp(recording.command_rad[rows], axis=0) > 0.0).any())
-        kinds.setdefault((int(recording.load_segment[rows].max()), moves), []).append(t)
+        kind = number in unseen, int(recording.load_segment[rows].max()), moves
+        kinds.setdefault(kind, []).append(t)
     dealt = [t for kind in sorted(kinds) for t in kinds[kind]]
     fold = np.empty(len(dealt), dtype=np.int64)
     fold[dealt] = np.arange(len(dealt)) % min(FOLDS, len(dealt))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Collection
+from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -23,6 +21,7 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 
 def tares_n(recording: Recording) -> Array:
@@ -75,8 +74,12 @@ class RecordedErrors(NamedTuple):
         }
 
 
-def recorded_errors(recording: Recording, estimator: Estimator) -> RecordedErrors:
-    """The errors of a model on a recording of its arm.
+def recorded_errors(
+    recording: Recording,
+    estimator: Estimator | TemporalEstimator,
+    trials: Collection[int] | None = None,
+) -> RecordedErrors:
+    """The errors of a model on a recording of its arm, or on the contacts of some of its trials.
 
     Raises:
         RecordingError: no load follows unloaded rows at its command, so there is no tare.
@@ -84,14 +87,18 @@ def recorded_errors(recording: Recording, estimator: Estimator) -> RecordedError
     arm: Arm = estimator.metadata.arm
     tare = tares_n(recording)
     rows = np.asarray(np.isfinite(tare).all(axis=1))
-    if not (rows & (recording.load_segment > 0)).any():
+    answered = rows if trials is None else rows & np.isin(recording.trial, list(trials))
+    if not (answered & (recording.load_segment > 0)).any():
         raise RecordingError(
             f"{recording.name}: no load follows unloaded rows at its command, so there is no tare "
             "to estimate from; record load cycles (cablesense gap protocol)"
         )
-    taken = recording.rows(rows)
-    found = estimator.estimate_batch(taken.tensions_n - tare[rows], taken.command_rad)
-    answer = ContactAnswer.of(found)
+    taken = recording.rows(answered)
+    if isinstance(estimator, TemporalEstimator):
+        answer = _along(recording, tare, estimator).select(answered)
+    else:
+        difference_n = taken.tensions_n - tare[answered]
+        answer = ContactAnswer.of(estimator.estimate_batch(difference_n, taken.command_rad))
     y, z = normal_components_n(
         mechanism_of(arm), taken.command_rad, np.maximum(taken.load_segment, 1), taken.load_n
     )
@@ -113,41 +120,20 @@ def recorded_errors(recording: Recording, estimator: Estimator) -> RecordedError
     )
 
 
-def draw_recorded_errors(path: Path, errors: Mapping[str, RecordedErrors]) -> None:
-    """Estimated against true force of each model, as a PNG: a colour for each segment.
-
-    Raises:
-        RecordingError: the place cannot be written to.
-    """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure, axes = plt.subplots(
-            1, len(errors), figsize=(4.4 * len(errors), 4.2), squeeze=False, layout="constrained"
-        )
-        most = 1.05 * max(
-            max(each.truth.force_n.max(), each.answer.force_n.max()) for each in errors.values()
-        )
-        for place, (name, each) in zip(axes[0], errors.items(), strict=True):
-            place.plot([0.0, most], [0.0, most], color="0.7", lw=1)
-            right = each.answer.segment == each.truth.segment
-            for segment in np.unique(each.truth.segment):
-                rows = each.truth.segment == segment
-                colour = f"C{segment}" if segment else "0.4"
-                label = f"segment {segment}" if segment else "no load"
-                forces = each.truth.force_n, each.answer.force_n
-                place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
-                place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
-            accuracy, off_n = each.whole.contact_accuracy, each.whole.errors.magnitude_mae_n
-            place.set(
-                title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
-                xlabel="true force, N (crosses: another segment, or none)",
-                ylabel="estimated force, N",
-            )
-            place.legend(frameon=False)
-        with written_whole(path, RecordingError) as part:
-            figure.savefig(part, dpi=110, format="png")
-        plt.close(figure)
+def _along(recording: Recording, tare_n: Array, estimator: TemporalEstimator) -> ContactAnswer:
+    """Answers on all rows (R,), row after row, each tare (R, M) taken when it counts first."""
+    tared = np.asarray(np.isfinite(tare_n).all(axis=1))
+    still = np.zeros(recording.command_rad.shape[1])
+    estimator.forget()
+    found = []
+    for row, command_rad in enumerate(recording.command_rad):
+        difference_n = np.zeros(tare_n.shape[1])
+        if tared[row]:
+            if not row or (tare_n[row] != tare_n[row - 1]).any():
+                estimator.tare()
+            difference_n = recording.tensions_n[row] - tare_n[row]
+        time_s = float(recording.time_s[row])
+        found.append(estimator.estimate(difference_n, command_rad, still, still, time_s))
+    return ContactAnswer(
+        *(np.array([getattr(each, part.name) for each in found]) for part in fields(ContactAnswer))
+    )

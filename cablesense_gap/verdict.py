@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
@@ -128,10 +128,19 @@ class CandidateResult(FilePart):
 
 
 class Estimator(FilePart):
-    """Errors of the force estimator trained on the nominal and on the amended arm, by name."""
+    """Errors of the force estimator trained on the nominal and on the amended arm, by name.
+
+    Attributes:
+        before: of the first.
+        after: of the second; none where there was nothing to train it on.
+        use: which of the two is better on these loads.
+        trials: of the recording, that neither the diagnosis nor the training had.
+    """
 
     before: dict[str, float]
-    after: dict[str, float]
+    after: dict[str, float] | None = None
+    use: Literal["before", "after"] = "after"
+    trials: tuple[int, ...] = ()
 
 
 class Verdict(FilePart):
@@ -149,7 +158,7 @@ class Verdict(FilePart):
         unexplained_share: of the nominal arm's gap beyond the floor.
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
         candidates: all explanations weighed, in any order.
-        estimator: present if it was trained again.
+        estimator: present if the estimator was adapted.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
         rows: of the recording.

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report.pictures import (
     MOST,
     cable_picture,
     drawn_budget,
     drawn_candidates,
+    drawn_errors,
     dumbbell_picture,
     time_picture,
 )
@@ -43,8 +47,10 @@ _WORST = 8
 """Parts of what remains that are shown before one asks for all."""
 
 
-def write_diagnosis(folder: Path, found: Diagnosis) -> None:
-    """Write all three files, each whole or not at all.
+def write_diagnosis(
+    folder: Path, found: Diagnosis, models: Mapping[str, RecordedErrors] = MappingProxyType({})
+) -> None:
+    """Write all three files, each whole or not at all; `models` as `report_page` takes them.
 
     Raises:
         VerdictError: the folder cannot be made, or the verdict not be written.
@@ -58,11 +64,16 @@ def write_diagnosis(folder: Path, found: Diagnosis) -> None:
     verdict, arm, report = (folder / name for name in DIAGNOSIS_FILES)
     write_verdict(verdict, found.verdict)
     write_arm(arm, found.amended, headline(found.verdict))
-    write_atomically(report, report_page(found), ReportError)
+    write_atomically(report, report_page(found, models), ReportError)
 
 
-def report_page(found: Diagnosis) -> str:
-    """The report, one HTML page that needs nothing beside it."""
+def report_page(
+    found: Diagnosis, models: Mapping[str, RecordedErrors] = MappingProxyType({})
+) -> str:
+    """The report, one HTML page that needs nothing beside it.
+
+    `models` are errors of estimators by their names, which a picture shows side by side.
+    """
     verdict, recording = found.verdict, found.recording
     floor_n = verdict.gap.floor_n
     before = decompose(recording, found.before_n, floor_n, found.nominal)
@@ -75,6 +86,7 @@ def report_page(found: Diagnosis) -> str:
             "cable": cable_picture(before, after, found.after_label),
             "set": dumbbell_picture(before, after, found.after_label, (SET,)),
             "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
+            "estimator": as_uri(drawn_errors(models), "png") if models else "",
             "candidates": as_uri(drawn_candidates(verdict)) if verdict.candidates else "",
         }
     rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]

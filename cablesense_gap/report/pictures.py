@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -255,3 +256,33 @@ def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:
     edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
     low, high = np.fmin.reduceat(values_n, edges), np.fmax.reduceat(values_n, edges)
     return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()
+
+
+def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
+    """Estimated against true force of each model, side by side: a colour for each segment."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        1, len(errors), figsize=(4.4 * len(errors), 4.2), squeeze=False, layout="constrained"
+    )
+    most = 1.05 * max(
+        max(each.truth.force_n.max(), each.answer.force_n.max()) for each in errors.values()
+    )
+    for place, (name, each) in zip(axes[0], errors.items(), strict=True):
+        place.plot([0.0, most], [0.0, most], color="0.7", lw=1)
+        right = each.answer.segment == each.truth.segment
+        for segment in np.unique(each.truth.segment):
+            rows = each.truth.segment == segment
+            colour = f"C{segment}" if segment else "0.4"
+            label = f"segment {segment}" if segment else "no load"
+            forces = each.truth.force_n, each.answer.force_n
+            place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
+            place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
+        accuracy, off_n = each.whole.contact_accuracy, each.whole.errors.magnitude_mae_n
+        place.set(
+            title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
+            xlabel="true force, N (crosses: another segment, or none)",
+            ylabel="estimated force, N",
+        )
+        place.legend()
+    return figure

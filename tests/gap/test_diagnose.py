@@ -21,6 +21,7 @@ from cablesense_gap.pipeline import (
     folds_of,
     foremost,
     gap_size,
+    problem_of,
     rmse_interval_n,
     where,
 )
@@ -50,6 +51,15 @@ def made(truth: Assignment, seed: int = 0) -> Recording:
 @cache
 def loaded() -> Diagnosis:
     return diagnose(made({Term("payload", "segment_3", "mass_kg"): MASS_KG}), LAB)
+
+
+def test_trials_that_are_not_to_be_seen_count_nowhere():
+    simulator = ArmSimulator(LAB, PROTOCOL)
+    nominal = simulator.predict([{}])[0]
+    problem = problem_of(PROTOCOL, simulator, nominal, unseen=(2, 5))
+    assert set(PROTOCOL.trial[problem.used]) == set(PROTOCOL.trial) - {2, 5}
+    others = np.delete(problem.fold, [2, 5])
+    assert set(others) == set(range(FOLDS))
 
 
 @pytest.mark.slow  # the full library, from which to choose

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from gap_recordings import CYCLE, LAB, small_recording
 
-from cablesense_gap.recorded_contacts import draw_recorded_errors, recorded_errors, tares_n
+from cablesense_gap.recorded_contacts import recorded_errors, tares_n
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +71,17 @@ def test_loads_without_a_tare_are_refused(recording: Recording, estimator: Estim
         recorded_errors(loaded, estimator)
 
 
-def test_two_models_are_drawn_side_by_side(
-    recording: Recording, estimator: Estimator, tmp_path: Path
-) -> None:
-    found = recorded_errors(recording, estimator)
-    path = tmp_path / "errors.png"
-    draw_recorded_errors(path, {"before": found, "after": found})
-    assert path.read_bytes().startswith(b"\x89PNG")
+def test_some_trials_are_judged_alone(recording: Recording, estimator: Estimator) -> None:
+    found = recorded_errors(recording, estimator, [1, 6])
+    assert set(found.by_segment) == {1, 2}
+    assert found.whole.errors.contacts == 2 * np.count_nonzero(CYCLE)
+
+
+def test_a_history_dependent_model_answers_along_the_recording(recording: Recording) -> None:
+    """Made for another arm of the same form; the recording is that one's."""
+    estimator = TemporalEstimator.load(find_model("cdsm_moving"))
+    arm = estimator.metadata.arm
+    true_n = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    found = recorded_errors(replace(recording, tensions_n=true_n), estimator, [1, 2])
+    assert found.whole.contact_accuracy > 0.9
+    assert found.whole.errors.magnitude_mae_n < 1.0

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm import open_arm
-from cablesense_sim.build import mechanism_of
+from cablesense_sim.arm import ListedEffect, open_arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
+from cablesense_training.data.history import sensed_along_n
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
 from cablesense_training.networks.second_order import SecondOrderClosedForm
@@ -185,3 +186,24 @@ def test_mirrored_readings_of_a_symmetric_arm_get_mirrored_answers():
     torch.testing.assert_close(there.direction, turned, atol=1e-5, rtol=1e-6)
     torch.testing.assert_close(there.magnitude_std_n, here.magnitude_std_n)
     torch.testing.assert_close(there.angle_std_deg, here.angle_std_deg)
+
+
+def test_what_sensors_make_of_tensions_is_undone():
+    wrong = (
+        ListedEffect(effect="sensor_gain", at="cable_7", parameters={"gain": 0.3}),
+        ListedEffect(effect="sensor_crosstalk", parameters={"share": 0.1}),
+    )
+    arm = CDSM.model_copy(update={"effects": list(wrong)})
+    network = CorrectedClosedForm.for_arm(arm).eval()
+    tension, command, segment = _readings(CDSM, 50)
+    zero = np.zeros_like(tension.numpy())
+    pretension_n = CDSM.cables.pretension_n
+    read = [
+        sensed_along_n(entries_of(arm), np.zeros(1), (pretension_n + each)[None])[0]
+        for each in (tension.numpy(), zero)
+    ]
+    with torch.no_grad():
+        here = network(torch.as_tensor(read[0] - read[1]), command)
+        there = CorrectedClosedForm.for_arm(CDSM).eval()(tension, command)
+    assert (here.contact_logits.argmax(1).numpy() == segment).all()
+    torch.testing.assert_close(_force(here), _force(there), atol=1e-6, rtol=1e-6)

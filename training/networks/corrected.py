@@ -6,8 +6,9 @@ and how wide the error really is. Corrections are counted in standard deviations
 and bounded, so that an arm unlike the training data still gets an answer by statics.
 
 What effects change of the arm itself is in the closed form: masses, stiffness, holes, springs,
-contact points, while the actuators hold the lengths of the arm without them. What depends on the
-past, and what sensors and actuators do, no closed form knows; it counts as spread of the readings.
+contact points, while the actuators hold the lengths of the arm without them; so is what sensors
+that do not err by the past make of tensions. What depends on the past, and what actuators do, no
+closed form knows; it counts as spread of the readings.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import Candidates, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import (
@@ -91,7 +94,22 @@ def unexplained_variance_n2(arm: Arm) -> float:
         solve_equilibrium(mechanism, drawn.command_rad, forces, held_m=held).tensions_n
         for forces in (drawn.forces_n, np.zeros_like(drawn.forces_n))
     )
-    return float(((drawn.tension_difference_n - (loaded - unloaded)) ** 2).mean())
+    differences_n, unread = drawn.tension_difference_n, unreading(arm)
+    if unread is not None:
+        differences_n = differences_n @ unread
+    return float(((differences_n - (loaded - unloaded)) ** 2).mean())
+
+
+def unreading(arm: Arm) -> Array | None:
+    """(M, M) by which rows of tension differences as read become those of the tensions.
+
+    At rest, for differences as small as a newton; None where readings are tensions.
+    """
+    count = arm.cable_count
+    tensions_n = arm.cables.pretension_n + np.vstack([np.zeros(count), np.eye(count)])
+    nothing, *each = sensed_along_n(entries_of(arm), np.zeros(1), tensions_n[None])[0]
+    gains = np.array(each) - nothing
+    return None if np.allclose(gains, np.eye(count)) else np.linalg.inv(gains)
 
 
 LOG_PRIOR = -2.0 * math.log(200.0)
@@ -107,10 +125,14 @@ class CorrectedClosedForm(SingleContactNetwork):
     Args:
         arm: the arm.
         closed_form: its statics.
+
+    Attributes:
+        unread: (M, M) of `unreading`; none where readings are tensions.
     """
 
     pose_aware: ClassVar[bool] = True
     frame: Tensor
+    unread: Tensor | None
 
     def __init__(self, arm: Arm, closed_form: ClosedForm | SecondOrderClosedForm) -> None:
         segments, width = arm.segment_count, 48
@@ -125,6 +147,8 @@ class CorrectedClosedForm(SingleContactNetwork):
         nn.init.zeros_(self.heads.weight)
         along_and_across = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
         self.register_buffer("frame", torch.tensor(along_and_across))
+        unread = unreading(arm)
+        self.register_buffer("unread", None if unread is None else torch.as_tensor(unread))
         self.double()
 
     @classmethod
@@ -147,9 +171,10 @@ class CorrectedClosedForm(SingleContactNetwork):
     ) -> tuple[SingleContactOutput, Tensor]:
         """The answers, and (B, M) one for each taut cable and zero for each slack one."""
         assert joint_command_rad is not None
-        found = self.closed_form.weigh(
-            tension_difference_n.double(), joint_command_rad.double(), self._weighing
-        )
+        difference_n = tension_difference_n.double()
+        if self.unread is not None:
+            difference_n = difference_n @ self.unread
+        found = self.closed_form.weigh(difference_n, joint_command_rad.double(), self._weighing)
         chosen = one_hot_of_argmax(found.evidence)
         force = chosen @ found.force_n
         root, shift, widen = (chosen @ self._known(found)).split([4, 2, 2], dim=-1)

@@ -1,0 +1,167 @@
+"""From a diagnosis to a force estimator that is put right by it.
+
+Some trials are kept apart: neither the diagnosis nor the training has their readings, and the
+estimator before and the one after are judged on their loads. The second is trained on the amended
+arm, over the poses and forces of the first, with a memory where the arm has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablesense_base import CableSenseError
+from cablesense_gap.pipeline import Diagnosis, diagnose, folds_of
+from cablesense_gap.recorded_contacts import RecordedErrors, recorded_errors, tares_n
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.verdict import Estimator as Errors
+from cablesense_sim.arm import Arm
+from cablesense_sim.load_capacity import contact_range_n
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
+from cablesense_training.model_training import draw_training_data, train_model
+from cablesense_training.recipes import adjusted, recipe_for
+
+NETWORK = "closed-form-corrected"
+_SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
+_CONTACTS_GIVEN_UP = 0.01
+"""Of the rows: a second estimator that names fewer is no better, however small its errors."""
+_DIAGNOSIS_SHARE = 0.7
+"""Of the time that all takes."""
+
+
+class AdaptationError(CableSenseError):
+    """A recording or a model that nothing can be adapted by: names what is missing."""
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """A diagnosis, and errors of the estimators on the loads of the trials that it has not seen.
+
+    Attributes:
+        trials: numbers of these trials.
+        before: of the first estimator.
+        after: of the second; none where the diagnosis names nothing to train on.
+        better: whether the second is to be used: it errs less, and names no fewer contacts.
+    """
+
+    diagnosis: Diagnosis
+    trials: tuple[int, ...]
+    before: RecordedErrors
+    after: RecordedErrors | None
+    better: bool
+
+
+def adapt(
+    recording: Recording,
+    arm: Arm,
+    first: Path,
+    second: Path,
+    command: str,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
+    on_finding: Callable[[str], None] = lambda _: None,
+) -> Adaptation:
+    """Diagnose, train on the amended arm, and judge the models in the files `first` and `second`.
+
+    The second is written where the diagnosis names effects, `command` into it. See `diagnose` for
+    the other arguments and for errors.
+
+    Raises:
+        AdaptationError: too few loads to keep some apart.
+        ModelFileError: `first` is no model of single contacts of this arm.
+    """
+    estimator = open_estimator(first, arm)
+    unseen = kept_apart(recording)
+
+    def show(doing: str, done: float) -> None:
+        progress(doing, _DIAGNOSIS_SHARE * done)
+
+    found = diagnose(recording, arm, show, workers, on_finding, unseen)
+    before = recorded_errors(recording, estimator, unseen)
+    after = None
+    if found.verdict.shares:
+        progress("training for the amended arm", _DIAGNOSIS_SHARE)
+        train_for(found.amended, estimator, recording, second, command)
+        progress("judging the estimators", 0.95)
+        after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
+    progress("done", 1.0)
+    better = after is not None and _is_better(before, after)
+    errors = Errors(
+        before=_named(before),
+        after=None if after is None else _named(after),
+        use="after" if better else "before",
+        trials=unseen,
+    )
+    verdict = found.verdict.model_copy(update={"estimator": errors})
+    return Adaptation(replace(found, verdict=verdict), unseen, before, after, better)
+
+
+def kept_apart(recording: Recording) -> tuple[int, ...]:
+    """Numbers of the trials that the estimators are judged on: the fold with the most loads.
+
+    Raises:
+        AdaptationError: fewer than two trials have a load that can be estimated.
+    """
+    can_be_estimated = (recording.load_segment > 0) & np.isfinite(tares_n(recording)).all(axis=1)
+    numbers, folds = np.unique(recording.trial), folds_of(recording)
+    loaded = np.isin(numbers, recording.trial[can_be_estimated])
+    if loaded.sum() < 2:
+        raise AdaptationError(
+            f"{recording.name}: {loaded.sum()} trials have a load that follows unloaded rows at "
+            "its command; at least 2 are needed, one to learn from and one to be judged on: "
+            "record load cycles (cablesense gap protocol)"
+        )
+    fold = int(np.bincount(folds[loaded]).argmax())
+    return tuple(int(number) for number in numbers[folds == fold])
+
+
+def train_for(
+    arm: Arm,
+    first: Estimator | TemporalEstimator,
+    recording: Recording,
+    path: Path,
+    command: str,
+) -> None:
+    """Train a network for an arm over the poses and forces of a first model, into a file.
+
+    Poses go as far as the recording's where that is farther, forces as far as the arm bears.
+    """
+    metadata = first.metadata
+    pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
+    options: dict[str, Any] = {
+        "samples": _SAMPLES,
+        "pose": "random",
+        "pose_range_deg": max(metadata.pose_range_deg, np.ceil(pose_deg)),
+        "force_high_n": contact_range_n(arm, metadata.force_range_n),
+    }
+    recipe = recipe_for(NETWORK).settings
+    settings = adjusted(recipe, seed=0, threads=1, epochs=_EPOCHS, batch_size=256)
+    data = draw_training_data(arm, NETWORK, options, seed=0)
+    train_model(path, NETWORK, data, settings, command=command, test_samples=_TEST_SAMPLES)
+
+
+def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
+    first, second = before.whole.errors, after.whole.errors
+    return (
+        second.magnitude_mae_n < first.magnitude_mae_n
+        and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_GIVEN_UP
+    )
+
+
+def _named(errors: RecordedErrors) -> dict[str, float]:
+    """Errors over loaded rows; what there is nothing to average for is left out."""
+    of_loads = errors.whole.errors
+    named = {
+        "contact_accuracy": of_loads.contact_accuracy,
+        "force_mae_n": of_loads.magnitude_mae_n,
+        "direction_mean_deg": of_loads.direction_mae_deg,
+        "interval_coverage": of_loads.magnitude_coverage95,
+        "false_force_n": errors.false_n,
+        "rows": float(of_loads.contacts),
+    }
+    return {name: value for name, value in named.items() if np.isfinite(value)}
