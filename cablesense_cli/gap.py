@@ -12,6 +12,12 @@ from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
 from cablesense_cli.adapt import adapt
+from cablesense_cli.gap_robot import (
+    BandwidthOption,
+    ModelOption,
+    diagnose_robot,
+    predict_robot,
+)
 from cablesense_cli.options import (
     DurationOption,
     ForceOption,
@@ -34,11 +40,14 @@ _NominalArm = Annotated[
 
 
 def diagnose(
+    context: typer.Context,
     recording: _Recording,
     out: Annotated[
         Path, typer.Option(help="Folder for verdict.json, report.html and amended_arm.yaml.")
     ],
     arm: _NominalArm = "cdsm_lab",
+    model: ModelOption = None,
+    bandwidth: BandwidthOption = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
     force: ForceOption = False,
     json_output: JsonOption = False,
@@ -46,10 +55,19 @@ def diagnose(
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
     Writes the verdict, a report to read, and an amended arm file that the sim, the training and
-    `gap predict` take as they take any other.
+    `gap predict` take as they take any other. Of another robot, give its --model; the recording
+    then has columns position.<joint> and torque.<joint>, and the model is amended.
 
-    Example: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold]
+    Examples: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold],
+    [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
     """
+    if model is not None:
+        refuse_given(context, ["arm"], "with --model")
+        diagnose_robot(
+            recording, model, out, bandwidth, workers, force=force, json_output=json_output
+        )
+        return
+    refuse_given(context, ["bandwidth"], "without --model")
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
@@ -82,6 +100,7 @@ def diagnose(
 
 
 def predict(
+    context: typer.Context,
     recording: _Recording,
     out: Annotated[Path, typer.Option(help="CSV file for the recording's rows as predicted.")],
     arm: Annotated[
@@ -91,6 +110,8 @@ def predict(
             "bundled one."
         ),
     ] = "cdsm_lab",
+    model: ModelOption = None,
+    bandwidth: BandwidthOption = None,
     settle: Annotated[
         int,
         typer.Option(
@@ -108,6 +129,11 @@ def predict(
 
     Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """
+    if model is not None:
+        refuse_given(context, ["arm", "settle"], "with --model")
+        predict_robot(recording, model, out, bandwidth, force=force, json_output=json_output)
+        return
+    refuse_given(context, ["bandwidth"], "without --model")
     from cablesense_base import CableSenseError
     from cablesense_gap.arm_simulator import find_amended
     from cablesense_gap.recordings.checks import read_recording

@@ -20,6 +20,7 @@ from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
 from cablesense_gap.budget import rest_of, shares
 from cablesense_gap.diagnosis.probability import (
+    Ranked,
     ambiguity,
     bundled_calibration,
     named,
@@ -168,16 +169,7 @@ def diagnose(
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
         gap=gap_size(before[used], after[used], problem.trial[used], problem.floor),
-        candidates=tuple(
-            CandidateResult(
-                effects=each.effects,
-                held_out_rmse_n=h.held_out_rmse,
-                probability=each.probability,
-                held_out_ci95_n=rmse_interval_n(h.squares, h.count),
-            )
-            for each in ranked
-            for h in (each.hypothesis or none,)
-        ),
+        candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
@@ -195,6 +187,21 @@ def diagnose(
         predicted_after_n=predicted,
         held_out_n=held_out,
         findings=tuple(finding.text for finding in findings),
+    )
+
+
+def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
+    """Every explanation with what it leaves; an unlisted effect leaves what none does."""
+    none = next(r.hypothesis for r in ranked if r.hypothesis and not r.hypothesis.effects)
+    return tuple(
+        CandidateResult(
+            effects=each.effects,
+            held_out_rmse_n=h.held_out_rmse,
+            probability=each.probability,
+            held_out_ci95_n=rmse_interval_n(h.squares, h.count),
+        )
+        for each in ranked
+        for h in (each.hypothesis or none,)
     )
 
 

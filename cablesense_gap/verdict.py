@@ -46,7 +46,11 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Rows = Annotated[int, Field(ge=1)]
 Newtons = Annotated[float, Field(ge=0.0)]
 Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
-ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$")]
+ParameterName = Annotated[
+    str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[A-Za-z0-9_\-/]+)?\.[a-z][a-z0-9_]*$")
+]
+PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-/]+$")]
+"""A robot's joints and bodies have their model's names."""
 
 
 class Where(FilePart):
@@ -54,13 +58,14 @@ class Where(FilePart):
 
     cables: tuple[Annotated[str, Field(pattern=r"^cable_[1-9]\d*$")], ...] = ()
     segments: tuple[Annotated[str, Field(pattern=r"^segment_[1-9]\d*$")], ...] = ()
-    joints: tuple[Annotated[str, Field(pattern=r"^joint_[1-9]\d*$")], ...] = ()
+    joints: tuple[PlaceName, ...] = ()
+    bodies: tuple[PlaceName, ...] = ()
     regimes: tuple[str, ...] = ()
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Cables, segments and joints together."""
-        return (*self.cables, *self.segments, *self.joints)
+        """Cables, segments, joints and bodies together."""
+        return (*self.cables, *self.segments, *self.joints, *self.bodies)
 
 
 class Estimate(FilePart):
@@ -111,6 +116,15 @@ class Gap(FilePart):
     by_cable_n: tuple[Newtons, ...]
 
 
+class Channel(FilePart):
+    """The gap in one channel in its own unit, RMS, on trials that the fit has not seen."""
+
+    unit: str
+    before: Annotated[float, Field(ge=0.0)]
+    after: Annotated[float, Field(ge=0.0)]
+    floor: Annotated[float, Field(ge=0.0)]
+
+
 class CandidateResult(FilePart):
     """An explanation that was weighed.
 
@@ -159,6 +173,9 @@ class Verdict(FilePart):
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
         candidates: all explanations weighed, in any order.
         estimator: present if the estimator was adapted.
+        unit: of all sizes with `_n` at their ends; N of an arm. Channels of a robot are each in
+            units of their floor, `floors`.
+        channels: of a robot, the gap at each joint in its own unit.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
         rows: of the recording.
@@ -185,6 +202,8 @@ class Verdict(FilePart):
     rows: Rows | None = None
     rows_used: Rows | None = None
     arm: str = ""
+    unit: str = "N"
+    channels: dict[PlaceName, Channel] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _probabilities_are_of_one_truth(self) -> Verdict:

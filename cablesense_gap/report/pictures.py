@@ -42,35 +42,35 @@ def drawn_budget(verdict: Verdict) -> Any:
     """
     import matplotlib.pyplot as plt
 
-    gap = verdict.gap
+    gap, unit = verdict.gap, verdict.unit
     steps = [
-        (candidate_name((name,)), share.left_n, f"{share.share_n:.2f} N alone")
+        (candidate_name((name,)), share.left_n, f"{share.share_n:.2f} {unit} alone")
         for name, share in verdict.shares.items()
     ]
     after_n = float(np.hypot(verdict.unexplained_n or 0.0, gap.floor_n))
-    steps.append(("tolerances", after_n, f"{verdict.tolerances_n or 0.0:.2f} N alone"))
+    steps.append(("tolerances", after_n, f"{verdict.tolerances_n or 0.0:.2f} {unit} alone"))
     steps.append(("unexplained", gap.floor_n, percent(verdict.unexplained_share or 0.0)))
     figure, axes = plt.subplots(
         figsize=(WIDTH_IN, 0.9 + 0.34 * (len(steps) + 2)), layout="constrained"
     )
     axes.barh(0, gap.before_n, 0.62, color=BEFORE)
-    axes.text(gap.before_n, 0, f" {gap.before_n:.2f} N", va="center")
+    axes.text(gap.before_n, 0, f" {gap.before_n:.2f} {unit}", va="center")
     level = gap.before_n
     for y, (name, left_n, text) in enumerate(steps, 1):
         low, high = sorted((level, left_n))
         colour = OTHER if name in ("tolerances", "unexplained") else AFTER
         axes.barh(y, high - low, 0.62, left=low, color=colour)
         axes.vlines(level, y - 0.69, y + 0.31, color=GRID, lw=1.0, zorder=0)
-        axes.text(high, y, f" {left_n - level:+.2f} N  ({text})", va="center")
+        axes.text(high, y, f" {left_n - level:+.2f} {unit}  ({text})", va="center")
         level = left_n
     last = len(steps) + 1
     axes.barh(last, gap.floor_n, 0.62, color=FLOOR)
-    axes.text(gap.floor_n, last, f" {gap.floor_n:.2f} N", va="center")
+    axes.text(gap.floor_n, last, f" {gap.floor_n:.2f} {unit}", va="center")
     names = ["gap of the nominal arm", *(name for name, *_ in steps), "floor of the sensors"]
     axes.set_yticks(range(last + 1), names)
     axes.set_ylim(last + 0.6, -0.6)
     axes.set_xlim(0.0, 1.3 * max(gap.before_n, *(left_n for _, left_n, _ in steps)))
-    axes.set_xlabel("RMS gap, N")
+    axes.set_xlabel(f"RMS gap, {unit}")
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="x")
     return figure
@@ -188,7 +188,7 @@ def drawn_candidates(verdict: Verdict) -> Any:
     for label, candidate in zip(left.get_yticklabels(), shown, strict=True):
         label.set_fontweight("bold" if candidate.effects == verdict.effects else "normal")
     left.set_ylim(len(shown) - 0.4, -0.6)
-    left.set_xlabel("RMS left on held-out trials, N (logarithmic)")
+    left.set_xlabel(f"RMS left on held-out trials, {verdict.unit} (logarithmic)")
     right.set(xlabel="probability", xlim=(0.0, 1.12), xticks=(0.0, 0.25, 0.5, 0.75, 1.0))
     for axes in (left, right):
         axes.tick_params(axis="y", length=0)

@@ -13,7 +13,8 @@ from packaging.utils import canonicalize_name
 CHECKOUT = Path(__file__).resolve().parents[2]
 PACKAGES = [
     "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
-    "cablesense_paper", "cablesense_online", "cablesense_ros", "cablesense_cli",
+    "cablesense_paper", "cablesense_online", "cablesense_robot", "cablesense_ros",
+    "cablesense_cli",
 ]  # fmt: skip
 _BROUGHT_BY = packages_distributions()
 
@@ -63,6 +64,7 @@ def ros_modules() -> set[str]:
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_gap/plant"], [""]),
         (["cablesense_paper"], ["", "gap", "train"]),
+        (["cablesense_robot"], ["", "gap"]),
         (["cablesense_online"], ["", "page", "can", "gap"]),
         (["cablesense_ros"], ["", "page", "ros", "can"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),

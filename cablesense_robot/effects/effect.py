@@ -1,0 +1,91 @@
+"""What an effect of a robot is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_robot.model import Change, Robot
+from cablesense_sim.effects.effect import WHOLE_ARM as WHOLE_ARM
+from cablesense_sim.effects.effect import Parameter as Parameter
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large things are in one recording, so that sizes have typical values.
+
+    Attributes:
+        torque: (J,) root mean square of the torque at each joint.
+        speed: (J,) that of its speed while it moves.
+        acceleration: (J,) that of its acceleration while it moves.
+        position: (J,) half its span.
+    """
+
+    torque: Array
+    speed: Array
+    acceleration: Array
+    position: Array
+
+    def per(self, what: Array) -> float:
+        """A torque's typical ratio to something else that each joint has."""
+        return float(rms(self.torque / np.maximum(what, 1e-2 * rms(what) + 1e-9)))
+
+    @property
+    def typical_torque(self) -> float:
+        """Over all joints."""
+        return rms(self.torque)
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+class Effect:
+    """Base of all effects of a robot.
+
+    Attributes:
+        name: as verdicts call it.
+        about: what it is, as the end of `the gap comes from …`.
+        source: where its law comes from.
+        advice: what someone at the robot can check or do about it.
+        tolerance: whether it is what a workshop leaves, fitted beside all others and no cause.
+        in_model: whether an MJCF can say it.
+    """
+
+    name: ClassVar[str]
+    about: ClassVar[str]
+    source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
+    advice: ClassVar[str] = ""
+    tolerance: ClassVar[bool] = False
+    in_model: ClassVar[bool] = True
+
+    def places(self, robot: Robot) -> tuple[str, ...]:
+        """Where it can sit: joints, bodies, or `arm` for the whole robot."""
+        return robot.joints
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        """Its numbers, with ranges and typical sizes on this robot and recording."""
+        raise NotImplementedError
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        """Change the robot; `at` is the number of the place among `places`."""
+        raise NotImplementedError
+
+
+def torque_unit(robot: Robot) -> str:
+    """Of the drives' generalised forces; of both kinds where the robot has both."""
+    return " or ".join(dict.fromkeys(robot.torque_units))
+
+
+def size(
+    name: str, unit: str, most: float, typical: float, about: str, least: float | None = None
+) -> Parameter:
+    """A size from `least`, by default minus `most`, to `most`."""
+    return Parameter(name, unit, -most if least is None else least, most, typical, about)

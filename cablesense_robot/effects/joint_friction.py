@@ -1,0 +1,24 @@
+"""A joint that sticks and slips."""
+
+from __future__ import annotations
+
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.model import Change, Robot
+
+
+class JointFriction(Effect):
+    """A torque of one size against the motion, whatever the load: Coulomb's."""
+
+    name = "joint_friction"
+    about = "dry friction"
+    advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        most = 3.0 * scale.typical_torque
+        about = "against the motion, whatever the load"
+        return (
+            size("torque_n_m", torque_unit(robot), most, 0.05 * scale.typical_torque, about, 0.0),
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.friction[at] += values["torque_n_m"]

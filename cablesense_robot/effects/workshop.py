@@ -1,0 +1,53 @@
+"""What a usual workshop leaves: tolerances, fitted beside all others and no cause."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.model import Change, Robot
+
+
+class LinkTolerance(Effect):
+    """Masses to 1 %, centres to a millimetre."""
+
+    name = "link_tolerance"
+    about = "tolerances of masses and centres"
+    tolerance = True
+
+    def places(self, robot: Robot) -> tuple[str, ...]:
+        return robot.bodies
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        return (
+            size("share", "1", 0.1, 0.01, "heavier than modelled"),
+            *(size(f"{axis}_m", "m", 0.01, 0.001, f"along the link's {axis}") for axis in "xyz"),
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.mass_kg[at] *= 1.0 + values["share"]
+        change.inertia_kg_m2[at] *= 1.0 + values["share"]
+        change.centre_m[at] += [values[f"{axis}_m"] for axis in "xyz"]
+
+
+class DriveTolerance(Effect):
+    """Zeros to a tenth of a degree, torque constants to 1 %, torque zeros to 0.2 %."""
+
+    name = "drive_tolerance"
+    about = "tolerances of encoders and torques"
+    tolerance = True
+    in_model = False
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        typical = 0.002 * scale.typical_torque
+        zero = float(np.deg2rad(0.1))
+        return (
+            size("zero_rad", robot.position_units[0], 10.0 * zero, zero, "read at the true zero"),
+            size("share", "1", 0.1, 0.01, "read too much"),
+            size("torque_n_m", torque_unit(robot), 10.0 * typical, typical, "read without torque"),
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.zero[at] += values["zero_rad"]
+        change.torque_scale[at] += values["share"]
+        change.torque_offset[at] += values["torque_n_m"]

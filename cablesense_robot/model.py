@@ -1,0 +1,214 @@
+"""A robot as its MJCF or URDF describes it, and what a variant of it has otherwise."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array, CableSenseError, some_of
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_LEAST_KG = 1e-9
+_FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
+
+
+class RobotError(CableSenseError):
+    """A model that cannot be used: which file, what is wrong, what would be right."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot on a fixed base whose joints are hinges and slides.
+
+    Attributes:
+        name: of the model.
+        path: of its file.
+        model: compiled; nobody changes it.
+        joints: names of its J joints, in the model's order, which is that of its coordinates.
+        torque_units: of the drive's generalised force at each joint, N·m or N.
+        bodies: names of the B bodies that move and have mass.
+        body_ids: (B,) their numbers in the model.
+        actuators: names of its A actuators.
+        left_out: what of the model no comparison honours, as sentences.
+    """
+
+    name: str
+    path: Path
+    model: mujoco.MjModel = field(compare=False)
+    joints: tuple[str, ...]
+    torque_units: tuple[str, ...]
+    bodies: tuple[str, ...]
+    body_ids: NDArray[np.int64] = field(compare=False)
+    actuators: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def position_units(self) -> tuple[str, ...]:
+        """Of each joint's position, rad or m."""
+        return tuple("rad" if unit == "N·m" else "m" for unit in self.torque_units)
+
+    def nominal(self) -> Change:
+        """The robot as the model has it, for effects to change."""
+        model, own, count = self.model, self.body_ids, len(self.joints)
+        axes = np.array([_rotation(model.body_iquat[b]) for b in own])
+        return Change(
+            mass_kg=model.body_mass[own].copy(),
+            centre_m=model.body_ipos[own].copy(),
+            inertia_kg_m2=np.einsum("bij,bj,bkj->bik", axes, model.body_inertia[own], axes),
+            gravity_m_s2=model.opt.gravity.copy(),
+            armature=model.dof_armature.copy(),
+            damping=model.dof_damping.copy(),
+            stiffness=model.jnt_stiffness.copy(),
+            friction=model.dof_frictionloss.copy(),
+            load_friction=np.zeros(count),
+            zero=np.zeros(count),
+            encoder_scale=np.zeros(count),
+            coupling=np.zeros((count, count)),
+            torque_scale=np.zeros(count),
+            torque_offset=np.zeros(count),
+        )
+
+    def varied(self, change: Change) -> mujoco.MjModel:
+        """A copy of the model with what MuJoCo can hold of a change.
+
+        Raises:
+            RobotError: a link would have no mass or an impossible inertia.
+        """
+        model = copy.copy(self.model)
+        principal, axes = np.linalg.eigh(change.inertia_kg_m2)
+        if (change.mass_kg <= 0.0).any() or (principal <= 0.0).any():
+            raise RobotError(f"{self.path}: a link would have no mass; its mass must be positive")
+        axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+        for b, rotation in zip(self.body_ids, axes, strict=True):
+            mujoco.mju_mat2Quat(model.body_iquat[b], rotation.ravel())
+        model.body_mass[self.body_ids] = change.mass_kg
+        model.body_ipos[self.body_ids] = change.centre_m
+        model.body_inertia[self.body_ids] = principal
+        model.opt.gravity[:] = change.gravity_m_s2
+        model.dof_armature[:] = change.armature
+        model.dof_damping[:] = change.damping
+        model.jnt_stiffness[:] = change.stiffness
+        model.dof_frictionloss[:] = change.friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+
+@dataclass
+class Change:
+    """What effects change: arrays by joint (J,) or by body (B,), in the robot's order.
+
+    Attributes:
+        mass_kg, centre_m, inertia_kg_m2: (B,), (B, 3) in the body's frame, (B, 3, 3) about the
+            centre in the body's axes.
+        gravity_m_s2: (3,) in the model's base axes.
+        armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
+        load_friction: (J,) dry friction by the torque that the joint transmits.
+        zero: (J,) what each encoder reads at the true zero.
+        encoder_scale: (J,) by how much, as a share, an encoder reads too much.
+        coupling: (J, J) by how much joint i moves with encoder j.
+        torque_scale, torque_offset: (J,) what a torque reads too much, as a share and in all.
+        delay_s: how much later than the motion torques are read.
+    """
+
+    mass_kg: Array
+    centre_m: Array
+    inertia_kg_m2: Array
+    gravity_m_s2: Array
+    armature: Array
+    damping: Array
+    stiffness: Array
+    friction: Array
+    load_friction: Array
+    zero: Array
+    encoder_scale: Array
+    coupling: Array
+    torque_scale: Array
+    torque_offset: Array
+    delay_s: float = 0.0
+
+    def key(self, *names: str) -> tuple[bytes, ...]:
+        """Equal for changes that have the same arrays of these names."""
+        return tuple(np.asarray(getattr(self, name)).tobytes() for name in names)
+
+    def add_point_mass(self, body: int, mass_kg: float, place_m: Array) -> None:
+        """Fix a point mass to a body, at a place in the body's frame."""
+        whole = max(self.mass_kg[body] + mass_kg, _LEAST_KG)
+        centre = (self.mass_kg[body] * self.centre_m[body] + mass_kg * place_m) / whole
+        inertia = self.inertia_kg_m2[body] + self.mass_kg[body] * _about(
+            self.centre_m[body] - centre
+        )
+        self.inertia_kg_m2[body] = inertia + mass_kg * _about(place_m - centre)
+        self.mass_kg[body], self.centre_m[body] = whole, centre
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Read an MJCF or a URDF.
+
+    Raises:
+        RobotError: no such file, not a model, or one without joints, with a free base, or with
+            joints that have no name or more than one coordinate.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise RobotError(f"{path}: no such file; give an MJCF or a URDF")
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        line = " ".join(str(error).split())[:300]
+        raise RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})") from error
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if not names:
+        raise RobotError(f"{path}: has no joints; the model of a robot has at least one")
+    several = [
+        names[j] or f"number {j}"
+        for j in range(model.njnt)
+        if model.jnt_type[j] not in (_HINGE, _SLIDE)
+    ]
+    if several:
+        raise RobotError(
+            f"{path}: joint {some_of(several)} is free or a ball; a robot on a fixed base with "
+            "hinges and slides is right: fix the base, and leave out loose objects"
+        )
+    if not all(names):
+        raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
+    joints = _as_places(path, names)
+    own = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0]
+    bodies = _as_places(path, [model.body(b).name or f"body_{b}" for b in own])
+    return Robot(
+        name=mujoco.MjSpec.from_file(str(path)).modelname or path.stem,
+        path=path,
+        model=model,
+        joints=joints,
+        torque_units=tuple("N·m" if kind == _HINGE else "N" for kind in model.jnt_type),
+        bodies=bodies,
+        body_ids=np.array(own, dtype=np.int64),
+        actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
+        left_out=("Equality constraints of the model are left out.",) if model.neq else (),
+    )
+
+
+def _as_places(path: Path, names: list[str]) -> tuple[str, ...]:
+    """Names that may stand between the points of a parameter's name."""
+    places = [_FOR_PLACES.sub("_", name) for name in names]
+    twice = [name for name, count in Counter(places).items() if count > 1]
+    if twice:
+        raise RobotError(f"{path}: {some_of(twice)} stands twice; names must differ in letters")
+    return tuple(places)
+
+
+def _rotation(quaternion: Array) -> Array:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def _about(offset_m: Array) -> Array:
+    """Inertia (3, 3) of a unit mass at a place."""
+    return np.asarray(offset_m @ offset_m * np.eye(3) - np.outer(offset_m, offset_m))

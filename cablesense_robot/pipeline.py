@@ -1,0 +1,177 @@
+"""From a recording of a robot and its model to a verdict, with the engine of `cablesense_gap`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.budget import rest_of, shares
+from cablesense_gap.diagnosis.probability import ambiguity, bundled_calibration, named, posterior
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
+from cablesense_gap.diagnosis.search import search
+from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_size
+from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.verdict import Channel, Verdict, Where
+from cablesense_robot.inverse import Motion, prepared
+from cablesense_robot.model import Robot
+from cablesense_robot.recording import RobotRecording
+from cablesense_robot.simulator import RobotSimulator
+
+UNIT = "floors"
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class RobotDiagnosis:
+    """A verdict, and torques measured and predicted.
+
+    Attributes:
+        amended: effects of the verdict and tolerances, as fitted.
+        measured, before, after: (R, C) torques in their own units; after by fits that have not
+            seen the trial.
+        counts: (R, C) where a torque tells something.
+        findings: what was done to recording and model, and what is doubtful, as sentences.
+    """
+
+    robot: Robot
+    motion: Motion
+    verdict: Verdict
+    amended: dict[Term, float]
+    channels: tuple[str, ...]
+    measured: Array
+    before: Array
+    after: Array
+    counts: NDArray[np.bool_]
+    findings: tuple[str, ...]
+
+
+def diagnose(
+    recording: RobotRecording,
+    robot: Robot,
+    beside: Assignment | None = None,
+    bandwidth_hz: float | None = None,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
+) -> RobotDiagnosis:
+    """Find what makes the recorded robot differ from its model.
+
+    `beside` are effects that an amended model lists beside its MJCF.
+
+    Raises:
+        RecordingError: the recording cannot be compared.
+    """
+    began = time.monotonic()
+    progress("smoothing", 0.0)
+    motion = prepared(recording, robot, bandwidth_hz)
+    simulator = RobotSimulator(robot, motion, beside or {})
+    problem = problem_of(simulator)
+    calibration = bundled_calibration()
+    found = posterior(search(problem, progress, workers), problem.floor, calibration)
+    ranked = named(problem, found, calibration)
+    progress("describing the verdict", 0.98)
+    best = ranked[0].hypothesis
+    none = next(
+        r.hypothesis for r in ranked if r.hypothesis is not None and not r.hypothesis.effects
+    )
+    explained = best or none
+    values = foremost(explained, simulator.candidates)
+    group, reasons = ambiguity(problem, ranked, UNIT)
+    if best is None:
+        reasons = _unlisted(problem, [r.hypothesis for r in ranked if r.hypothesis], simulator)
+    rest = rest_of(problem, explained)
+    before, after = problem.readings - problem.nominal, problem.readings - explained.held_out
+    verdict = Verdict(
+        effects=ranked[0].effects,
+        probability=ranked[0].probability,
+        ambiguity_group=group,
+        where=_where(robot, values),
+        parameters=estimates(values, explained.deviations, simulator.candidates),
+        shares=shares(problem, ranked, values),
+        tolerances_n=rest.tolerances,
+        unexplained_n=rest.unexplained,
+        unexplained_share=rest.share,
+        gap=gap_size(before, after, problem.trial, problem.floor),
+        candidates=candidate_results(ranked),
+        why=reasons,
+        seconds=time.monotonic() - began,
+        recording=recording.name,
+        rows=len(recording),
+        rows_used=len(motion),
+        arm=robot.name,
+        unit=UNIT,
+        channels=_channels(simulator, before, after),
+    )
+    progress("done", 1.0)
+    unit = simulator.unit
+    return RobotDiagnosis(
+        robot=robot,
+        motion=motion,
+        verdict=verdict,
+        amended={**values, **explained.tolerances},
+        channels=tuple(robot.joints[j] for j in simulator.channels),
+        measured=problem.readings * unit,
+        before=problem.nominal * unit,
+        after=explained.held_out * unit,
+        counts=motion.counts[:, simulator.channels],
+        findings=(*recording.notes, *robot.left_out, _compared(motion)),
+    )
+
+
+def problem_of(simulator: RobotSimulator) -> Problem:
+    """The recording as the search works on it; all rows count."""
+    trial = simulator.motion.trial
+    count = int(trial.max()) + 1
+    fold = np.arange(count) % min(FOLDS, count)
+    return prepare(simulator, simulator.readings, trial, fold, np.ones(len(trial), dtype=bool))
+
+
+def _compared(motion: Motion) -> str:
+    return (
+        f"Compared by inverse dynamics: measured motion in, torques out, smoothed with a "
+        f"bandwidth of {motion.bandwidth_hz:.3g} Hz, {len(motion):,} rows "
+        f"{1e3 * motion.rows_s:.3g} ms apart."
+    )
+
+
+def _where(robot: Robot, values: Mapping[Term, float]) -> Where:
+    """Joints and bodies of the effects; of a coupling the joint whose drive it comes from."""
+    places = {term.place.split("_into_")[0] for term in values}
+    return Where(
+        joints=tuple(joint for joint in robot.joints if joint in places),
+        bodies=tuple(body for body in robot.bodies if body in places),
+    )
+
+
+def _channels(simulator: RobotSimulator, before: Array, after: Array) -> dict[str, Channel]:
+    robot, motion = simulator.robot, simulator.motion
+    sizes = [np.sqrt((each**2).mean(0)) for each in (before, after)]
+    return {
+        robot.joints[j]: Channel(
+            unit=robot.torque_units[j],
+            before=float(sizes[0][c] * motion.floor[j]),
+            after=float(sizes[1][c] * motion.floor[j]),
+            floor=float(motion.floor[j]),
+        )
+        for c, j in enumerate(simulator.channels)
+    }
+
+
+def _unlisted(
+    problem: Problem, fitted: Sequence[Hypothesis], simulator: RobotSimulator
+) -> tuple[str, ...]:
+    none = next(h for h in fitted if not h.effects)
+    best = min(fitted, key=lambda h: h.held_out_rmse)
+    left = np.sqrt(((problem.readings - none.held_out) ** 2).mean(0))
+    worst = int(left.argmax())
+    return (
+        f"Tolerances alone leave {none.held_out_rmse:.3g} floors on trials that were not fitted; "
+        f"the best that listed effects do is {best.held_out_rmse:.3g} floors "
+        f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
+        f"Most is left at {simulator.robot.joints[simulator.channels[worst]]}: "
+        f"{left[worst]:.3g} floors.",
+    )

@@ -1,0 +1,69 @@
+"""Positions smoothed with a stated bandwidth, speeds and accelerations of what is smoothed.
+
+A Butterworth filter of third order, forwards and backwards: no lag, and a gain of
+1 / (1 + (f / bandwidth)^6), that of a smoothing spline with a penalty on the third derivative.
+Whatever is compared with smoothed motion goes through the same filter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt, welch
+
+from cablesense_base import Array
+
+LEAST_HZ, MOST_HZ = 1.0, 20.0
+"""Arms and their controllers are slower than this; faster ones state a bandwidth."""
+SAMPLES = 8.0
+"""Of a period at the bandwidth, at least: derivatives are then good to 1 %."""
+_SHARES = 40
+
+
+def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:
+    """(T, …) of evenly sampled signals (T, …)."""
+    if len(signal) < 8:
+        return np.repeat(signal.mean(0, keepdims=True), len(signal), axis=0)
+    sections = butter(3, bandwidth_hz, fs=rate_hz, output="sos")
+    most = len(signal) - 1
+    pad = min(int(3.0 * rate_hz / bandwidth_hz), most)
+    return np.asarray(sosfiltfilt(sections, signal, axis=0, padlen=pad))
+
+
+def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:
+    """First and second time derivatives (T, J) of smoothed signals (T, J), by five points."""
+    padded = np.concatenate([signal[[0, 0]], signal, signal[[-1, -1]]])
+    a, b, c, d, e = (padded[k : k + len(signal)] for k in range(5))
+    first = (a - 8.0 * b + 8.0 * d - e) * (rate_hz / 12.0)
+    second = (-a + 16.0 * b - 30.0 * c + 16.0 * d - e) * (rate_hz**2 / 12.0)
+    return first, second
+
+
+def gain(frequency_hz: Array, bandwidth_hz: float) -> Array:
+    """Of the filter, in amplitude."""
+    return np.asarray(1.0 / (1.0 + (frequency_hz / bandwidth_hz) ** 6))
+
+
+def noise_density(signal: Array, rate_hz: float, above_hz: float) -> Array:
+    """(J,) power by hertz of what signals (T, J) have above a frequency, its median.
+
+    Motion and what a drive does with it end somewhere below; what is there then is noise, and
+    where it is white the same density is hidden below.
+    """
+    count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
+    frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
+    beyond = frequency >= min(above_hz, 0.7 * frequency[-1])
+    return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))
+
+
+def noise_of_acceleration(density: Array, bandwidth_hz: float) -> Array:
+    """Standard deviation that positions' white noise leaves in smoothed accelerations."""
+    frequency = np.linspace(0.0, 6.0 * bandwidth_hz, 600)
+    through = (2.0 * np.pi * frequency) ** 4 * gain(frequency, bandwidth_hz) ** 2
+    return np.asarray(np.sqrt(density * through.sum() * frequency[1]))
+
+
+def noise_of_smoothed(density: Array, bandwidth_hz: float) -> Array:
+    """Standard deviation of white noise after the filter."""
+    frequency = np.linspace(0.0, 6.0 * bandwidth_hz, 600)
+    through = gain(frequency, bandwidth_hz) ** 2
+    return np.asarray(np.sqrt(density * through.sum() * frequency[1]))

@@ -1,0 +1,96 @@
+"""A stranger's way: an MJCF and a CSV, two commands, and the truth that was planted."""
+
+import json
+
+import numpy as np
+import pytest
+from two_link import model_torques, motion, recorded, torques, write_model
+from typer.testing import CliRunner
+
+from cablesense_cli.app import app
+from cablesense_gap.verdict import read_verdict
+from cablesense_robot.amending import load_amended
+from cablesense_robot.model import load_robot
+from cablesense_robot.pipeline import diagnose
+from cablesense_robot.recording import read_recording
+
+
+@pytest.fixture
+def model(tmp_path):
+    return write_model(tmp_path)
+
+
+def found_in(tmp_path, model, **planted):
+    path = recorded(tmp_path / "recording.csv", **planted)
+    robot = load_robot(model)
+    return diagnose(read_recording(path, robot), robot).verdict
+
+
+def test_the_closed_form_and_mujoco_agree():
+    _, *moved = motion(np.random.default_rng(0))
+    assert np.allclose(torques(*moved), model_torques(*moved), atol=1e-9)
+
+
+@pytest.mark.slow  # a whole search
+def test_friction_and_a_rotor_are_found_and_sized(tmp_path, model):
+    verdict = found_in(tmp_path, model, friction=(0.1, 0.0), armature=(0.0, 0.01))
+    assert verdict.effects == ("joint_friction", "rotor_inertia")
+    assert verdict.where.joints == ("shoulder", "elbow")
+    size = verdict.parameters["joint_friction.shoulder.torque_n_m"]
+    assert size.value == pytest.approx(0.1, rel=0.05)
+    assert size.unit == "N·m"
+    rotor = verdict.parameters["rotor_inertia.elbow.inertia_kg_m2"]
+    assert rotor.value == pytest.approx(0.01, rel=0.05)
+    assert verdict.gap.removed_fraction > 0.95
+    assert verdict.channels["shoulder"].before > 3.0 * verdict.channels["shoulder"].after
+
+
+@pytest.mark.slow
+def test_nothing_is_found_where_nothing_is(tmp_path, model):
+    verdict = found_in(tmp_path, model, seed=3)
+    assert verdict.effects == ("none",)
+    assert verdict.gap.before_n < 1.5
+
+
+@pytest.mark.slow
+def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
+    first = recorded(tmp_path / "first.csv.gz", friction=(0.1, 0.08))
+    second = recorded(tmp_path / "second.csv", seed=7, friction=(0.1, 0.08))
+    out = tmp_path / "diagnosis"
+    runner = CliRunner()
+    ran = runner.invoke(
+        app,
+        [
+            "gap",
+            "diagnose",
+            str(first),
+            "--model",
+            str(model),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+        ],
+    )
+    assert ran.exit_code == 0, ran.output
+    assert "dry friction at" in ran.output
+    ran = runner.invoke(
+        app,
+        [
+            "gap",
+            "predict",
+            str(second),
+            "--model",
+            str(out),
+            "--out",
+            str(tmp_path / "p.csv"),
+            "--json",
+        ],
+    )
+    assert ran.exit_code == 0, ran.output
+    assert max(json.loads(ran.output)["gap"].values()) < 0.02  # of 0.1 N·m that were planted
+    assert read_verdict(out / "verdict.json").effects == ("joint_friction",)
+    assert "dry friction" in (out / "report.html").read_text()
+    robot, beside = load_amended(out)
+    assert robot.model.dof_frictionloss == pytest.approx([0.1, 0.08], abs=0.005)
+    assert {term.effect for term in beside} == {"drive_tolerance"}

@@ -1,0 +1,101 @@
+"""A two-link pendulum of our own, and recordings of it with something planted."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+XML = """
+<mujoco model="two_link">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0"/>
+      <inertial pos="0.15 0 0" mass="0.6" diaginertia="0.0005 0.005 0.005"/>
+      <body name="lower" pos="0.3 0 0">
+        <joint name="elbow" axis="0 1 0"/>
+        <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.0003 0.002 0.002"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+JOINTS = ("shoulder", "elbow")
+RATE_HZ = 100.0
+
+
+def write_model(folder):
+    """The nominal model's file."""
+    path = Path(folder) / "robot.xml"
+    path.write_text(XML)
+    return path
+
+
+def torques(position, speed, acceleration, friction=(0.0, 0.0), armature=(0.0, 0.0), payload=0.0):
+    """(T, 2) from the textbook's closed form; `payload` hangs at the end of the lower link.
+
+    Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2006, section 7.4.
+    """
+    m1, m2, l1, c1, i1, i2 = 0.6, 0.5, 0.3, 0.15, 0.005, 0.002
+    first, second = m2 * 0.1 + payload * 0.2, m2 * 0.1**2 + i2 + payload * 0.2**2
+    mass = m2 + payload
+    cos, sin = np.cos(position[:, 1]), np.sin(position[:, 1])
+    h = l1 * first * sin
+    m11 = m1 * c1**2 + i1 + mass * l1**2 + second + 2.0 * l1 * first * cos
+    m12 = second + l1 * first * cos
+    v1, v2 = speed.T
+    a1, a2 = acceleration.T
+    # both links point along x at zero and turn about y, downwards
+    g1 = -9.81 * (m1 * c1 + mass * l1) * np.cos(position[:, 0])
+    g2 = -9.81 * first * np.cos(position.sum(1))
+    found = np.stack(
+        [
+            m11 * a1 + m12 * a2 - h * (2.0 * v1 * v2 + v2**2) + g1 + g2,
+            m12 * a1 + second * a2 + h * v1**2 + g2,
+        ],
+        axis=1,
+    )
+    return found + np.array(friction) * np.sign(speed) + np.array(armature) * acceleration
+
+
+def motion(rng, seconds=4.0):
+    """Times, positions, speeds and accelerations of a sum of sines."""
+    time_s = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+    found = np.zeros((3, len(time_s), 2))
+    for joint in range(2):
+        for hertz in (0.2, 0.5, 0.9):
+            size, w = rng.uniform(0.1, 0.4) / hertz, 2.0 * np.pi * hertz * rng.uniform(0.8, 1.2)
+            at = w * time_s + rng.uniform(0.0, 6.0)
+            found[:, :, joint] += (
+                0.3 * size * np.array([np.sin(at), w * np.cos(at), -w * w * np.sin(at)])
+            )
+    return time_s, *found
+
+
+def recorded(path, seed=0, trials=6, read=lambda torque: torque, **planted):
+    """A CSV of the pendulum with encoders of 0.1 mrad and 10 mN·m of noise in the torques."""
+    rng = np.random.default_rng(seed)
+    tables = []
+    for trial in range(trials):
+        time_s, position, speed, acceleration = motion(rng)
+        torque = read(torques(position, speed, acceleration, **planted))
+        columns = {"time_s": time_s + 10.0 * trial, "trial": trial}
+        for j, joint in enumerate(JOINTS):
+            columns[f"position.{joint}"] = np.round(position[:, j] * 1e4) / 1e4
+            columns[f"velocity.{joint}"] = speed[:, j]
+            columns[f"torque.{joint}"] = torque[:, j] + rng.normal(0.0, 0.01, len(time_s))
+        tables.append(pd.DataFrame(columns))
+    pd.concat(tables).to_csv(path, index=False)
+    return path
+
+
+def model_torques(position, speed, acceleration):
+    """(T, 2) by MuJoCo, of the nominal model."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    data, found = mujoco.MjData(model), np.empty_like(position)
+    for k in range(len(position)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = position[k], speed[k], acceleration[k]
+        mujoco.mj_inverse(model, data)
+        found[k] = data.qfrc_inverse
+    return found
