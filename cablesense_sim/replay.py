@@ -102,8 +102,7 @@ class Replay:
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
         """What actuators or sensors, one after another, make of values (P, R, M)."""
         for each in chain:
-            made = [each.step(time, values[:, row]) for row, time in enumerate(self.time_s)]
-            values = np.stack(made, axis=1)
+            values = each.along(self.time_s, values)
         return values
 
     def _at_rest_n(self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None) -> Array:

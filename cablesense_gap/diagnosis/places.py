@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.evidence import held_out_squares, products, solve, weight
+from cablesense_gap.diagnosis.evidence import (
+    Reduced,
+    held_out_squares,
+    products,
+    solve,
+    weight,
+)
 from cablesense_gap.diagnosis.problem import (
     Hypothesis,
     Problem,
@@ -32,7 +38,7 @@ MOST_IN_TWOS = 40
 """With so many places or fewer left, two at a time are tried where one is not worth it."""
 
 _SHAPE_STEP = 0.3
-_TRIED = 6
+_TRIED = 4
 _NEARLY = 1.5
 
 
@@ -228,7 +234,6 @@ class Placing:
         self.data = products(np.concatenate(columns), residual, problem.trial, problem.used)
         self.precision = np.concatenate([np.ones(self.base), *(e.precision for e in offered)])
         self._problem, self._offered = problem, offered
-        self._gram, self._moment = self.data.gram.sum(0), self.data.moment.sum(0)
         self._weight = weight(self.data.mean_square, problem.floor)
 
     def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
@@ -241,11 +246,11 @@ class Placing:
         left = self._left(chosen)
         while len(chosen) < min(len(among), most):
             rest, worth = [k for k in among if k not in chosen], WORTH
-            ranked = sorted(rest, key=lambda k: self._gain(chosen, k), reverse=True)[:_TRIED]
-            tried, now = self._best([[*chosen, k] for k in ranked])
+            reduced = self._reduced(chosen)
+            tried, now = self._best([[*chosen, k] for k in rest], reduced)
             if chosen and now * WORTH > left and len(chosen) + 2 <= most:
                 twos = combinations(rest, 2) if len(rest) <= MOST_IN_TWOS else ()
-                tried, now = self._best([[*chosen, *two] for two in twos])
+                tried, now = self._best([[*chosen, *two] for two in twos], reduced)
                 worth = WORTH**2
             if chosen and now * worth > left:
                 break
@@ -258,9 +263,19 @@ class Placing:
         effects = tuple(self._offered[k] for k in chosen)
         return Placed(effects, found[self.base :], squares, mean_square, chi2)
 
-    def _best(self, options: Sequence[list[int]]) -> tuple[list[int], float]:
-        tried = [self._left(option) for option in options]
-        return (options[int(np.argmin(tried))], min(tried)) if tried else ([], np.inf)
+    def _reduced(self, chosen: Sequence[int]) -> Reduced:
+        """All columns, at the weight of what is left beside those chosen."""
+        weight_ = weight(self._fitted(chosen)[2], self._problem.floor)
+        return Reduced(self.data, self.base, self.precision, weight_, self._problem.fold)
+
+    def _best(self, options: Sequence[list[int]], reduced: Reduced) -> tuple[list[int], float]:
+        """Of options with equally many columns, ranked at one weight, judged each at its own."""
+        if not options:
+            return [], np.inf
+        own = np.array([np.concatenate([self.owned[k] for k in option]) for option in options])
+        ranked = np.argsort(reduced.mean_squares(own - self.base))[:_TRIED]
+        tried = [self._left(options[k]) for k in ranked]
+        return options[ranked[int(np.argmin(tried))]], min(tried)
 
     def _left(self, chosen: Sequence[int]) -> float:
         return self._problem.cost(*self._fitted(chosen)[2:])
@@ -275,21 +290,6 @@ class Placing:
         squares = held_out_squares(part, precision, none, weight_, problem.fold)
         chi2 = float((found[: len(problem.tolerance_terms)] ** 2).sum())
         return found, squares, float(squares.sum() / part.count.sum()), chi2
-
-    def _gain(self, chosen: Sequence[int], k: int) -> float:
-        """Decrease of the sum of squares over all trials, if only effect k moved."""
-        at, own = self._columns(chosen), self.owned[k]
-        found = solve(
-            self._gram[np.ix_(at, at)],
-            self._moment[at],
-            self.precision[at],
-            np.zeros(len(at)),
-            self._weight,
-        )
-        moment = self._moment[own] - self._gram[np.ix_(own, at)] @ found
-        gram = self._gram[np.ix_(own, own)]
-        gram = gram + 1e-9 * np.trace(gram) * np.eye(len(own)) + 1e-12 * np.eye(len(own))
-        return float(moment @ np.linalg.solve(gram, moment))
 
     def _columns(self, chosen: Sequence[int]) -> NDArray[np.int64]:
         return np.concatenate([np.arange(self.base), *(self.owned[k] for k in chosen)])

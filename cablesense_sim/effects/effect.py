@@ -158,6 +158,10 @@ class Actuation:
         """Lengths (P, M) really held, given those commanded, at the next moment."""
         return held_m
 
+    def along(self, time_s: Array, held_m: Array) -> Array:
+        """The same (P, R, M) at R moments one after another."""
+        return _one_by_one(self.step, time_s, held_m)
+
 
 class Sensing:
     """Base: a perfect sensor. Holds its own state, for P arms side by side."""
@@ -166,15 +170,29 @@ class Sensing:
         """Readings (P, M) of tensions (P, M) at the next moment."""
         return tensions_n
 
+    def along(self, time_s: Array, tensions_n: Array) -> Array:
+        """The same (P, R, M) at R moments one after another."""
+        return _one_by_one(self.step, time_s, tensions_n)
+
+
+def _one_by_one(step: Callable[[float, Array], Array], time_s: Array, values: Array) -> Array:
+    return np.stack([step(t, values[:, row]) for row, t in enumerate(time_s)], axis=1)
+
 
 class Instant(Sensing):
-    """A sensor without a state: a function of the time, s, and the tensions (P, M)."""
+    """A sensor without a state: a function of the time, s, and the tensions.
 
-    def __init__(self, reading_n: Callable[[float, Array], Array]) -> None:
+    It takes one moment and (P, M), or (R,) moments and (R, P, M).
+    """
+
+    def __init__(self, reading_n: Callable[[float | Array, Array], Array]) -> None:
         self._reading_n = reading_n
 
     def step(self, time_s: float, tensions_n: Array) -> Array:
         return self._reading_n(time_s, tensions_n)
+
+    def along(self, time_s: Array, tensions_n: Array) -> Array:
+        return np.moveaxis(self._reading_n(time_s, np.moveaxis(tensions_n, 1, 0)), 0, 1)
 
 
 class Rest(NamedTuple):

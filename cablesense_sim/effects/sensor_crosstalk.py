@@ -28,14 +28,14 @@ class SensorCrosstalk(Effect):
         return (WHOLE_ARM, *pairs)
 
     def sensing(self, place: str, values: Values) -> Sensing:
-        def leaking(_: float, tensions_n: Array) -> Array:
+        def leaking(_: float | Array, tensions_n: Array) -> Array:
             readings, share = tensions_n.copy(), values["share"]
             if place == WHOLE_ARM:
-                readings[:, 1:] += share[:, None] * tensions_n[:, :-1]
-                readings[:, :-1] += share[:, None] * tensions_n[:, 1:]
+                readings[..., 1:] += share[:, None] * tensions_n[..., :-1]
+                readings[..., :-1] += share[:, None] * tensions_n[..., 1:]
             else:
                 source, target = (int(p.rsplit("_", 1)[1]) - 1 for p in place.split("_into_"))
-                readings[:, target] += share * tensions_n[:, source]
+                readings[..., target] += share * tensions_n[..., source]
             return readings
 
         return Instant(leaking)

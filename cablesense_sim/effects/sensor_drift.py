@@ -40,9 +40,10 @@ class SensorDrift(Effect):
     def sensing(self, place: str, values: Values) -> Sensing:
         rises_n = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)
 
-        def wandering(time_s: float, tensions_n: Array) -> Array:
-            done = np.clip(time_s / INTERVAL_S - np.arange(_INTERVALS), 0.0, 1.0)
-            drift = (values["start_n"] + rises_n @ done)[:, None]
+        def wandering(time_s: float | Array, tensions_n: Array) -> Array:
+            passed = np.asarray(time_s)[..., None] / INTERVAL_S
+            done = np.clip(passed - np.arange(_INTERVALS), 0.0, 1.0)
+            drift = (values["start_n"] + done @ rises_n.T)[..., None]
             return tensions_n + drift * chosen(place, tensions_n.shape[-1])
 
         return Instant(wandering)

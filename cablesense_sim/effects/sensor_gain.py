@@ -19,7 +19,7 @@ class SensorGain(Effect):
     parameters = (Parameter("gain", "1", -0.5, 0.5, 0.05, "share by which readings are too high"),)
 
     def sensing(self, place: str, values: Values) -> Sensing:
-        def scaled(_: float, tensions_n: Array) -> Array:
+        def scaled(_: float | Array, tensions_n: Array) -> Array:
             here = chosen(place, tensions_n.shape[-1])
             return tensions_n * (1.0 + values["gain"][:, None] * here)
 

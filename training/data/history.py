@@ -122,8 +122,7 @@ def tensions_along_n(
     """
     held, arms = held_lengths_m(nominal, commands_rad), [entries] * commands_rad.shape[1]
     for actuation in actuations(arms):
-        for row, time in enumerate(time_s):
-            held[row] = actuation.step(time, held[row])
+        held = actuation.along(time_s, held.swapaxes(0, 1)).swapaxes(0, 1)
     mechanism = amended(nominal, entries)
     if transmissions(arms):
         arm = QuasiStaticArm([mechanism] * len(arms), arms)
@@ -137,6 +136,7 @@ def tensions_along_n(
 
 def sensed_along_n(entries: list[EffectEntry], time_s: Array, tensions_n: Array) -> Array:
     """What the sensors' effects make of tensions (R, B, M) at times (R,)."""
+    readings_n = tensions_n.swapaxes(0, 1)
     for sensing in sensings([entries] * tensions_n.shape[1]):
-        tensions_n = np.stack([sensing.step(t, tensions_n[r]) for r, t in enumerate(time_s)])
-    return tensions_n
+        readings_n = sensing.along(time_s, readings_n)
+    return readings_n.swapaxes(0, 1)
