@@ -46,7 +46,9 @@ PARALLEL = 0.75
 """What can be imitated to this share is not distinguished by its shape."""
 _SLIGHT = 1e-6
 _SEVERAL = 3
-_UNEXPLAINED = 0.4
+_UNEXPLAINED, _OUTWEIGHED = 0.4, 0.7
+"""Share of the gap that may stay beside several effects, and beside one that depends on history:
+no static effect makes loading and unloading differ, so what it explains, none imitates."""
 _BORNE_OUT = 1.6
 """A named effect's part must be about as large as all that stays unexplained."""
 
@@ -124,25 +126,18 @@ def posterior(
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
     """The explanations, first the one that the verdict names.
 
-    The most probable one, unless that is an unlisted effect although several listed ones are borne
-    out that explain more than they leave: then what they leave is unexplained, and stated beside
-    them.
+    The most probable one, unless that is an unlisted effect although listed ones are borne out,
+    several or one that depends on history, that explain more than they leave: then what they leave
+    is unexplained, and stated beside them.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
-    none = next(r.hypothesis for r in ranked if r.hypothesis and not r.hypothesis.effects)
-    gap = excess(none.held_out_rmse**2, problem.floor)
     for each in ranked:
-        found = each.hypothesis
-        if found is None or len(found.effects) < _SEVERAL:
+        ratios = _left_out_ratios(problem, ranked, each.hypothesis) if each.hypothesis else {}
+        if not ratios or not _outweighs(problem, ranked, ratios, each):
             continue
-        if excess(found.held_out_rmse**2, problem.floor) > _UNEXPLAINED * gap:
-            continue
-        ratios = _left_out_ratios(problem, ranked, found)
-        if min(ratios, default=0.0) < _BORNE_OUT:
-            continue
-        odds = c.power * np.log(ratios) - (c.two - c.one)
+        odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
         exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
         chosen = replace(each, probability=each.probability + exact)
         rest = [r for r in ranked[1:] if r is not each]
@@ -150,14 +145,35 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     return list(ranked)
 
 
-def _left_out_ratios(problem: Problem, ranked: Sequence[Ranked], whole: Hypothesis) -> list[float]:
+def _outweighs(
+    problem: Problem, ranked: Sequence[Ranked], ratios: dict[str, float], one: Ranked
+) -> bool:
+    """Whether a hypothesis explains more than it leaves, and needs each of its effects."""
+    left = {r.effects: r.hypothesis for r in ranked if r.hypothesis}
+    gap, rest = (
+        excess(left[effects].held_out_rmse ** 2, problem.floor)
+        for effects in (("none",), one.effects)
+    )
+    past = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+    if past.isdisjoint(ratios):
+        enough = len(ratios) >= _SEVERAL and rest <= _UNEXPLAINED * gap
+    else:
+        enough = rest <= _OUTWEIGHED * gap
+    least = {effect: 1.0 / _OUTWEIGHED if effect in past else _BORNE_OUT for effect in ratios}
+    return enough and all(ratio >= least[effect] for effect, ratio in ratios.items())
+
+
+def _left_out_ratios(
+    problem: Problem, ranked: Sequence[Ranked], whole: Hypothesis
+) -> dict[str, float]:
     """By which factor what is left grows without each of the effects."""
     costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.hypothesis)]
     own = set(whole.effects)
-    return [
-        min(cost for effects, cost in costs if effects <= own - {effect}) / problem.cost_of(whole)
+    return {
+        effect: min(cost for effects, cost in costs if effects <= own - {effect})
+        / problem.cost_of(whole)
         for effect in whole.effects
-    ]
+    }
 
 
 def log_weights(

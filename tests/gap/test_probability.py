@@ -263,6 +263,19 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
     assert "alike" in reasons[0]
 
 
+@pytest.mark.parametrize(
+    ("history_dependent", "leaves", "told"),
+    [(True, 2.0, ("a",)), (True, 2.4, UNKNOWN), (False, 2.0, UNKNOWN)],
+)
+def test_what_one_effect_makes_of_the_past_is_no_imitation(history_dependent, leaves, told):
+    candidate = Candidate("a", ("arm",), (), history_dependent=history_dependent)
+    problem = problem_of(Sums({candidate: lambda _: 0.0 * ONE}), {})
+    hypotheses = [leaving(3.0), leaving(leaves, "a")]
+    found = named(problem, posterior(hypotheses, FLOOR, BUNDLED), BUNDLED)
+    assert found[0].effects == told
+    assert sum(each.probability for each in found) == pytest.approx(1.0)
+
+
 def verdict_on(whole: float, without: float) -> list[Ranked]:
     """Three effects that leave so much of 3 N, and so much without any one of them."""
     hypotheses = [leaving(3.0), leaving(whole, "a", "b", "c")]
