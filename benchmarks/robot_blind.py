@@ -1,0 +1,193 @@
+"""Diagnoses of robots whose hidden effects an independent simulator made.
+
+    python benchmarks/robot_blind.py [--count 60] [--seed 8101] [--minutes 25] [--write]
+
+Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
+tendons). The hidden side is the rigid-body code, friction, drives and sensors of `robot_plant`,
+which shares nothing with what is tested. Every robot is recorded twice: the amended model of the
+first recording predicts the second. Seeds below 8100 were used while the diagnosis was made. With
+`--folder` it goes on where it was stopped; after `--minutes` of diagnosing it begins no further
+case, and scores those that are done.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import harness
+import numpy as np
+from cablesense_robot.inverse import prepared
+from cablesense_robot.model import load_robot
+from cablesense_robot.pipeline import diagnose
+from cablesense_robot.recording import read_recording
+from cablesense_robot.simulator import RobotSimulator
+from robot_plant.cases import Answer as Hidden
+from robot_plant.cases import Case, drawn, record, write_answers
+from robot_plant.kinds import KINDS
+
+from cablesense_gap.scoring import Answer, as_json, proportion, score
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
+from cablesense_gap.verdict import write_verdict as write
+
+_TOGETHER = 10
+"""Cases of one model that are simulated at once."""
+
+
+def main() -> None:
+    """Draws, records, diagnoses, scores and prints; keeps all of it with `--write`."""
+    parser = harness.parser(__doc__, "robot_blind/")
+    parser.add_argument("--count", type=int, default=60, help="cases")
+    parser.add_argument("--seed", type=int, default=8101, help="of the plant")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
+    parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
+    options = parser.parse_args()
+    folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
+    cases = drawn(options.count, options.seed)
+    write_answers(cases, folder / "answers" / "answers.csv")
+    _record(cases, folder)
+    began, done = time.monotonic(), {}
+    for case in cases:
+        if not _place(folder, case, "second.json").exists():
+            if time.monotonic() - began > 60.0 * options.minutes:
+                continue
+            _diagnose(case, folder)
+        verdict = read_verdict(_place(folder, case, "verdict.json"))
+        removed = json.loads(_place(folder, case, "second.json").read_text())
+        done[case.answer.recording] = verdict, removed
+        print(_line(case.answer, verdict, removed), flush=True)
+    hidden = [case.answer for case in cases if case.answer.recording in done]
+    if not hidden:
+        print(f"no case was done in time; go on with --folder {folder}")
+        return
+    verdicts = {name: verdict for name, (verdict, _) in done.items()}
+    result = {
+        **harness.origin("mujoco"),
+        "seed": options.seed,
+        "minutes_of_diagnosing": round(sum(v.seconds or 0.0 for v in verdicts.values()) / 60.0, 1),
+        **scored(hidden, verdicts, {name: removed for name, (_, removed) in done.items()}),
+    }
+    print(json.dumps(result, indent=1))
+    if options.write:
+        lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
+        harness.write_result("../robot_blind/score.json", result)
+        answers = (folder / "answers" / "answers.csv").read_text()
+        harness.write_result("../robot_blind/answers.csv", answers)
+        harness.write_result("../robot_blind/verdicts.jsonl", "\n".join(lines) + "\n")
+
+
+def scored(
+    hidden: Sequence[Hidden], verdicts: Mapping[str, Verdict], second: Mapping[str, float]
+) -> dict[str, Any]:
+    """Shares of verdicts that are right: in all, by model, and as the bars have them."""
+    truth = {h.recording: _answer(h) for h in hidden}
+    kinds = {h.recording: _kind(h) for h in hidden}
+
+    def of(*wanted: str) -> list[Hidden]:
+        return [h for h in hidden if kinds[h.recording] in wanted]
+
+    def removed(chosen: Sequence[Hidden], by: Mapping[str, float]) -> float | None:
+        found = [by[h.recording] for h in chosen]
+        return round(float(np.median(found)), 3) if found else None
+
+    def exact(chosen: Sequence[Hidden]) -> dict[str, Any]:
+        right = [verdicts[h.recording].effects == truth[h.recording].effects for h in chosen]
+        found = proportion(right)
+        return {"right": found.hits, "of": found.count, "ci95": found.ci95}
+
+    single, several = of("one"), of("several")
+    right = [h for h in single if verdicts[h.recording].effects == truth[h.recording].effects]
+    placed = [
+        set(verdicts[h.recording].where.places) == truth[h.recording].places
+        for h in right
+        if h.where
+    ]
+    budgets = score(verdicts, [truth[h.recording] for h in several]).budgets if several else None
+    held_out = {name: verdict.gap.removed_fraction for name, verdict in verdicts.items()}
+    return {
+        "none": exact(of(NONE)),
+        "unknown": exact(of(UNKNOWN)),
+        "one effect": exact(single),
+        "several effects, all named": exact(several),
+        "several effects, named": [budgets.named.hits, budgets.named.count] if budgets else None,
+        "several effects, false names": (
+            [budgets.false_names.hits, budgets.false_names.count] if budgets else None
+        ),
+        "places of those right": [sum(placed), len(placed)],
+        "median gap removed, one effect, held-out trials": removed(single, held_out),
+        "median gap removed, one effect, second recording": removed(single, second),
+        "by model": {name: exact([h for h in hidden if h.robot == name]) for name in KINDS},
+        "score": as_json(score(verdicts, list(truth.values()))),
+        "second recording": dict(second),
+    }
+
+
+def _answer(hidden: Hidden) -> Answer:
+    return Answer(
+        recording=hidden.recording,
+        effects=tuple(hidden.effects.split("+")),
+        places=frozenset(place.split("_into_")[0] for place in hidden.where.split()),
+        gap_over_floor=hidden.gap_over_floor,
+        form=hidden.form,
+        each_gap_n=tuple(float(gap) for gap in hidden.each_gap_n.split()),
+    )
+
+
+def _kind(hidden: Hidden) -> str:
+    if hidden.effects in (NONE, UNKNOWN):
+        return hidden.effects
+    return "several" if "+" in hidden.effects else "one"
+
+
+def _record(cases: Sequence[Case], folder: Path) -> None:
+    for kind in KINDS:
+        own = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
+        for begin in range(0, len(own), _TOGETHER):
+            record(own[begin : begin + _TOGETHER], folder)
+
+
+def _diagnose(case: Case, folder: Path) -> None:
+    """Leaves the verdict, and the share of the gap removed on the second recording."""
+    robot = load_robot(case.kind.path)
+    path = _place(folder, case, "csv.gz")
+    found = diagnose(read_recording(path, robot), robot)
+    motion = prepared(read_recording(_second(folder, case), robot), robot)
+    simulator = RobotSimulator(robot, motion, {})
+    variants = (simulator.predict([each])[0] for each in ({}, found.amended))
+    before, after = (
+        float(np.sqrt(((simulator.readings - each) ** 2).mean())) for each in variants
+    )
+    write(_place(folder, case, "verdict.json"), found.verdict)
+    share = removed_fraction(before, after, simulator.floor)
+    _place(folder, case, "second.json").write_text(json.dumps(share))
+
+
+def _place(folder: Path, case: Case, ending: str) -> Path:
+    return folder / f"{case.answer.recording}.{ending}"
+
+
+def _second(folder: Path, case: Case) -> Path:
+    return folder / "second" / f"{case.answer.recording}.csv.gz"
+
+
+def _line(hidden: Hidden, verdict: Verdict, removed: float) -> str:
+    named = "+".join(verdict.effects)
+    mark = " " if named == hidden.effects else "X"
+    places = " ".join(verdict.where.places)
+    return (
+        f"{mark} {hidden.recording} {hidden.robot:9} {hidden.effects} [{hidden.where}] "
+        f"({hidden.form}, {hidden.gap_over_floor:.1f}) -> {named} [{places}] "
+        f"{verdict.probability:.2f}, {verdict.gap.before_n:.1f} to {verdict.gap.after_n:.2f}, "
+        f"second {removed:.2f}, {verdict.seconds:.0f} s"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""Rigid bodies in a row, joined by hinges: the torques of a motion, and the motion of torques.
+
+Newton's and Euler's equations from the base to the tip and back, written in base axes, where both
+recursions are cumulative sums (Luh, Walker and Paul, J. Dyn. Sys. 102, 1980). MuJoCo has no part
+in it: of an MJCF, this reads the few attributes that these models use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cablesense_base import Array
+
+GRAVITY_M_S2 = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """N links, each on the last; arrays may lead with axes for several robots, here B.
+
+    At zero the axes of all links are parallel to those of the base.
+
+    Attributes:
+        axis: (B, N, 3) of each hinge, unit vectors in the link's axes.
+        origin_m: (B, N, 3) of each hinge in the axes of the link before.
+        mass_kg: (B, N).
+        centre_m: (B, N, 3) of mass, in the link's axes from its hinge.
+        inertia_kg_m2: (B, N, 3, 3) about that centre.
+        gravity_m_s2: (B, 3) in base axes.
+    """
+
+    axis: Array
+    origin_m: Array
+    mass_kg: Array
+    centre_m: Array
+    inertia_kg_m2: Array
+    gravity_m_s2: Array
+
+    def torques_n_m(self, angle: Array, speed: Array, acceleration: Array) -> Array:
+        """Torques (..., B, N) about the hinges that a motion takes; rad, rad/s, rad/s²."""
+        return _Pose(self, angle).torques_n_m(speed, acceleration, self.gravity_m_s2)
+
+    def mass_matrix(self, angle: Array) -> Array:
+        """(B, N, N) at angles (B, N)."""
+        return _Pose(self, angle).mass_matrix()
+
+    def accelerations(
+        self, angle: Array, speed: Array, torque_n_m: Array, extra_inertia: Array
+    ) -> Array:
+        """(B, N) under torques; `extra_inertia` (B, N, N) is that of rotors."""
+        pose = _Pose(self, angle)
+        bias = pose.torques_n_m(speed, np.zeros_like(speed), self.gravity_m_s2)
+        inertia = pose.mass_matrix() + extra_inertia
+        return np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0]
+
+    def energy_j(self, angle: Array, speed: Array) -> Array:
+        """(B,) kinetic and potential."""
+        pose = _Pose(self, angle)
+        kinetic = 0.5 * np.einsum("...i,...ij,...j->...", speed, pose.mass_matrix(), speed)
+        fall = np.einsum("...ni,...i->...n", pose.centre_m, self.gravity_m_s2)
+        return np.asarray(kinetic - (self.mass_kg * fall).sum(-1))
+
+    def with_mass(self, link: int, mass_kg: float, place_m: Array) -> Chain:
+        """A point mass fixed to a link, at a place in its axes; of one robot."""
+        mass, centre, inertia = (
+            each.copy() for each in (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        )
+        mass[link] += mass_kg
+        centre[link] += mass_kg / mass[link] * (place_m - self.centre_m[link])
+        for part_kg, part_m in ((self.mass_kg[link], self.centre_m[link]), (mass_kg, place_m)):
+            arm = part_m - centre[link]
+            inertia[link] += part_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return replace(self, mass_kg=mass, centre_m=centre, inertia_kg_m2=inertia)
+
+
+class _Pose:
+    """Chains at angles (..., N): all places and axes in the base's axes."""
+
+    def __init__(self, chain: Chain, angle: Array) -> None:
+        turned = _rotations(chain.axis, angle)
+        frames, origins = [turned[..., 0, :, :]], [chain.origin_m[..., 0, :]]
+        origins[0] = np.broadcast_to(origins[0], (*angle.shape[:-1], 3))
+        for n in range(1, angle.shape[-1]):
+            offset = _times(frames[-1], chain.origin_m[..., n, :])
+            origins.append(origins[-1] + offset)
+            frames.append(frames[-1] @ turned[..., n, :, :])
+        frame = np.stack(frames, -3)
+        self.origin_m = np.stack(origins, -2)
+        self.offset_m = np.diff(self.origin_m, axis=-2, prepend=self.origin_m[..., :1, :])
+        self.axis = _times(frame, chain.axis)
+        self.arm_m = _times(frame, chain.centre_m)
+        self.centre_m = self.origin_m + self.arm_m
+        self.inertia = frame @ chain.inertia_kg_m2 @ np.swapaxes(frame, -1, -2)
+        self.mass_kg = chain.mass_kg
+
+    def torques_n_m(self, speed: Array, acceleration: Array, gravity_m_s2: Array) -> Array:
+        joint = self.axis * speed[..., None]
+        turning = np.cumsum(joint, -2)
+        before = turning - joint
+        own = self.axis * acceleration[..., None] + _cross(before, joint)
+        spin_up = np.cumsum(own, -2)
+        carried = _cross(spin_up - own, self.offset_m)
+        carried += _cross(before, _cross(before, self.offset_m))
+        hinge = np.cumsum(carried, -2)
+        centre = hinge + _cross(spin_up, self.arm_m)
+        centre += _cross(turning, _cross(turning, self.arm_m))
+        force = self.mass_kg[..., None] * (centre - gravity_m_s2[..., None, :])
+        momentum = _times(self.inertia, turning)
+        moment = _times(self.inertia, spin_up) + _cross(turning, momentum)
+        moment += _cross(self.centre_m, force)
+        forces, moments = _from_tip(force), _from_tip(moment)
+        return np.asarray((self.axis * (moments - _cross(self.origin_m, forces))).sum(-1))
+
+    def mass_matrix(self) -> Array:
+        """By the inertia, about the base's origin, of all that each hinge carries."""
+        mass, moment = self.mass_kg[..., None], self.mass_kg[..., None] * self.centre_m
+        across = moment[..., :, None] * self.centre_m[..., None, :]
+        about = self.inertia - across
+        about += np.trace(across, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
+        mass, moment = _from_tip(mass), _from_tip(moment)
+        about = np.cumsum(about[..., ::-1, :, :], -3)[..., ::-1, :, :]
+        drift = _cross(self.origin_m, self.axis)  # of the point at the base's origin
+        force = mass * drift + _cross(self.axis, moment)
+        spin = _times(about, self.axis) + _cross(moment, drift)
+        upper = np.triu(self.axis @ np.swapaxes(spin, -1, -2) + drift @ np.swapaxes(force, -1, -2))
+        return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
+
+
+def read_chain(path: str | Path) -> tuple[Chain, dict[str, Array], list[str], list[str]]:
+    """The chain of one of these MJCFs.
+
+    Gives also `damping`, `armature` and `stiffness` by joint (N,), and the joints' and the
+    links' names.
+    """
+    body = ElementTree.parse(path).getroot().find("worldbody/body")
+    links, joints = [], []
+    while body is not None:
+        links.append(body)
+        joints.append(_child(body, "joint"))
+        body = body.find("body")
+    inertials = [_child(link, "inertial") for link in links]
+    axis = np.array([_numbers(joint, "axis") for joint in joints])
+    chain = Chain(
+        axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
+        origin_m=np.array([_numbers(link, "pos", "0 0 0") for link in links]),
+        mass_kg=np.array([_numbers(each, "mass")[0] for each in inertials]),
+        centre_m=np.array([_numbers(each, "pos") for each in inertials]),
+        inertia_kg_m2=np.array([np.diag(_numbers(each, "diaginertia")) for each in inertials]),
+        gravity_m_s2=np.array(GRAVITY_M_S2),
+    )
+    kinds = ("damping", "armature", "stiffness")
+    sizes = {kind: np.array([_numbers(j, kind, "0")[0] for j in joints]) for kind in kinds}
+    return chain, sizes, [j.attrib["name"] for j in joints], [k.attrib["name"] for k in links]
+
+
+def _child(element: ElementTree.Element, name: str) -> ElementTree.Element:
+    found = element.find(name)
+    if found is None:
+        raise ValueError(f"{element.attrib.get('name')}: has no {name}")
+    return found
+
+
+def _numbers(element: ElementTree.Element, name: str, default: str | None = None) -> Array:
+    text = element.attrib[name] if default is None else element.attrib.get(name, default)
+    return np.array(text.split(), dtype=float)
+
+
+def _rotations(axis: Array, angle: Array) -> Array:
+    """Rodrigues' formula: (..., N, 3, 3) of unit axes (..., N, 3) and angles (..., N)."""
+    cos, sin = np.cos(angle)[..., None, None], np.sin(angle)[..., None, None]
+    x, y, z = np.moveaxis(axis, -1, 0)
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
+    return cos * np.eye(3) + sin * skew + (1.0 - cos) * axis[..., :, None] * axis[..., None, :]
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return (matrix * vector[..., None, :]).sum(-1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """`numpy.cross` of many short arrays, several times as fast."""
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], -1)
+
+
+def _from_tip(values: Array) -> Array:
+    return np.cumsum(values[..., ::-1, :], -2)[..., ::-1, :]

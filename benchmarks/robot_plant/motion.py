@@ -1,0 +1,261 @@
+"""What robots are made to do, what they then do, and what is written down of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array
+from robot_plant.hidden import Hidden, Kind, stacked
+
+STEP_S = 1e-3
+"""Of the simulation and of the robots' controller."""
+TRIALS = ("sines", "points", "sines", "one by one", "points", "sines")
+_TAPER = 0.16
+"""Of a trial, at both ends: how long sines take to come and to go."""
+_MOVE_S, _HOLD_S = 0.9, 0.5
+_CURRENT_S = 0.002
+"""Lag of a drive's current."""
+_FILTER_S = 0.0016
+"""Of the filter that a torque's noise passes."""
+_VELOCITY_S = 0.004
+_PRETENSION_N = 2.0
+_STRIDE = 8
+
+
+class Reference(NamedTuple):
+    """What the controllers of B robots are asked for, (T, B, N); T steps of the simulation."""
+
+    angle: Array
+    speed: Array
+    acceleration: Array
+
+    @property
+    def time_s(self) -> Array:
+        """(T,)."""
+        return np.arange(len(self.angle)) * STEP_S
+
+
+def reference(kind: Kind, rng: np.random.Generator) -> Reference:
+    """All trials of one recording, (T, N); each begins and ends at rest at home."""
+    steps = round(kind.trial_s / STEP_S)
+    time_s = np.arange(steps) * STEP_S
+    trials = []
+    for what in TRIALS:
+        if what == "points":
+            trials.append(_points(kind, rng, time_s))
+        elif what == "sines":
+            trials.append(_sines(kind, rng, time_s))
+        else:
+            trials.append(_one_by_one(kind, rng, time_s))
+    angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
+    speed = np.gradient(angle, STEP_S, axis=0)
+    return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
+
+
+def _sines(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """Four sines by joint, as identification of robots takes them."""
+    count = len(kind.home_rad)
+    frequency = kind.speed_hz * rng.uniform(0.15, 1.0, (4, count))
+    phase, share = rng.uniform(0.0, 2.0 * np.pi, (4, count)), rng.uniform(0.3, 1.0, (4, count))
+    waves = np.sin(2.0 * np.pi * frequency * time_s[:, None, None] + phase)
+    whole = (share * waves).sum(1) / share.sum(0) * 1.4
+    edge = np.minimum(time_s, time_s[-1] - time_s) / (_TAPER * time_s[-1])
+    return np.asarray(whole * _smooth(edge)[:, None])
+
+
+def _points(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """From point to point with a rest at each, and home again."""
+    count = max(2, int(time_s[-1] / (_MOVE_S + _HOLD_S)))
+    slot_s = time_s[-1] / count
+    goals = rng.uniform(-1.0, 1.0, (count + 1, len(kind.home_rad)))
+    goals[[0, -1]] = 0.0
+    at = np.minimum((time_s / slot_s).astype(int), count - 1)
+    share = _smooth((time_s - at * slot_s) / (slot_s * _MOVE_S / (_MOVE_S + _HOLD_S)))
+    return np.asarray(goals[at] + share[:, None] * (goals[at + 1] - goals[at]))
+
+
+def _one_by_one(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """Each joint alone to one side and the other, slowly."""
+    count = len(kind.home_rad)
+    slot_s = time_s[-1] / count
+    at = np.minimum((time_s / slot_s).astype(int), count - 1)
+    within = time_s / slot_s - at
+    wave = np.sin(2.0 * np.pi * within) * _smooth(8.0 * np.minimum(within, 1.0 - within))
+    return np.where(at[:, None] == np.arange(count), wave[:, None], 0.0)
+
+
+def _smooth(share: Array) -> Array:
+    """From 0 to 1 without a jump of acceleration."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+
+
+def stacked_references(references: list[Reference]) -> Reference:
+    """Of several robots, (T, B, N)."""
+    return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
+
+
+def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
+    """Torques (T', N) that sensors would read if one robot did just what it is asked for.
+
+    Every eighth step. To size what is hidden: quick, without a controller, friction without its
+    past.
+    """
+    asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
+    time_s = np.arange(len(asked.angle)) * STEP_S * _STRIDE
+    robots: Hidden = stacked([robot])
+    gain = 1.0 + robots.encoder_scale
+    motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
+    joint = [part @ robot.moved.T for part in motor]
+    base = np.zeros_like(time_s)[:, None, None]
+    chain = robots.on_base()
+    moment = chain.torques_n_m(*(np.concatenate([base, part], -1) for part in joint))[..., :1]
+    give = [-moment / robot.base_stiffness]
+    give += [np.gradient(give[0], STEP_S * _STRIDE, axis=0)]
+    give += [np.gradient(give[1], STEP_S * _STRIDE, axis=0)]
+    whole = [np.concatenate(parts, -1) for parts in zip(give, joint, strict=True)]
+    drive = chain.torques_n_m(*whole)[..., 1:] @ robot.moved
+    drive = drive + robots.armature * motor[2] + robots.smooth_n_m(motor[0], motor[1])
+    drive = drive - _push(robots, np.arange(len(time_s)) * STEP_S * _STRIDE, trial_s)
+    way = np.tanh(motor[1] / 0.01)
+    return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
+
+
+def _push(robots: Hidden, time_s: Array, trial_s: float) -> Array:
+    """(T, B, N) torque by someone, who comes and goes."""
+    since = time_s / trial_s - np.floor(time_s / trial_s)
+    strength = _smooth(np.minimum(since - 0.4, 0.95 - since) / 0.1)[:, None, None]
+    now = np.floor(time_s / trial_s)[:, None, None] == robots.push_trial
+    return np.asarray(strength * now * robots.push)
+
+
+class Motion(NamedTuple):
+    """What B robots did, (T, B, N) at every step.
+
+    Attributes:
+        motor, motor_speed: angles and speeds of the motors.
+        drive_n_m: their torques.
+        command_n_m: what the controllers asked of them.
+    """
+
+    motor: Array
+    motor_speed: Array
+    drive_n_m: Array
+    command_n_m: Array
+
+
+def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
+    """Robots under their controllers: midpoint steps, bristles integrated exactly beside.
+
+    The controllers know the nominal robot: its torques of what is asked for, and by its inertia a
+    feedback of position and speed.
+    """
+    nominal = stacked([kind.nominal()[0]])
+    forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
+    forward = forward + nominal.smooth_n_m(asked.angle, asked.speed)
+    own = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal() + nominal.armature[0]
+    stiff, damp = own * kind.gain_1_s2, own * 1.4 * np.sqrt(kind.gain_1_s2)
+    back = np.linalg.inv(robots.moved)
+    gain = 1.0 + robots.encoder_scale
+    count = asked.angle.shape[1]
+    home = _times(robots.moved, (asked.angle[0] - robots.zero) / gain)
+    angle = np.concatenate([np.zeros((count, 1)), home], 1)
+    speed = np.zeros_like(angle)
+    chain = robots.on_base()
+    inertia = np.swapaxes(back, 1, 2) * robots.armature[:, None, :] @ back
+    carried = chain.mass_matrix(angle)[:, 0, 0]
+    base_own, base_damping = robots.base(carried)
+    extra = np.zeros((count, angle.shape[1], angle.shape[1]))
+    extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
+    push = _push(robots, asked.time_s, kind.trial_s)
+    bristle, drive = np.zeros_like(home), forward[0].copy()
+    kept = np.empty((4, *asked.angle.shape))
+
+    def acceleration(angle: Array, speed: Array, held: Array) -> Array:
+        motor, motor_speed = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        torque = held - robots.smooth_n_m(motor, motor_speed)
+        base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
+        joint = _times(np.swapaxes(back, 1, 2), torque)
+        return chain.accelerations(angle, speed, np.concatenate([base[:, None], joint], 1), extra)
+
+    for k in range(len(asked.angle)):
+        motor, motor_speed = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        error = asked.angle[k] - gain * motor - robots.zero
+        command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
+        kept[:, k] = motor, motor_speed, drive, command
+        drive = drive + (command - drive) * (STEP_S / _CURRENT_S)
+        rate = np.abs(motor_speed) / robots.presliding_rad
+        slip = -np.expm1(-rate * STEP_S)
+        grown = np.where(rate > 1e-9, slip / np.maximum(rate, 1e-9), STEP_S)
+        bristle = bristle * (1.0 - slip) + motor_speed * grown
+        friction = robots.kinetic_n_m(motor_speed, drive) * bristle / robots.presliding_rad
+        held = drive - friction + push[k]
+        first = acceleration(angle, speed, held)
+        middle = speed + 0.5 * STEP_S * first
+        then = acceleration(angle + 0.5 * STEP_S * speed, middle, held)
+        angle, speed = angle + STEP_S * middle, speed + STEP_S * then
+    if not np.isfinite(angle).all():
+        raise FloatingPointError("a robot flew away")
+    return Motion(*kept)
+
+
+def written(
+    kind: Kind, robots: Hidden, motion: Motion, seeds: list[int]
+) -> list[dict[str, Array]]:
+    """The recording of each robot: columns (T, …) by what they are."""
+    time_s = np.arange(len(motion.motor)) * STEP_S
+    read = robots.read_n_m(motion.drive_n_m, time_s)
+    angle = (1.0 + robots.encoder_scale) * motion.motor + robots.zero
+    rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
+    found = []
+    for b, seed in enumerate(seeds):
+        rng = np.random.default_rng(seed)
+        jitter = 0.5 * kind.encoder_rad * rng.standard_normal(angle[:, b].shape)
+        counted = np.round((angle[:, b] + jitter) / kind.encoder_rad) * kind.encoder_rad
+        change = np.diff(counted, axis=0, prepend=counted[:1]) / STEP_S
+        noise = _lagged(rng.standard_normal(read[:, b].shape), _FILTER_S)
+        noise *= kind.noise_n_m / noise.std(0)
+        step = 0.5 * kind.noise_n_m
+        torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
+        command = motion.command_n_m[:, b]
+        found.append(
+            {
+                "time_s": time_s[rows],
+                "trial": np.floor(time_s[rows] / kind.trial_s + 1e-9),
+                "position": counted[rows],
+                "velocity": _lagged(change, _VELOCITY_S)[rows],
+                "torque": torque[rows],
+                "command": (command if kind.tendon_m is None else _pulls(kind, command))[rows],
+            }
+        )
+    return found
+
+
+def _pulls(kind: Kind, torque_n_m: Array) -> Array:
+    """Tensions (T, K) of a pair of tendons for each joint, the last joint's first."""
+    tendons = kind.tendon_m
+    assert tendons is not None
+    left = torque_n_m.copy()
+    pulls = np.full((len(left), len(tendons)), _PRETENSION_N)
+    for joint in reversed(range(left.shape[1])):
+        pair = [2 * joint, 2 * joint + 1]
+        left = left - _PRETENSION_N * tendons[pair].sum(0)
+        for tendon in pair:
+            more = np.maximum(left[:, joint] / tendons[tendon, joint], 0.0)
+            pulls[:, tendon] += more
+            left = left - more[:, None] * tendons[tendon]
+    return pulls
+
+
+def _lagged(signal: Array, time_s: float) -> Array:
+    from scipy.signal import lfilter
+
+    share = 1.0 - np.exp(-STEP_S / time_s)
+    start = (1.0 - share) * signal[:1]
+    return np.asarray(lfilter([share], [1.0, share - 1.0], signal, axis=0, zi=start)[0])
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return (matrix * vector[..., None, :]).sum(-1)
