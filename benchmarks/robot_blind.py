@@ -24,11 +24,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import harness
 import numpy as np
-from cablesense_robot.inverse import prepared
-from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import diagnose
-from cablesense_robot.recording import read_recording
-from cablesense_robot.simulator import RobotSimulator
 from robot_plant.cases import Answer as Hidden
 from robot_plant.cases import Case, drawn, record, write_answers
 from robot_plant.kinds import KINDS
@@ -36,6 +31,11 @@ from robot_plant.kinds import KINDS
 from cablesense_gap.scoring import Answer, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write
+from cablesense_robot.inverse import prepared
+from cablesense_robot.model import load_robot
+from cablesense_robot.pipeline import diagnose
+from cablesense_robot.recording import read_recording
+from cablesense_robot.simulator import RobotSimulator
 
 _TOGETHER = 10
 """Cases of one model that are simulated at once."""

@@ -256,8 +256,8 @@ def _screw_error(draw: Draw) -> Cause:
     phase = draw.rng.uniform(0.0, 2.0 * np.pi, len(weight))
 
     def apply(robot: Hidden, size: float) -> Hidden:
-        ripple = {"cogging_waves": waves, "cogging_phase": phase}
-        return replace(robot, cogging=robot.cogging + size * weight, **ripple)
+        amplitude = robot.cogging + size * weight
+        return replace(robot, cogging=amplitude, cogging_waves=waves, cogging_phase=phase)
 
     return Cause(UNKNOWN, "screw_error", apply, 30.0, "N·m", draw.named(weight))
 

@@ -55,7 +55,9 @@ class Chain:
         pose = _Pose(self, angle)
         bias = pose.torques_n_m(speed, np.zeros_like(speed), self.gravity_m_s2)
         inertia = pose.mass_matrix() + extra_inertia
-        return np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0]
+        return np.asarray(
+            np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0], dtype=float
+        )
 
     def energy_j(self, angle: Array, speed: Array) -> Array:
         """(B,) kinetic and potential."""

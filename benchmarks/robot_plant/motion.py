@@ -34,13 +34,13 @@ class Reference(NamedTuple):
     @property
     def time_s(self) -> Array:
         """(T,)."""
-        return np.arange(len(self.angle)) * STEP_S
+        return _times_s(len(self.angle))
 
 
 def reference(kind: Kind, rng: np.random.Generator) -> Reference:
     """All trials of one recording, (T, N); each begins and ends at rest at home."""
     steps = round(kind.trial_s / STEP_S)
-    time_s = np.arange(steps) * STEP_S
+    time_s = _times_s(steps)
     trials = []
     for what in TRIALS:
         if what == "points":
@@ -104,7 +104,7 @@ def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
     past.
     """
     asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
-    time_s = np.arange(len(asked.angle)) * STEP_S * _STRIDE
+    time_s = _times_s(len(asked.angle), _STRIDE)
     robots: Hidden = stacked([robot])
     gain = 1.0 + robots.encoder_scale
     motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
@@ -118,7 +118,7 @@ def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
     whole = [np.concatenate(parts, -1) for parts in zip(give, joint, strict=True)]
     drive = chain.torques_n_m(*whole)[..., 1:] @ robot.moved
     drive = drive + robots.armature * motor[2] + robots.smooth_n_m(motor[0], motor[1])
-    drive = drive - _push(robots, np.arange(len(time_s)) * STEP_S * _STRIDE, trial_s)
+    drive = drive - _push(robots, time_s, trial_s)
     way = np.tanh(motor[1] / 0.01)
     return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
 
@@ -155,9 +155,10 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
     nominal = stacked([kind.nominal()[0]])
     forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
     forward = forward + nominal.smooth_n_m(asked.angle, asked.speed)
-    own = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal() + nominal.armature[0]
+    alone = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal()
+    own = np.asarray(alone + nominal.armature[0])
     stiff, damp = own * kind.gain_1_s2, own * 1.4 * np.sqrt(kind.gain_1_s2)
-    back = np.linalg.inv(robots.moved)
+    back = np.asarray(np.linalg.inv(robots.moved), dtype=float)
     gain = 1.0 + robots.encoder_scale
     count = asked.angle.shape[1]
     home = _times(robots.moved, (asked.angle[0] - robots.zero) / gain)
@@ -205,7 +206,7 @@ def written(
     kind: Kind, robots: Hidden, motion: Motion, seeds: list[int]
 ) -> list[dict[str, Array]]:
     """The recording of each robot: columns (T, …) by what they are."""
-    time_s = np.arange(len(motion.motor)) * STEP_S
+    time_s = _times_s(len(motion.motor))
     read = robots.read_n_m(motion.drive_n_m, time_s)
     angle = (1.0 + robots.encoder_scale) * motion.motor + robots.zero
     rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
@@ -258,4 +259,8 @@ def _lagged(signal: Array, time_s: float) -> Array:
 
 
 def _times(matrix: Array, vector: Array) -> Array:
-    return (matrix * vector[..., None, :]).sum(-1)
+    return np.asarray((matrix * vector[..., None, :]).sum(-1))
+
+
+def _times_s(steps: int, stride: int = 1) -> Array:
+    return np.asarray(np.arange(steps) * (STEP_S * stride), dtype=float)
