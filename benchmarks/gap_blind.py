@@ -29,7 +29,7 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.arm_simulator import has_one_equilibrium
+from cablesense_gap.arm_simulator import counted_rows
 from cablesense_gap.pipeline import Diagnosis, diagnose
 from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import Answer, draw_kinds, draw_several, withhold
@@ -153,7 +153,7 @@ def _removed_on(path: Path, diagnosis: Diagnosis) -> float:
         replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
         for arm in (diagnosis.nominal, settled(diagnosis.amended, recording, SETTLED_ROWS))
     )
-    judged = has_one_equilibrium(nominal_n, diagnosis.nominal)
+    judged = counted_rows(diagnosis.nominal, recording, nominal_n)
     judged[:SETTLED_ROWS] = False
     before_n, after_n = (
         float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))

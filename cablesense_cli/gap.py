@@ -135,7 +135,7 @@ def predict(
         return
     refuse_given(context, ["bandwidth"], "without --model")
     from cablesense_base import CableSenseError
-    from cablesense_gap.arm_simulator import find_amended
+    from cablesense_gap.arm_simulator import counted_rows, find_amended
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.csv_file import write_csv
     from cablesense_gap.settling import settled
@@ -157,13 +157,23 @@ def predict(
             described, recorded.time_s, recorded.command_rad, recorded.forces_n
         )
     write_csv(out, replace(recorded, tensions_n=tensions_n))
-    difference = recorded.tensions_n - tensions_n
-    gap_n = float((difference[settle:] ** 2).mean() ** 0.5)
+    counted = counted_rows(described, recorded, tensions_n)
+    counted[:settle] = False
+    rows, judged = len(recorded), int(counted.sum())
+    difference_n = (recorded.tensions_n - tensions_n)[counted]
+    gap_n = float((difference_n**2).mean() ** 0.5) if judged else None
     if json_output:
-        print_json({"out": str(out), "rows": len(recorded), "settled": settle, "gap_n": gap_n})
+        sizes = {"rows": rows, "settled": settle, "rows_counted": judged, "gap_n": gap_n}
+        print_json({"out": str(out), **sizes})
         return
-    over = f", over those after the {settle} that the state was estimated from" if settle else ""
-    console.print(f"{out}: {len(recorded)} rows, {gap_n:.3f} N (RMS) from what was read{over}")
+    size = "no row counts" if gap_n is None else f"{gap_n:.3f} N (RMS) from what was read"
+    console.print(f"{out}: {rows} rows, {size}", soft_wrap=True)
+    if settle:
+        console.print(f"Not counted: the first {settle}, that the state was estimated from")
+    if other := rows - settle - judged:
+        console.print(
+            f"Not counted: {other} rows, where cables are slack and several rests are possible"
+        )
 
 
 def protocol(

@@ -96,6 +96,16 @@ def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
     return np.asarray(slack.sum(-1) < arm.cables.per_segment)
 
 
+def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[np.bool_]:
+    """(R,) which rows count in the size of a gap: the arm without its effects has one rest there.
+
+    That is the same for a nominal arm and for what a diagnosis makes of it. Samples that it does
+    not bear without its effects are judged by the prediction (R, M) of the arm with them.
+    """
+    replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    return has_one_equilibrium(replay.readings_n([[]], predicted_n)[0], arm)
+
+
 def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:
     """The arm with effects beside those that it lists already; numbers stay in their ranges.
 

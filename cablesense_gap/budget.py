@@ -52,7 +52,10 @@ def shares(
         share, deviation = _share(problem, changes[effect], best, own)
         places = dict.fromkeys(t.place for t in values if t.effect == effect)
         so_far = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
-        left = problem.readings - problem.simulator.predict([so_far])[0]
+        every = k + 1 == len(largest)
+        left = problem.readings - (
+            best.held_out_effects if every else problem.simulator.predict([so_far])[0]
+        )
         found[effect] = Share(
             share_n=share,
             ci95_n=(max(share - 1.96 * deviation, 0.0), share + 1.96 * deviation),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, has_one_equilibrium
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, counted_rows
 from cablesense_gap.budget import rest_of, shares
 from cablesense_gap.diagnosis.probability import (
     Ranked,
@@ -72,6 +72,7 @@ class Diagnosis:
         predicted_before_n: (R, M) by the nominal arm.
         predicted_after_n: (R, M) by the amended arm.
         held_out_n: (R, M) by the amended arm, each trial fitted without its fold; NaN where none.
+        counted: (R,) rows that count in sizes of the gap (`counted_rows`).
         findings: of the checks of the recording, as sentences.
     """
 
@@ -82,17 +83,21 @@ class Diagnosis:
     predicted_before_n: Array
     predicted_after_n: Array
     held_out_n: Array
+    counted: NDArray[np.bool_]
     findings: tuple[str, ...] = ()
 
     @property
     def before_n(self) -> Array:
-        """Residual (R, M) of the nominal arm, measured less predicted."""
-        return self.recording.tensions_n - self.predicted_before_n
+        """Residual (R, M) of the nominal arm, measured less predicted; NaN where none counts."""
+        return self._residual_n(self.predicted_before_n)
 
     @property
     def after_n(self) -> Array:
-        """Residual (R, M) of the amended arm on held-out trials."""
-        return self.recording.tensions_n - self.held_out_n
+        """Residual (R, M) of the amended arm on held-out trials; NaN where none counts."""
+        return self._residual_n(self.held_out_n)
+
+    def _residual_n(self, predicted_n: Array) -> Array:
+        return np.where(self.counted[:, None], self.recording.tensions_n - predicted_n, np.nan)
 
     @property
     def after_label(self) -> str:
@@ -157,6 +162,10 @@ def diagnose(
     parts = decompose(recording.rows(used), before[used], problem.floor, arm)
     after = recording.tensions_n - held_out
     rest = rest_of(problem, explained)
+    gap = gap_size(before[used], after[used], problem.trial[used], problem.floor)
+    if best and best.effects:
+        alone_n = recording.tensions_n - best.held_out_effects
+        gap = gap.model_copy(update={"effects_n": float(np.sqrt((alone_n[used] ** 2).mean()))})
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
@@ -168,13 +177,14 @@ def diagnose(
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
-        gap=gap_size(before[used], after[used], problem.trial[used], problem.floor),
+        gap=gap,
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began,
         recording=recording.name,
         rows=len(whole),
         rows_used=len(recording),
+        rows_counted=int(used.sum()),
         arm=arm.name,
     )
     progress("done", 1.0)
@@ -186,6 +196,7 @@ def diagnose(
         predicted_before_n=nominal,
         predicted_after_n=predicted,
         held_out_n=held_out,
+        counted=used,
         findings=tuple(finding.text for finding in findings),
     )
 
@@ -210,10 +221,11 @@ def problem_of(
 ) -> Problem:
     """The recording as the search works on it.
 
-    Rows do not count where the arm may have more than one static equilibrium, nor do those of the
-    trials `unseen`.
+    Rows do not count where the arm may have more than one static equilibrium (`counted_rows`), nor
+    do those of the trials `unseen`.
     """
-    used = has_one_equilibrium(nominal, simulator.arm) & ~np.isin(recording.trial, list(unseen))
+    used = counted_rows(simulator.arm, recording, nominal)
+    used &= ~np.isin(recording.trial, list(unseen))
     folds = folds_of(recording, unseen)
     problem = prepare(simulator, recording.tensions_n, recording.trial, folds, used)
     rows = rows_of_the_way(recording)

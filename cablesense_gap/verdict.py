@@ -101,7 +101,8 @@ class Gap(FilePart):
 
     Attributes:
         before_n: gap of the nominal arm.
-        after_n: gap of the amended arm.
+        after_n: gap of the amended arm, with the effects found and tolerances as fitted.
+        effects_n: gap of the nominal arm with the effects alone, where a verdict names some.
         floor_n: what the sensors' noise and step leave of any model.
         removed_fraction: share of the removable gap removed; 0 where nothing was to be removed.
         ci95: interval of `removed_fraction`, by bootstrap over trials.
@@ -114,6 +115,14 @@ class Gap(FilePart):
     removed_fraction: Annotated[float, Field(le=1.0)]
     ci95: Interval
     by_cable_n: tuple[Newtons, ...]
+    effects_n: Newtons | None = None
+
+    @property
+    def removed_by_effects(self) -> float | None:
+        """Share of the removable gap that the effects remove without tolerances."""
+        if self.effects_n is None:
+            return None
+        return removed_fraction(self.before_n, self.effects_n, self.floor_n)
 
 
 class Channel(FilePart):
@@ -180,6 +189,7 @@ class Verdict(FilePart):
         seconds: the diagnosis took.
         rows: of the recording.
         rows_used: as many, or fewer of a long one.
+        rows_counted: of those used, in which the arm has one rest; all sizes are over these.
         arm: name of the nominal arm.
     """
 
@@ -201,6 +211,7 @@ class Verdict(FilePart):
     recording: str = ""
     rows: Rows | None = None
     rows_used: Rows | None = None
+    rows_counted: Rows | None = None
     arm: str = ""
     unit: str = "N"
     channels: dict[PlaceName, Channel] = Field(default_factory=dict)

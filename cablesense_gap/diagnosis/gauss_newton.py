@@ -246,11 +246,14 @@ class _Fit:
         at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
         part, precision, offset = data.columns(at), self._precision[at], self._offset(point)[at]
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
-        every, held_out = every[at], predicted.copy()
+        every, ours = every[at], int((at < none).sum())
+        held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
         without = fold_solutions(part, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
-            held_out[rows] += np.tensordot(coefficients, every[:, rows], axes=1)
+            tolerated[rows] = np.tensordot(coefficients[:ours], every[:ours, rows], axes=1)
+            held_out_effects[rows] += np.tensordot(coefficients[ours:], every[ours:, rows], axes=1)
+        held_out = held_out_effects + tolerated
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
         # of a number at its bound: how far from there the readings allow it, the others free
@@ -281,6 +284,7 @@ class _Fit:
             columns=columns,
             covariance=covariance[none:, none:],
             held_out=held_out,
+            held_out_effects=held_out_effects,
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
             sizes=sum(p.role == "size" for p in self._parameters),

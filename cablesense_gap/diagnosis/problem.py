@@ -37,6 +37,7 @@ class Hypothesis:
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
         covariance: (K, K) of the scaled values; zero for those at the end of their range.
         held_out: (R, C) each trial predicted by a fit without its fold.
+        held_out_effects: (R, C) the same with the effects alone, without tolerances.
         squares: (T,) sum of squares that this leaves in each trial.
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes.
@@ -53,6 +54,7 @@ class Hypothesis:
     columns: Array
     covariance: Array
     held_out: Array
+    held_out_effects: Array
     squares: Array
     count: Array
     sizes: int
@@ -145,6 +147,7 @@ class Sketch:
             without_tolerances=whole.without_tolerances[self.rows],
             columns=whole.columns[:, self.rows],
             held_out=held_out,
+            held_out_effects=whole.held_out_effects[self.rows],
             squares=squares,
             count=count,
         )

@@ -1,8 +1,12 @@
-"""Pictures of a report: the gap over time, by cable, by segment and by regime; the candidates."""
+"""Pictures of a report: the arm with its places, tensions over time, the gap in parts.
+
+All are half as wide as the page, so that a phone shows them large enough to read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -15,65 +19,24 @@ from cablesense_gap.report.style import (
     BEFORE,
     FLOOR,
     GRID,
+    INK,
     LEAST_N,
     LOADED,
     OTHER,
-    WIDTH_IN,
     as_uri,
-    percent,
     plain_log_ticks,
 )
-from cablesense_gap.report.text import candidate_name
 from cablesense_gap.residuals import CABLE, Decomposition
-from cablesense_gap.verdict import Verdict
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 
-MOST = 12
-"""Candidates that are drawn."""
-_MOST_CABLES = 24
+_WIDTH_IN = 5.1
+_CAUSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
+"""Colours of causes in the picture of the arm; from the sixth on they repeat."""
+_MOST_CABLES, _MOST_COLUMNS = 24, 3
 _MOST_POINTS = 3000
 """More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
-_ROW_IN = 1.45
-
-
-def drawn_budget(verdict: Verdict) -> Any:
-    """A waterfall from the nominal arm's gap to the floor, as a matplotlib figure.
-
-    Each bar is what simulating one more effect takes away; beside it is the effect's own share.
-    """
-    import matplotlib.pyplot as plt
-
-    gap, unit = verdict.gap, verdict.unit
-    steps = [
-        (candidate_name((name,)), share.left_n, f"{share.share_n:.2f} {unit} alone")
-        for name, share in verdict.shares.items()
-    ]
-    after_n = float(np.hypot(verdict.unexplained_n or 0.0, gap.floor_n))
-    steps.append(("tolerances", after_n, f"{verdict.tolerances_n or 0.0:.2f} {unit} alone"))
-    steps.append(("unexplained", gap.floor_n, percent(verdict.unexplained_share or 0.0)))
-    figure, axes = plt.subplots(
-        figsize=(WIDTH_IN, 0.9 + 0.34 * (len(steps) + 2)), layout="constrained"
-    )
-    axes.barh(0, gap.before_n, 0.62, color=BEFORE)
-    axes.text(gap.before_n, 0, f" {gap.before_n:.2f} {unit}", va="center")
-    level = gap.before_n
-    for y, (name, left_n, text) in enumerate(steps, 1):
-        low, high = sorted((level, left_n))
-        colour = OTHER if name in ("tolerances", "unexplained") else AFTER
-        axes.barh(y, high - low, 0.62, left=low, color=colour)
-        axes.vlines(level, y - 0.69, y + 0.31, color=GRID, lw=1.0, zorder=0)
-        axes.text(high, y, f" {left_n - level:+.2f} {unit}  ({text})", va="center")
-        level = left_n
-    last = len(steps) + 1
-    axes.barh(last, gap.floor_n, 0.62, color=FLOOR)
-    axes.text(gap.floor_n, last, f" {gap.floor_n:.2f} {unit}", va="center")
-    names = ["gap of the nominal arm", *(name for name, *_ in steps), "floor of the sensors"]
-    axes.set_yticks(range(last + 1), names)
-    axes.set_ylim(last + 0.6, -0.6)
-    axes.set_xlim(0.0, 1.3 * max(gap.before_n, *(left_n for _, left_n, _ in steps)))
-    axes.set_xlabel(f"RMS gap, {unit}")
-    axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x")
-    return figure
+_ROW_IN = 0.95
 
 
 def cable_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
@@ -82,7 +45,7 @@ def cable_picture(before: Decomposition, after: Decomposition, after_label: str)
 
     names = [part.member for part in before.of_group(CABLE)]
     x = np.arange(len(names))
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 2.7), layout="constrained")
+    figure, axes = plt.subplots(figsize=(_WIDTH_IN, 2.7), layout="constrained")
     shown = [(before, 0.0, BEFORE, "nominal arm")]
     if after_label:
         shown = [(before, -0.2, BEFORE, "nominal arm"), (after, 0.2, AFTER, after_label)]
@@ -94,7 +57,7 @@ def cable_picture(before: Decomposition, after: Decomposition, after_label: str)
     axes.set_xticks(x, [name.rpartition("_")[2] for name in names])
     axes.set(xlabel="cable", ylabel="RMS gap, N", xlim=(-0.6, len(names) - 0.4))
     axes.grid(axis="y")
-    figure.legend(loc="outside upper right", ncols=3)
+    _legend(figure, axes)
     return as_uri(figure)
 
 
@@ -121,7 +84,7 @@ def dumbbell_picture(
             labels.append(part.member.replace("_", " "))
             y += 1.0
         y += 0.35
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 0.8 + 0.205 * y), layout="constrained")
+    figure, axes = plt.subplots(figsize=(_WIDTH_IN, 0.8 + 0.205 * y), layout="constrained")
     at, start, end = (np.array(column) for column in zip(*lines, strict=True))
     start, end = np.maximum(start, LEAST_N), np.maximum(end, LEAST_N)
     _draw(axes, at, start, end, after_label)
@@ -138,7 +101,7 @@ def dumbbell_picture(
             transform=axes.get_yaxis_transform(),
         )  # fmt: skip
     axes.set_ylim(y - 0.4, -0.8)
-    figure.legend(loc="outside upper right", ncols=3)
+    _legend(figure, axes)
     return as_uri(figure)
 
 
@@ -155,57 +118,16 @@ def _draw(axes: Any, at: Any, start: Any, end: Any, after_label: str) -> None:
     axes.grid(axis="x")
 
 
-def drawn_candidates(verdict: Verdict) -> Any:
-    """The most probable candidates, the verdict's in colour, as a matplotlib figure."""
-    import matplotlib.pyplot as plt
-
-    shown = verdict.ranked[:MOST]
-    y = np.arange(len(shown))
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
-        sharey=True, width_ratios=(1.25, 1.0), layout="constrained",
-    )  # fmt: skip
-    for at, candidate in zip(y, shown, strict=True):
-        chosen = candidate.effects == verdict.effects
-        colour = AFTER if chosen else OTHER
-        if candidate.held_out_ci95_n is not None:
-            left.hlines(at, *np.maximum(candidate.held_out_ci95_n, LEAST_N), color=colour, lw=2.4)
-        left.scatter(max(candidate.held_out_rmse_n, LEAST_N), at, s=38, color=colour, zorder=3)
-        right.barh(at, candidate.probability, 0.62, color=colour)
-        right.text(
-            candidate.probability + 0.012, at, percent(candidate.probability), va="center",
-            weight="bold" if chosen else "normal",
-        )  # fmt: skip
-    floor_n = max(verdict.gap.floor_n, LEAST_N)
-    left.axvline(floor_n, color=FLOOR, ls="--", lw=1.2)
-    left.text(
-        floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
-        transform=left.get_xaxis_transform(),
-    )  # fmt: skip
-    left.set_xscale("log")
-    plain_log_ticks(left.xaxis)
-    left.set_yticks(y, [candidate_name(candidate.effects) for candidate in shown])
-    for label, candidate in zip(left.get_yticklabels(), shown, strict=True):
-        label.set_fontweight("bold" if candidate.effects == verdict.effects else "normal")
-    left.set_ylim(len(shown) - 0.4, -0.6)
-    left.set_xlabel(f"RMS left on held-out trials, {verdict.unit} (logarithmic)")
-    right.set(xlabel="probability", xlim=(0.0, 1.12), xticks=(0.0, 0.25, 0.5, 0.75, 1.0))
-    for axes in (left, right):
-        axes.tick_params(axis="y", length=0)
-        axes.grid(axis="x")
-    return figure
-
-
 def time_picture(found: Diagnosis) -> str:
-    """Small multiples with one scale; of very many cables, those with the largest gap."""
+    """Residuals as small multiples with one scale; of very many cables, the largest."""
     import matplotlib.pyplot as plt
 
-    columns = found.nominal.cables.per_segment
+    columns = min(found.nominal.cables.per_segment, _MOST_COLUMNS)
     size = np.nanmean(found.before_n**2, axis=0)
     cables = sorted(np.argsort(size)[-_MOST_CABLES:].tolist())
     rows = -(-len(cables) // columns)
     figure, axes = plt.subplots(
-        rows, columns, figsize=(WIDTH_IN, _ROW_IN * rows + 0.75),
+        rows, columns, figsize=(_WIDTH_IN, _ROW_IN * rows + 0.9),
         sharex=True, sharey=True, squeeze=False, layout="constrained",
     )  # fmt: skip
     # nearly all, so that one stray row hides nothing
@@ -214,21 +136,104 @@ def time_picture(found: Diagnosis) -> str:
     largest = float(np.quantile(known, 0.999)) if known.size else 1.0
     reach_n = 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
     for panel, cable in zip(axes.flat, cables, strict=False):
-        _panel(panel, found, cable)
+        _residual_panel(panel, found, cable)
         panel.set_ylim(-reach_n, reach_n)
+        panel.locator_params(nbins=4)
     for panel in axes.flat[len(cables) :]:
         panel.set_visible(False)
-    for panel in axes[:, 0]:
-        panel.set_ylabel("residual, N")
-    for panel in axes[-1]:
-        panel.set_xlabel("time, s")
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4, fontsize=9
-    )
+    figure.supylabel("residual, N", fontsize=9)
+    figure.supxlabel("time, s", fontsize=9)
+    _legend(figure, axes[0, 0])
     return as_uri(figure, "png")
 
 
-def _panel(panel: Any, found: Diagnosis, cable: int) -> None:
+def overlay_picture(found: Diagnosis) -> str:
+    """Tension measured and predicted of the cable with the largest gap, and its worst trial."""
+    import matplotlib.pyplot as plt
+
+    recording = found.recording
+    squares = np.nan_to_num(found.before_n**2)
+    cable = int(squares.sum(axis=0).argmax())
+    of_trial = np.bincount(recording.trial, squares[:, cable]) / np.maximum(
+        np.bincount(recording.trial), 1
+    )
+    trial = int(of_trial.argmax())
+    name = found.nominal.cable_names[cable].replace("_", " ")
+    figure, axes = plt.subplots(2, 1, figsize=(_WIDTH_IN, 4.4), layout="constrained")
+    for panel, rows, title in (
+        (axes[0], np.ones(len(recording), dtype=bool), f"{name}: the recording"),
+        (axes[1], recording.trial == trial, f"{name}: trial {trial}, where its gap is largest"),
+    ):
+        time_s, measured_n = recording.time_s[rows], recording.tensions_n[rows, cable]
+        lines = [(measured_n, INK, 2.4, "measured")]
+        lines.append((measured_n - found.before_n[rows, cable], BEFORE, 1.3, "nominal arm"))
+        if found.after_label:
+            lines.append((measured_n - found.after_n[rows, cable], AFTER, 1.0, found.after_label))
+        for values_n, colour, width, label in lines:
+            panel.plot(*_drawn(time_s, values_n), color=colour, lw=width, label=label)
+        panel.set_title(title, pad=3)
+        panel.set(xlabel="time, s", ylabel="tension, N", xlim=(time_s[0], time_s[-1]))
+        panel.grid(axis="y")
+    _legend(figure, axes[0])
+    return as_uri(figure, "png")
+
+
+def arm_picture(arm: Arm, marked: Mapping[str, Sequence[str]]) -> str:
+    """The straight arm from its right side and a guide plate, with places marked by cause.
+
+    `marked` has the places, as `cable_3`, of each cause; empty text if they are none.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Rectangle
+
+    colours = dict(zip(marked, cycle(_CAUSES)))
+    of_place = {place: colours[cause] for cause, places in marked.items() for place in places}
+    if not of_place:
+        return ""
+    m = mechanism_of(arm)
+    figure, (side, plate) = plt.subplots(
+        1, 2, figsize=(_WIDTH_IN, 2.3), width_ratios=(2.6, 1.0), layout="constrained"
+    )
+    reach = 1.25 * float(np.hypot(m.hole_y_m, m.hole_z_m).max())
+    joint_m = m.plate_offset_m + np.concatenate([[0.0], np.cumsum(m.segment_length_m)])
+    for n, (begin, end) in enumerate(pairwise(joint_m), 1):
+        fill = of_place.get(f"segment_{n}", LOADED)
+        x, long = begin + m.plate_offset_m, end - begin - 2.0 * m.plate_offset_m
+        side.add_patch(Rectangle((x, -reach), long, 2.0 * reach, fc=fill, ec=OTHER, alpha=0.6))
+        side.text(x + 0.5 * long, -1.08 * reach, n, ha="center", va="top", size=8)
+        ring = of_place.get(f"joint_{n}")
+        side.plot(begin, 0.0, "o", ms=9 if ring else 4, color=ring or OTHER, zorder=4)
+        if ring:
+            side.text(begin, 1.08 * reach, f"joint {n}", ha="center", va="bottom", size=8)
+    side.vlines(0.0, -reach, reach, color=OTHER, lw=3)
+    for i, (n, y, z) in enumerate(zip(m.cable_segment, m.hole_y_m, m.hole_z_m, strict=True), 1):
+        colour = of_place.get(f"cable_{i}")
+        drawn: Any = {"color": colour or OTHER, "zorder": 3 if colour else 2}
+        end = joint_m[n - 1] + m.plate_offset_m
+        side.plot([-m.run_m, end], [z, z], lw=2.0 if colour else 0.6, **drawn)
+        plate.plot(y, z, "o", ms=8 if colour else 4, **drawn)
+        plate.text(1.24 * y, 1.24 * z, i, ha="center", va="center", size=8,
+                   weight="bold" if colour else "normal")  # fmt: skip
+    side.text(-m.run_m, -1.08 * reach, "actuators     segment", va="top", size=8)
+    plate.set_title("cables, from the tip", loc="center", size=8)
+    plate.set(xlim=(1.2 * reach, -1.2 * reach), ylim=(-1.2 * reach, 1.2 * reach))
+    plate.set_aspect("equal")
+    side.set_ylim(-1.5 * reach, 1.5 * reach)
+    for axes in (side, plate):
+        axes.axis("off")
+    for cause, places in marked.items():
+        if places:
+            side.plot([], [], "s", color=colours[cause], label=cause)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=9)
+    return as_uri(figure)
+
+
+def _legend(figure: Any, axes: Any) -> None:
+    handles = axes.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper right", ncols=4, fontsize=8, columnspacing=1.0)
+
+
+def _residual_panel(panel: Any, found: Diagnosis, cable: int) -> None:
     from matplotlib.transforms import blended_transform_factory
 
     recording, floor_n = found.recording, found.verdict.gap.floor_n

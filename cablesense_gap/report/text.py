@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from typing import NamedTuple
 
-from cablesense_gap.report.style import newtons, percent
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
+from cablesense_gap.report.style import newtons, percent, with_interval
+from cablesense_gap.verdict import NONE, UNKNOWN, Estimate, Verdict, listed
+from cablesense_sim.arm import Arm
+from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import known_effects
 
 SURE = 0.9
@@ -54,6 +57,61 @@ def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
     if not found and len(verdict.effects) == 1:
         found = list(verdict.where.places)
     return tuple(dict.fromkeys(found))
+
+
+class ExplainedNumber(NamedTuple):
+    """A fitted number as the report has it, all as text.
+
+    Attributes:
+        about: what the number means; empty for an effect that is not installed here.
+        past: whether it is what the past had left, and so this recording's own.
+    """
+
+    effect: str
+    place: str
+    parameter: str
+    about: str
+    value: str
+    interval: str
+    past: bool
+
+
+def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
+    """Every number of a verdict on an arm, explained, effect by effect."""
+    found = []
+    for name, estimate in sorted(
+        verdict.parameters.items(), key=lambda item: item[0].partition(".")[0]
+    ):
+        effect_name, *place, parameter_name = name.split(".")
+        effect, known = known_effects().get(effect_name), None
+        if effect:
+            every = (*effect.parameters, *effect.history(arm.segment_count, arm.cable_count))
+            known = next((p for p in every if p.name == parameter_name), None)
+        value, interval = _known_within(estimate, known)
+        found.append(
+            ExplainedNumber(
+                effect_name.replace("_", " "),
+                " ".join(place or effect_places(verdict, effect_name)).replace("_", " "),
+                parameter_name,
+                known.about if known else "",
+                value if estimate.unit == "1" else f"{value} {estimate.unit}",
+                interval,
+                bool(known and known.past),
+            )
+        )
+    return found
+
+
+def _known_within(estimate: Estimate, parameter: Parameter | None) -> tuple[str, str]:
+    """Value and interval; of a number at an end of its range only the other side is known."""
+    value, interval = with_interval(estimate)
+    if parameter is None or parameter.low < estimate.value < parameter.high:
+        return value, interval
+    low, high = interval.split(" to ")
+    if tuple(estimate.ci95) == (parameter.low, parameter.high):
+        return value, "anywhere in its range"
+    side = f"at most {high}" if estimate.value <= parameter.low else f"at least {low}"
+    return value, f"{side}; its range ends at {value}"
 
 
 def place_text(places: tuple[str, ...]) -> str:

@@ -10,9 +10,21 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.report.pictures import drawn_candidates
-from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
-from cablesense_gap.verdict import NONE, UNKNOWN, listed
+from cablesense_gap.report.style import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    GRID,
+    INK,
+    LEAST_N,
+    OTHER,
+    WIDTH_IN,
+    newtons,
+    percent,
+    plain_log_ticks,
+)
+from cablesense_gap.report.text import candidate_name
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
 from cablesense_paper.drawing import GREEN, one_panel, panels
 from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_paper.table_2_gap import (
@@ -35,6 +47,8 @@ _SLACK_ROW, _SLACK_SET, _SLACK_CABLE = 5, slice(3, 6), 5
 """2 kg on segment 3, the cables that end on segment 2, cable 6."""
 
 _SETS = {"cables 1 to 3": BEFORE, "cables 4 to 6": AFTER, "cables 7 to 9": GREEN}
+_MOST = 12
+"""Candidates that are drawn."""
 _UNITS = (
     ("_n_m", 1.0, "N·m"), ("_m", 1e3, "mm"), ("_rad", 57.2958, "°"), ("_n", 1.0, "N"),
     ("_kg", 1.0, "kg"),
@@ -54,7 +68,7 @@ def figures_of(found: TableDiagnosis) -> Figures:
     return {
         "sim_to_real_gap": gap_figure(found),
         "sim_to_real_proportion": proportion_figure(found),
-        "sim_to_real_candidates": drawn_candidates(found.verdict),
+        "sim_to_real_candidates": candidates_figure(found.verdict),
     }
 
 
@@ -248,4 +262,45 @@ def proportion_figure(found: TableDiagnosis) -> Any:
         axes.scatter([], [], s=36, color=OTHER, marker=mark, label=f"load on segment {point + 1}")
     axes.set(xlabel="gap under 1 kg, N", ylabel="gap under 2 kg, N")
     figure.legend(loc="outside right center")
+    return figure
+
+
+def candidates_figure(verdict: Verdict) -> Any:
+    """The most probable candidates, the verdict's in colour."""
+    import matplotlib.pyplot as plt
+
+    shown = verdict.ranked[:_MOST]
+    y = np.arange(len(shown))
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
+        sharey=True, width_ratios=(1.25, 1.0), layout="constrained",
+    )  # fmt: skip
+    for at, candidate in zip(y, shown, strict=True):
+        chosen = candidate.effects == verdict.effects
+        colour = AFTER if chosen else OTHER
+        if candidate.held_out_ci95_n is not None:
+            left.hlines(at, *np.maximum(candidate.held_out_ci95_n, LEAST_N), color=colour, lw=2.4)
+        left.scatter(max(candidate.held_out_rmse_n, LEAST_N), at, s=38, color=colour, zorder=3)
+        right.barh(at, candidate.probability, 0.62, color=colour)
+        right.text(
+            candidate.probability + 0.012, at, percent(candidate.probability), va="center",
+            weight="bold" if chosen else "normal",
+        )  # fmt: skip
+    floor_n = max(verdict.gap.floor_n, LEAST_N)
+    left.axvline(floor_n, color=FLOOR, ls="--", lw=1.2)
+    left.text(
+        floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
+        transform=left.get_xaxis_transform(),
+    )  # fmt: skip
+    left.set_xscale("log")
+    plain_log_ticks(left.xaxis)
+    left.set_yticks(y, [candidate_name(candidate.effects) for candidate in shown])
+    for label, candidate in zip(left.get_yticklabels(), shown, strict=True):
+        label.set_fontweight("bold" if candidate.effects == verdict.effects else "normal")
+    left.set_ylim(len(shown) - 0.4, -0.6)
+    left.set_xlabel("RMS left on held-out trials, N (logarithmic)")
+    right.set(xlabel="probability", xlim=(0.0, 1.12), xticks=(0.0, 0.25, 0.5, 0.75, 1.0))
+    for axes in (left, right):
+        axes.tick_params(axis="y", length=0)
+        axes.grid(axis="x")
     return figure

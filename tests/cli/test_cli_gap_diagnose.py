@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -59,6 +60,18 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     assert verdict.effects == ("payload",)
     assert verdict.where.segments == ("segment_3",)
     assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.06)
+    # the same rows count for the report, the verdict and the prediction
+    sizes = {}
+    for arm in ("cdsm_lab", "found"):
+        done = run(
+            "predict", "new.csv", "--arm", arm, "--out", f"{arm}.csv", "--json", cwd=tmp_path
+        )
+        sizes[arm] = json.loads(done.stdout)
+        assert sizes[arm]["rows_counted"] == verdict.rows_counted
+    gap = verdict.gap
+    assert sizes["cdsm_lab"]["gap_n"] == pytest.approx(gap.before_n)
+    assert sizes["found"]["gap_n"] == pytest.approx(gap.after_n, abs=0.5 * gap.floor_n)
+    assert gap.after_n <= gap.effects_n < 0.3 * gap.before_n
     # on loads and poses that the diagnosis never saw
     unseen = replace(
         PROTOCOL, command_rad=-0.7 * PROTOCOL.command_rad, load_n=0.6 * PROTOCOL.load_n

@@ -135,6 +135,6 @@ def test_the_state_is_settled_on_the_first_rows_and_never_on_all(recording, tmp_
     write_arm(arm, amended_arm(LAB, play, {}), "made for this test")
     result = run(recording, "--arm", arm, "--out", out, "--settle", 20)
     assert result.exit_code == 0, result.output
-    assert "over those after the 20" in result.output.replace("\n", " ")
+    assert "Not counted: the first 20" in result.output.replace("\n", " ")
     refused = run(recording, "--arm", arm, "--out", out, "--force", "--settle", 80)
     assert "--settle 80" in str(refused.exception)

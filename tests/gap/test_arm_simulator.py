@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablesense_gap.arm_simulator import (
     ArmSimulator,
     amended_arm,
+    counted_rows,
     entries_from,
     has_one_equilibrium,
     write_arm,
@@ -295,6 +296,19 @@ def test_every_row_is_judged_by_itself_whatever_is_in_front():
     one = has_one_equilibrium(tensions_n, LAB)
     assert one.shape == (3, 5)
     assert np.argwhere(~one).tolist() == [[1, 4]]
+
+
+def test_rows_count_by_the_arm_without_its_effects():
+    """A zero that is off makes no cable slack, and what a diagnosis adds changes no row's part."""
+    recording = small_recording(peak_n=150.0)
+    nominal_n = ArmSimulator(LAB, recording).predict([{}])[0]
+    counted = counted_rows(LAB, recording, nominal_n)
+    assert_array_equal(counted, has_one_equilibrium(nominal_n, LAB))
+    assert 0 < counted.sum() < len(recording)
+    zeros = {Term("sensor_offset", f"cable_{i}", "offset_n"): -49.0 for i in (1, 2, 3)}
+    amended = amended_arm(LAB, {MASS_KG_TERM: 0.4, **zeros}, {})
+    predicted_n = replay_arm(amended, recording.time_s, recording.command_rad, recording.forces_n)
+    assert_array_equal(counted_rows(amended, recording, predicted_n), counted)
 
 
 def test_an_arm_file_is_replaced_and_never_written_over(tmp_path):

@@ -16,12 +16,14 @@ from verdict_cases import gap_of, verdict_of
 from cablesense_gap.arm_simulator import amended_arm
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
+from cablesense_gap.report.pictures import arm_picture
 from cablesense_gap.report.style import (
     ReportError,
     newtons,
     page_css,
     percent,
     rendered,
+    style,
     with_interval,
 )
 from cablesense_gap.report.text import (
@@ -34,6 +36,7 @@ from cablesense_gap.verdict import (
     CandidateResult,
     Estimate,
     Estimator,
+    Share,
     VerdictError,
     Where,
     listed,
@@ -41,7 +44,7 @@ from cablesense_gap.verdict import (
 )
 from cablesense_sim.arm import load_arm
 
-pytestmark = pytest.mark.slow  # each page has five pictures to draw
+pytestmark = pytest.mark.slow  # each page has seven pictures to draw
 
 SMALL = small_recording()
 NOISE = np.random.default_rng(3).normal(0.0, 0.1, SMALL.tensions_n.shape)
@@ -57,10 +60,13 @@ PAYLOAD = verdict_of(
 )
 
 
-def found(verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=()):
+def found(
+    verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=(), counted=True
+):
     """A diagnosis with such residuals before and after, negated."""
     before_n, after_n = recording.tensions_n + before_n, recording.tensions_n + after_n
-    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, after_n, findings)
+    rows = np.broadcast_to(counted, len(recording))
+    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, after_n, rows, findings)
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +82,8 @@ def page(html):
 @pytest.fixture
 def text_of(monkeypatch):
     """The text of a diagnosis's page, its title first, whose pictures are not drawn."""
-    for name in (
-        "time_picture",
-        "cable_picture",
-        "dumbbell_picture",
-        "drawn_candidates",
-        "as_uri",
-    ):
+    for name in ("arm", "overlay", "time", "cable", "dumbbell"):
+        name += "_picture"
         monkeypatch.setattr(f"cablesense_gap.report.page.{name}", lambda *_: "data:")
     return lambda verdict, **made: " ".join(Page(report_page(found(verdict, **made))).text.split())
 
@@ -107,7 +108,7 @@ def test_it_says_what_to_do_and_shows_figures(page):
 
 
 def test_it_stands_alone(page):
-    assert len(page.sources) == 5
+    assert len(page.sources) == 6
     for source in page.sources:
         kind, _, data = source.partition(";base64,")
         assert kind in ("data:image/png", "data:image/svg+xml")
@@ -199,7 +200,63 @@ def test_a_long_recording_is_drawn_small_and_soon():
 def test_a_number_of_the_only_place_is_shown_with_that_place(text_of):
     alone = {"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))}
     text = text_of(PAYLOAD.model_copy(update={"parameters": alone}))
-    assert "payloadsegment 2mass_kg0.400" in text
+    assert "payload, segment 2: mass_kg" in text
+    assert "of what the segment carries besides0.400 kg0.380 to 0.420" in text
+
+
+def test_effects_are_not_credited_with_what_tolerances_took(text_of):
+    gap = gap_of(3.0, 0.2).model_copy(update={"effects_n": 0.9})
+    text = text_of(verdict_of("payload", gap=gap))
+    assert "Simulating it alone takes the gap from 3.00 N to 0.90 N, with" in text
+    assert "as fitted to 0.20 N" in text
+    assert "72 % of what can be removed, and 97 % with tolerances" in text
+    for bar in ("nominal arm3.00 N", "with payload alone0.90 N", "with tolerances as well0.20 N"):
+        assert bar in text
+
+
+def test_the_same_rows_count_in_the_head_and_in_what_remains(text_of):
+    """A tenth of the rows is far off and does not count."""
+    counted = np.arange(len(SMALL)) % 10 > 0
+    off_n = NOISE + np.where(counted, 0.0, 50.0)[:, None]
+    text = text_of(PAYLOAD, before_n=off_n - 3.0, after_n=off_n, counted=counted)
+    assert f"All sizes are over {counted.sum()} rows" in text
+    assert "What remains 0.10 N RMS" in text
+
+
+def test_steps_of_several_effects_end_at_the_floor(text_of):
+    shares = {
+        name: Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=left_n, probability=0.9)
+        for name, left_n in (("payload", 1.25), ("base_tilt", 0.5))
+    }
+    gap = gap_of(3.0, 0.2).model_copy(update={"effects_n": 0.5})
+    rest = {"tolerances_n": 0.4, "unexplained_n": 0.17, "unexplained_share": 0.06}
+    text = text_of(verdict_of("base_tilt+payload", gap=gap, shares=shares, **rest))
+    steps = text[text.index("The budget") :]
+    for words in ("payload−1.75 N", "base tilt−0.75 N", "tolerances−0.30 N", "unexplained−0.10 N"):
+        assert words.replace("−", "\N{MINUS SIGN}") in steps
+
+
+@pytest.mark.parametrize(
+    ("value", "ci95", "words"),
+    [
+        (0.5, (0.43, 0.5), "at least 0.430; its range ends at 0.500"),
+        (-0.5, (-0.5, -0.44), "at most -0.440; its range ends at -0.500"),
+        (0.5, (-0.5, 0.5), "anywhere in its range"),
+        (0.4, (0.3, 0.5), "0.30 to 0.50"),
+    ],
+)
+def test_a_number_at_an_end_of_its_range_is_known_to_one_side(text_of, value, ci95, words):
+    number = Estimate(value=value, unit="1", ci95=ci95)
+    text = text_of(verdict_of("payload", parameters={"payload.segment_2.beyond_middle": number}))
+    assert words in text
+    assert "beyond the segment's middle, as a share of the segment's length" in text
+
+
+def test_the_arm_is_drawn_with_every_kind_of_place():
+    marked = {"a": ("segment_1",), "b": ("joint_4",), "c": ("cable_2", "cable_12"), "d": ()}
+    with style():
+        assert arm_picture(LAB, marked).startswith("data:image/svg+xml")
+        assert arm_picture(LAB, {"base tilt": ()}) == ""
 
 
 ONE = Estimate(value=1.0, unit="1", ci95=(0.9, 1.1))
@@ -248,7 +305,7 @@ def test_what_cannot_be_distinguished_is_named(text_of):
 @pytest.mark.parametrize(
     ("effects", "after_n", "words"),
     [
-        ("payload", 0.2, "shrinks the gap from 3.00 N to 0.20 N on trials"),
+        ("payload", 0.2, "amended arm shrinks the gap from 3.00 N to 0.20 N on trials"),
         ("payload", 3.2, "does not shrink"),
         ("unknown", 0.2, "flexible correction, which knows no physics, shrinks the gap"),
         ("unknown", 3.0, "No effect of the library shrinks it"),
