@@ -162,7 +162,7 @@ def test_an_arm_file_of_the_user_stays(tmp_path):
 
 
 def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("cablesense_gap.report.page.report_page", lambda _: "page")
+    monkeypatch.setattr("cablesense_gap.report.page.report_page", lambda *_: "page")
     (tmp_path / "report.html").mkdir()
     with pytest.raises(ReportError, match="cannot be written"):
         write_diagnosis(tmp_path, found(PAYLOAD))
