@@ -162,10 +162,7 @@ def diagnose(
     parts = decompose(recording.rows(used), before[used], problem.floor, arm)
     after = recording.tensions_n - held_out
     rest = rest_of(problem, explained)
-    gap = gap_size(before[used], after[used], problem.trial[used], problem.floor)
-    if best and best.effects:
-        alone_n = recording.tensions_n - best.held_out_effects
-        gap = gap.model_copy(update={"effects_n": float(np.sqrt((alone_n[used] ** 2).mean()))})
+    alone = recording.tensions_n - best.held_out_effects if best and best.effects else None
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
@@ -177,7 +174,13 @@ def diagnose(
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
-        gap=gap,
+        gap=gap_size(
+            before[used],
+            after[used],
+            problem.trial[used],
+            problem.floor,
+            None if alone is None else alone[used],
+        ),
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began,
@@ -253,8 +256,16 @@ def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.i
     return fold
 
 
-def gap_size(before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n: float) -> Gap:
+def gap_size(
+    before_n: Array,
+    after_n: Array,
+    trial: NDArray[np.int64],
+    floor_n: float,
+    effects_n: Array | None = None,
+) -> Gap:
     """Sizes over residuals (R, M) before and after, with a bootstrap over trials (R,).
+
+    `effects_n` (R, M) are those with the effects alone, if any are named.
 
     The floor is that of the sensors; manufacturing tolerances are in the amended arm's own file.
     """
@@ -272,6 +283,7 @@ def gap_size(before_n: Array, after_n: Array, trial: NDArray[np.int64], floor_n:
         removed_fraction=removed_fraction(before, after, floor_n),
         ci95=(float(low), float(high)),
         by_cable_n=tuple(float(v) for v in np.sqrt((before_n**2).mean(0))),
+        effects_n=None if effects_n is None else float(np.sqrt((effects_n**2).mean())),
     )
 
 

@@ -85,6 +85,7 @@ def diagnose(
         reasons = _unlisted(problem, [r.hypothesis for r in ranked if r.hypothesis], simulator)
     rest = rest_of(problem, explained)
     before, after = problem.readings - problem.nominal, problem.readings - explained.held_out
+    alone = problem.readings - best.held_out_effects if best and best.effects else None
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
@@ -95,7 +96,7 @@ def diagnose(
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
-        gap=gap_size(before, after, problem.trial, problem.floor),
+        gap=gap_size(before, after, problem.trial, problem.floor, alone),
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.report.pictures import drawn_budget, drawn_candidates
+from cablesense_gap.report.charts import gap_bars, steps
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -86,11 +86,7 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
     """The report, one HTML page that needs nothing beside it."""
     verdict = found.verdict
     with style():
-        pictures = {
-            "budget": as_uri(drawn_budget(verdict)) if verdict.shares else "",
-            "candidates": as_uri(drawn_candidates(verdict)),
-            "time": _overlay(found),
-        }
+        overlay = _overlay(found)
     named = verdict.effects[0] not in (NONE, UNKNOWN)
     rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
     content = {
@@ -104,7 +100,9 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
         "trials": int(found.motion.trial.max()) + 1,
         "folder": folder,
         "findings": found.findings,
-        "pictures": pictures,
+        "overlay": overlay,
+        "bars": gap_bars(verdict),
+        "steps": steps(verdict),
         "parameters": [
             (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
             for name, estimate in verdict.parameters.items()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
+from cablesense_gap.report.charts import gap_bars, steps
 from cablesense_gap.report.pictures import (
     arm_picture,
     cable_picture,
@@ -52,17 +53,6 @@ DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
 
 _WORST = 8
 """Parts of what remains that are shown before one asks for all."""
-_MOST_CANDIDATES = 12
-
-
-class _Bar(NamedTuple):
-    """One bar of a chart that the page itself draws, from `low_n` to `high_n`."""
-
-    name: str
-    low_n: float
-    high_n: float
-    kind: Literal["before", "after", "other", "floor"]
-    text: str
 
 
 def write_diagnosis(
@@ -122,10 +112,8 @@ def report_page(
         "places": place_text(verdict.where.places),
         "everywhere": EVERYWHERE,
         "pictures": pictures,
-        "bars": _gap_bars(verdict),
-        "steps": _steps(verdict) if len(verdict.shares) > 1 else [],
-        "candidates": verdict.ranked[:_MOST_CANDIDATES],
-        "hidden_candidates": max(0, len(verdict.candidates) - _MOST_CANDIDATES),
+        "bars": gap_bars(verdict),
+        "steps": steps(verdict),
         "numbers": numbers(verdict, found.nominal),
         "before": before,
         "after": after,
@@ -133,47 +121,8 @@ def report_page(
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
     }
-    filters: dict[str, Any] = {
-        made.__name__: made for made in (newtons, percent, listed, candidate_name)
-    }
+    filters: dict[str, Any] = {made.__name__: made for made in (newtons, percent, listed)}
     return rendered("cablesense_gap.report", "report.html", content, filters)
-
-
-def _gap_bars(verdict: Verdict) -> list[_Bar]:
-    """The gap of the nominal arm, with the effects alone, with tolerances too, and the floor."""
-    gap = verdict.gap
-    sizes: list[tuple[str, float, Literal["before", "after", "other", "floor"]]]
-    sizes = [("nominal arm", gap.before_n, "before")]
-    if gap.effects_n is not None:
-        effects = listed([name.replace("_", " ") for name in verdict.effects])
-        sizes.append((f"with {effects} alone", gap.effects_n, "after"))
-        sizes.append(("with tolerances as well", gap.after_n, "after"))
-    elif verdict.effects == (UNKNOWN,):
-        sizes.append(("with a flexible correction", gap.after_n, "other"))
-    else:
-        sizes.append(("with tolerances as fitted", gap.after_n, "other"))
-    sizes.append(("sensors' noise and step", gap.floor_n, "floor"))
-    return [_Bar(name, 0.0, size, kind, newtons(size)) for name, size, kind in sizes]
-
-
-def _steps(verdict: Verdict) -> list[_Bar]:
-    """From the nominal arm's gap to the floor, by what each effect takes away."""
-    gap, level = verdict.gap, verdict.gap.before_n
-    bars = [_Bar("nominal arm", 0.0, level, "before", newtons(level))]
-    ends = [(name.replace("_", " "), share.left_n) for name, share in verdict.shares.items()]
-    ends += [("tolerances", gap.after_n), ("unexplained", gap.floor_n)]
-    for name, left_n in ends:
-        low_n, high_n = sorted((level, left_n))
-        kind: Literal["after", "other"] = "after" if len(bars) <= len(verdict.shares) else "other"
-        bars.append(_Bar(name, low_n, high_n, kind, _signed(left_n - level)))
-        level = left_n
-    floor = _Bar("sensors' noise and step", 0.0, gap.floor_n, "floor", newtons(gap.floor_n))
-    return [*bars, floor]
-
-
-def _signed(change_n: float) -> str:
-    size = newtons(abs(change_n))
-    return size if change_n >= 0.0 or size == newtons(0.0) else f"\N{MINUS SIGN}{size}"
 
 
 def _marked(verdict: Verdict) -> dict[str, tuple[str, ...]]:

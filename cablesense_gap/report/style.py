@@ -95,12 +95,19 @@ def rendered(
     content: Mapping[str, Any],
     filters: Mapping[str, Callable[..., str]],
 ) -> str:
-    """A package's Jinja template as HTML text; `content` and the common style, `css`, go in."""
-    from jinja2 import Environment, StrictUndefined
+    """A package's Jinja template as HTML text; `content` and the common style, `css`, go in.
 
-    source = resources.files(package).joinpath(template).read_text(encoding="utf-8")
+    The template may import `charts.html`.
+    """
+    from jinja2 import DictLoader, Environment, StrictUndefined
+
+    source = _text(package, template)
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=DictLoader({"charts.html": _text(__package__, "charts.html")}),
     )
     environment.filters.update(filters)
     return environment.from_string(source).render({"css": page_css(), **content})
@@ -108,7 +115,11 @@ def rendered(
 
 def page_css() -> str:
     """The style sheet that all pages share."""
-    return resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    return _text(__package__, "page.css")
+
+
+def _text(package: str, name: str) -> str:
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def newtons(value: float) -> str:

@@ -1,0 +1,66 @@
+"""Bars that a page draws itself, so that they can be read at any width: what the gap consists of.
+
+`charts.html` has the macros that draw them; every template can import it.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from cablesense_gap.report.style import newtons
+from cablesense_gap.report.text import candidate_name
+from cablesense_gap.verdict import UNKNOWN, Verdict, listed
+
+Kind = Literal["before", "after", "other", "floor"]
+
+
+class Bar(NamedTuple):
+    """One bar, from `low` to `high` in the verdict's unit, with a text beside it."""
+
+    name: str
+    low: float
+    high: float
+    kind: Kind
+    text: str
+
+
+def gap_bars(verdict: Verdict) -> list[Bar]:
+    """The nominal gap, that with the effects alone, that with tolerances too, and the floor."""
+    gap = verdict.gap
+    sizes: list[tuple[str, float, Kind]] = [("nominal", gap.before_n, "before")]
+    if gap.effects_n is not None:
+        effects = listed([candidate_name((name,)) for name in verdict.effects])
+        sizes.append((f"with {effects} alone", gap.effects_n, "after"))
+        sizes.append(("with tolerances as well", gap.after_n, "after"))
+    elif verdict.effects == (UNKNOWN,):
+        sizes.append(("with a flexible correction", gap.after_n, "other"))
+    else:
+        sizes.append(("with tolerances as fitted", gap.after_n, "other"))
+    sizes.append(("sensors alone", gap.floor_n, "floor"))
+    return [Bar(name, 0.0, n, kind, _size(n, verdict.unit)) for name, n, kind in sizes]
+
+
+def steps(verdict: Verdict) -> list[Bar]:
+    """From the nominal gap down to the floor, by what each of several effects takes away."""
+    if len(verdict.shares) < 2:
+        return []
+    gap, unit, level = verdict.gap, verdict.unit, verdict.gap.before_n
+    bars = [Bar("nominal", 0.0, level, "before", _size(level, unit))]
+    ends: list[tuple[str, float, Kind]] = [
+        (candidate_name((name,)), share.left_n, "after") for name, share in verdict.shares.items()
+    ]
+    ends += [("tolerances", gap.after_n, "other"), ("unexplained", gap.floor_n, "other")]
+    for name, left, kind in ends:
+        low, high = sorted((level, left))
+        bars.append(Bar(name, low, high, kind, _signed(left - level, unit)))
+        level = left
+    return [*bars, Bar("sensors alone", 0.0, gap.floor_n, "floor", _size(gap.floor_n, unit))]
+
+
+def _size(value: float, unit: str) -> str:
+    return newtons(value) if unit == "N" else f"{value:.3g} {unit}"
+
+
+def _signed(change: float, unit: str) -> str:
+    size = _size(abs(change), unit)
+    return size if change >= 0.0 or size == _size(0.0, unit) else f"\N{MINUS SIGN}{size}"
