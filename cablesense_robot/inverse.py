@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import mujoco
 import numpy as np
@@ -34,7 +34,11 @@ _SLOW_SHARE = 0.02
 _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
-_KINDS = ("mass_kg", "centre_m", "inertia_kg_m2", "gravity_m_s2", "zero", "encoder_scale")
+_OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
+_OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling")
+_LEAST_KG = 1e-9
+_PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
+"""Of point masses, m; their inertial parameters are independent."""
 _CACHED = 48
 _FEWEST_ROWS = 50
 
@@ -144,6 +148,8 @@ class InverseDynamics:
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
         self._cached: dict[tuple[bytes, ...], Array] = {}
+        self._own: Array | None = None
+        self._columns: dict[int, Array] = {}
 
     def torques(self, change: Change) -> Array:
         """(R, J) as the drives' torques would be read."""
@@ -178,16 +184,59 @@ class InverseDynamics:
 
     def _rigid(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         """Torques of the bodies, with the nominal model's springs, dampers and rotors."""
-        key = change.key(*_KINDS, "coupling")
+        elsewhere = change.key(*_OF_MOTION)
+        if elsewhere == self._nominal.key(*_OF_MOTION):
+            return self._by_inertia(change)
+        key = (*elsewhere, *change.key(*_OF_BODIES))
         if key not in self._cached:
             if len(self._cached) >= _CACHED:
                 self._cached.pop(next(iter(self._cached)))
-            nominal = self._nominal
-            held = copy.copy(change)
-            held.armature, held.damping = nominal.armature, nominal.damping
-            held.stiffness = nominal.stiffness
-            self._cached[key] = inverse_dynamics(self._robot.varied(held), *moved)
+            self._cached[key] = self._whole(change, moved)
         return self._cached[key]
+
+    def _whole(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
+        nominal = self._nominal
+        held = replace(
+            change,
+            armature=nominal.armature,
+            damping=nominal.damping,
+            stiffness=nominal.stiffness,
+        )
+        return inverse_dynamics(self._robot.varied(held), *moved)
+
+    def _by_inertia(self, change: Change) -> Array:
+        """Linear in masses, first moments and inertias: exact, and quick."""
+        if self._own is None:
+            motion = self._motion
+            moved = motion.position, motion.speed, motion.acceleration
+            self._own = self._whole(self._nominal, moved)
+        torque, nominal = self._own, self._nominal
+        more = change.inertial_parameters() - nominal.inertial_parameters()
+        for b in np.flatnonzero(more.any(axis=1)).tolist():
+            if b not in self._columns:
+                self._columns[b] = self._regressor(b)
+            torque = torque + self._columns[b] @ more[b]
+        return torque
+
+    def _regressor(self, b: int) -> Array:
+        """(R, J, 10) torques by a body's inertial parameters, from ten point masses on it."""
+        robot, motion = self._robot, self._motion
+        light = copy.copy(robot.model)
+        light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING
+        light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
+        light.dof_armature[:] = 0.0
+        bare = replace(robot, model=light).nominal()
+        bare.mass_kg[:], bare.inertia_kg_m2[:] = _LEAST_KG, _LEAST_KG * np.eye(3)
+        own = replace(robot, model=light)
+        moved = motion.position, motion.speed, motion.acceleration
+        torques, parameters = [], []
+        for place in _PLACES:
+            with_mass = bare.copied()
+            with_mass.centre_m[b] = place
+            with_mass.mass_kg[b] = 1.0
+            torques.append(inverse_dynamics(own.varied(with_mass), *moved))
+            parameters.append(with_mass.inertial_parameters()[b])
+        return np.einsum("kri,pk->rip", torques, np.linalg.inv(np.array(parameters)))
 
     def _later(self, torque: Array, delay_s: float) -> Array:
         motion, found = self._motion, np.empty_like(torque)

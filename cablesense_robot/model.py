@@ -16,6 +16,8 @@ from cablesense_base import Array, CableSenseError, some_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _LEAST_KG = 1e-9
+_LEAST_REACH_M = 0.05
+_UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
 
 
@@ -54,6 +56,12 @@ class Robot:
         """Of each joint's position, rad or m."""
         return tuple("rad" if unit == "N·m" else "m" for unit in self.torque_units)
 
+    @property
+    def reach_m(self) -> float:
+        """Of its longest link, roughly: no body's mass lies farther from its frame."""
+        longest = np.abs(self.model.body_pos[1:]).max(initial=0.0)
+        return max(float(longest), float(np.abs(self.model.body_ipos).max()), _LEAST_REACH_M)
+
     def nominal(self) -> Change:
         """The robot as the model has it, for effects to change."""
         model, own, count = self.model, self.body_ids, len(self.joints)
@@ -73,6 +81,7 @@ class Robot:
             coupling=np.zeros((count, count)),
             torque_scale=np.zeros(count),
             torque_offset=np.zeros(count),
+            reach_m=2.0 * self.reach_m,
         )
 
     def varied(self, change: Change) -> mujoco.MjModel:
@@ -114,6 +123,7 @@ class Change:
         encoder_scale: (J,) by how much, as a share, an encoder reads too much.
         coupling: (J, J) by how much joint i moves with encoder j.
         torque_scale, torque_offset: (J,) what a torque reads too much, as a share and in all.
+        reach_m: how far from a body's centre a mass may be added.
         delay_s: how much later than the motion torques are read.
     """
 
@@ -131,11 +141,24 @@ class Change:
     coupling: Array
     torque_scale: Array
     torque_offset: Array
+    reach_m: float
     delay_s: float = 0.0
 
     def key(self, *names: str) -> tuple[bytes, ...]:
         """Equal for changes that have the same arrays of these names."""
         return tuple(np.asarray(getattr(self, name)).tobytes() for name in names)
+
+    def copied(self) -> Change:
+        """A change of its own."""
+        return copy.deepcopy(self)
+
+    def inertial_parameters(self) -> Array:
+        """(B, 10) mass, first moments and inertia about the body's frame, xx yy zz xy xz yz."""
+        moment = self.mass_kg[:, None] * self.centre_m
+        about = self.inertia_kg_m2 + np.array(
+            [m * _about(c) for m, c in zip(self.mass_kg, self.centre_m, strict=True)]
+        )
+        return np.column_stack([self.mass_kg, moment, about[:, *_UPPER]])
 
     def add_point_mass(self, body: int, mass_kg: float, place_m: Array) -> None:
         """Fix a point mass to a body, at a place in the body's frame."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size
 from cablesense_robot.model import Change, Robot
 
@@ -19,7 +17,7 @@ class LinkCentre(Effect):
         return robot.bodies
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        reach = max(float(np.abs(robot.model.body_pos[1:]).max()), 0.05)
+        reach = robot.reach_m
         return tuple(
             size(f"{axis}_m", "m", reach, 0.1 * reach, f"along the link's {axis}")
             for axis in "xyz"

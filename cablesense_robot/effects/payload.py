@@ -6,7 +6,6 @@ import numpy as np
 
 from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, rms, size
 from cablesense_robot.model import Change, Robot
-from cablesense_sim.effects.effect import shape
 
 
 class Payload(Effect):
@@ -21,15 +20,19 @@ class Payload(Effect):
         return robot.bodies
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        """Mass, and place in the body's axes from its centre of mass."""
         typical = 0.1 * rms(robot.model.body_mass[robot.body_ids])
-        reach = max(float(np.abs(robot.model.body_pos[1:]).max()), 0.05)
-        about = "from the body's centre of mass, in its axes"
+        moment = 0.3 * typical * robot.reach_m
+        about = "first moment about the body's centre of mass: over the mass it gives the place"
         return (
             size("mass_kg", "kg", 100.0 * typical, typical, "of what was added", 0.0),
-            *(shape(f"{a}_m", "m", -2.0 * reach, 2.0 * reach, 0.3 * reach, about) for a in "xyz"),
+            *(
+                size(f"moment_{axis}_kg_m", "kg·m", 200.0 * moment, moment, about)
+                for axis in "xyz"
+            ),
         )
 
     def act(self, change: Change, at: int, values: Values) -> None:
-        place = change.centre_m[at] + [values[f"{axis}_m"] for axis in "xyz"]
-        change.add_point_mass(at, values["mass_kg"], place)
+        moment = np.array([values[f"moment_{axis}_kg_m"] for axis in "xyz"])
+        mass = max(values["mass_kg"], float(np.linalg.norm(moment)) / change.reach_m)
+        if mass > 0.0:
+            change.add_point_mass(at, mass, change.centre_m[at] + moment / mass)
