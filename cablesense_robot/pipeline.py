@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.budget import rest_of, shares
@@ -17,8 +16,8 @@ from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_size
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import Channel, Verdict, Where
-from cablesense_robot.inverse import Motion, prepared
 from cablesense_robot.model import Robot
+from cablesense_robot.motion import Motion, prepared
 from cablesense_robot.recording import RobotRecording
 from cablesense_robot.simulator import RobotSimulator
 
@@ -32,9 +31,8 @@ class RobotDiagnosis:
 
     Attributes:
         amended: effects of the verdict and tolerances, as fitted.
-        measured, before, after: (R, C) torques in their own units; after by fits that have not
-            seen the trial.
-        counts: (R, C) where a torque tells something.
+        measured, before, after: (Q, C) compared torques in their own units; after by fits that
+            have not seen the trial.
         findings: what was done to recording and model, and what is doubtful, as sentences.
     """
 
@@ -46,7 +44,6 @@ class RobotDiagnosis:
     measured: Array
     before: Array
     after: Array
-    counts: NDArray[np.bool_]
     findings: tuple[str, ...]
 
 
@@ -102,7 +99,7 @@ def diagnose(
         seconds=time.monotonic() - began,
         recording=recording.name,
         rows=len(recording),
-        rows_used=len(motion),
+        rows_used=len(problem.trial),
         arm=robot.name,
         unit=UNIT,
         channels=_channels(simulator, before, after),
@@ -118,14 +115,13 @@ def diagnose(
         measured=problem.readings * unit,
         before=problem.nominal * unit,
         after=explained.held_out * unit,
-        counts=motion.counts[:, simulator.channels],
         findings=(*recording.notes, *robot.left_out, _compared(motion)),
     )
 
 
 def problem_of(simulator: RobotSimulator) -> Problem:
     """The recording as the search works on it; all rows count."""
-    trial = simulator.motion.trial
+    trial = simulator.motion.compared_trial
     count = int(trial.max()) + 1
     fold = np.arange(count) % min(FOLDS, count)
     return prepare(simulator, simulator.readings, trial, fold, np.ones(len(trial), dtype=bool))
@@ -133,9 +129,9 @@ def problem_of(simulator: RobotSimulator) -> Problem:
 
 def _compared(motion: Motion) -> str:
     return (
-        f"Compared by inverse dynamics: measured motion in, torques out, smoothed with a "
-        f"bandwidth of {motion.bandwidth_hz:.3g} Hz, {len(motion):,} rows "
-        f"{1e3 * motion.rows_s:.3g} ms apart."
+        f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} Hz, "
+        f"in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
+        f"{len(motion.compared_trial):,} rows."
     )
 
 

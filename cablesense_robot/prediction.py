@@ -13,19 +13,21 @@ from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Assignment
 from cablesense_robot.catalogue import changed
-from cablesense_robot.inverse import InverseDynamics, prepared
+from cablesense_robot.effects.effect import rms
+from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import Robot
+from cablesense_robot.motion import prepared
 from cablesense_robot.recording import RobotRecording
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Torques of R rows, smoothed with the bandwidth.
+    """Torques of R rows, compared with a bandwidth; zero where a joint is at rest.
 
     Attributes:
         measured, predicted: (R, J).
         gaps: of each joint with a torque its name, unit, and root mean squares of measured less
-            predicted and of measured, where the joint moves.
+            predicted and of measured.
     """
 
     joints: tuple[str, ...]
@@ -50,18 +52,15 @@ def predicted(
     """
     motion = prepared(recording, robot, bandwidth_hz)
     torque = InverseDynamics(robot, motion).torques(changed(robot, [beside]))
+    measured, found = motion.compared(motion.torque), motion.compared(torque)
     gaps = []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.torque_units, strict=True)):
-        rows = motion.counts[:, j]
-        if rows.any():
-            own = motion.torque[rows, j]
-            gap, whole = (
-                float(np.sqrt((each**2).mean())) for each in (own - torque[rows, j], own)
-            )
-            gaps.append((joint, unit, gap, whole))
+        if motion.counts[:, j].any():
+            left = measured[:, j] - found[:, j]
+            gaps.append((joint, unit, rms(left), rms(measured[:, j])))
     return Prediction(
-        robot.joints, motion.time_s, motion.trial, motion.torque, torque, tuple(gaps),
-        motion.bandwidth_hz,
+        robot.joints, motion.compared_time_s, motion.compared_trial, measured, found, tuple(gaps),
+        motion.compared_hz,
     )  # fmt: skip
 
 

@@ -122,8 +122,8 @@ def _overlay(found: RobotDiagnosis) -> str:
     motion, verdict = found.motion, found.verdict
     unit = np.array([verdict.channels[name].floor for name in found.channels])
     gap = (((found.measured - found.before) / unit) ** 2).sum(1)
-    worst = int(np.bincount(motion.trial, gap).argmax())
-    rows = motion.trial == worst
+    worst = int(np.bincount(motion.compared_trial, gap).argmax())
+    rows = motion.compared_trial == worst
     figure, axes = plt.subplots(
         len(found.channels), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(found.channels)),
         sharex=True, squeeze=False, layout="constrained",
@@ -136,8 +136,9 @@ def _overlay(found: RobotDiagnosis) -> str:
     for c, name in enumerate(found.channels):
         panel = axes[c, 0]
         for torque, colour, width, label in drawn:
-            line = np.where(found.counts[rows, c], torque[rows, c], np.nan)
-            panel.plot(motion.time_s[rows], line, color=colour, lw=width, label=label)
+            panel.plot(
+                motion.compared_time_s[rows], torque[rows, c], color=colour, lw=width, label=label
+            )
         panel.set_title(name, pad=2)
         panel.set_ylabel(verdict.channels[name].unit)
         panel.grid(axis="y")

@@ -9,15 +9,16 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.simulator import Assignment
 from cablesense_robot.catalogue import candidate, changed, known_effects
-from cablesense_robot.inverse import InverseDynamics, Motion
+from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import Robot, RobotError
+from cablesense_robot.motion import Motion
 
 
 class RobotSimulator:
     """Torques of those joints that have one, each in units of its own floor.
 
-    Rows of a joint at rest are zero in readings and predictions alike; the others are enlarged so
-    that noise alone has a root mean square of one over all rows.
+    Where a joint is at rest, readings and predictions are zero alike; units are such that noise
+    alone has a root mean square of one over all rows.
 
     Attributes: see `Simulator`, and
         channels: (C,) numbers of the joints whose torque is compared.
@@ -35,9 +36,8 @@ class RobotSimulator:
         self.candidates = tuple(c for e, c in offered if not e.tolerance and c.places)
         self.tolerances = tuple(c for e, c in offered if e.tolerance)
         self.channels = np.flatnonzero(motion.counts.any(0))
-        counts = motion.counts[:, self.channels]
-        self.unit = motion.floor[self.channels] * np.sqrt(counts.mean(0))
-        self._counts = counts / self.unit
+        told = motion.compared(np.ones_like(motion.torque))[:, self.channels]
+        self.unit = motion.floor[self.channels] * np.sqrt((told**2).mean(0))
         self._dynamics = InverseDynamics(robot, motion)
         self.readings = self._as_channels(motion.torque)
 
@@ -51,7 +51,7 @@ class RobotSimulator:
                 self._dynamics.torques(changed(self.robot, [self._listed, variant]))
             )
         except RobotError:
-            return np.full(self._counts.shape, np.nan)
+            return np.full(self.readings.shape, np.nan)
 
     def _as_channels(self, torque: Array) -> Array:
-        return np.asarray(np.nan_to_num(torque[:, self.channels]) * self._counts)
+        return np.asarray(self.motion.compared(torque)[:, self.channels] / self.unit)

@@ -7,6 +7,8 @@ Whatever is compared with smoothed motion goes through the same filter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import butter, sosfiltfilt, welch
 
@@ -17,6 +19,7 @@ LEAST_HZ, MOST_HZ = 1.0, 20.0
 SAMPLES = 8.0
 """Of a period at the bandwidth, at least: derivatives are then good to 1 %."""
 _SHARES = 40
+_WINDOW_S = 10.0
 
 
 def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:
@@ -38,9 +41,12 @@ def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:
     return first, second
 
 
-def gain(frequency_hz: Array, bandwidth_hz: float) -> Array:
-    """Of the filter, in amplitude."""
-    return np.asarray(1.0 / (1.0 + (frequency_hz / bandwidth_hz) ** 6))
+def mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
+    """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
+    count = min(max(len(s) for s in signals), int(_WINDOW_S * rate_hz))
+    every = [s for s in signals if len(s) >= count]
+    found = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in every]
+    return found[0][0], np.asarray(np.mean([density for _, density in found], axis=0))
 
 
 def noise_density(signal: Array, rate_hz: float, above_hz: float) -> Array:
@@ -55,15 +61,20 @@ def noise_density(signal: Array, rate_hz: float, above_hz: float) -> Array:
     return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))
 
 
-def noise_of_acceleration(density: Array, bandwidth_hz: float) -> Array:
-    """Standard deviation that positions' white noise leaves in smoothed accelerations."""
-    frequency = np.linspace(0.0, 6.0 * bandwidth_hz, 600)
-    through = (2.0 * np.pi * frequency) ** 4 * gain(frequency, bandwidth_hz) ** 2
+def noise_of_acceleration(density: Array, *bandwidths_hz: float) -> Array:
+    """Standard deviation that positions' white noise leaves in accelerations, smoothed."""
+    frequency, through = _through(bandwidths_hz)
+    power = ((2.0 * np.pi * frequency) ** 4 * through).sum() * frequency[1]
+    return np.asarray(np.sqrt(density * power))
+
+
+def noise_of_smoothed(density: Array, *bandwidths_hz: float) -> Array:
+    """Standard deviation of white noise after filters of some bandwidths."""
+    frequency, through = _through(bandwidths_hz)
     return np.asarray(np.sqrt(density * through.sum() * frequency[1]))
 
 
-def noise_of_smoothed(density: Array, bandwidth_hz: float) -> Array:
-    """Standard deviation of white noise after the filter."""
-    frequency = np.linspace(0.0, 6.0 * bandwidth_hz, 600)
-    through = gain(frequency, bandwidth_hz) ** 2
-    return np.asarray(np.sqrt(density * through.sum() * frequency[1]))
+def _through(bandwidths_hz: Sequence[float]) -> tuple[Array, Array]:
+    frequency = np.linspace(0.0, 6.0 * max(bandwidths_hz), 2000)
+    gains = [1.0 / (1.0 + (frequency / each) ** 6) for each in bandwidths_hz]
+    return frequency, np.asarray(np.prod(gains, axis=0) ** 2)

@@ -94,3 +94,10 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
     robot, beside = load_amended(out)
     assert robot.model.dof_frictionloss == pytest.approx([0.1, 0.08], abs=0.005)
     assert {term.effect for term in beside} == {"drive_tolerance"}
+
+
+@pytest.mark.slow
+def test_a_mass_at_the_end_is_found_on_the_lower_link(tmp_path, model):
+    verdict = found_in(tmp_path, model, seed=4, payload=0.3)
+    assert "payload" in verdict.ambiguity_group
+    assert verdict.where.bodies == ("lower",)

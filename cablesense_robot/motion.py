@@ -1,0 +1,386 @@
+"""A recording as it is compared: motion smoothed, torques cleared of glitches, noise known.
+
+Smoothing has two stages. Positions and torques are smoothed lightly, as far as the noise of
+accelerations asks for, since a model's products of smoothed motion are not the smoothed products.
+Then what was measured and what a model predicts go through the same low-pass at the bandwidth in
+which they are compared. A joint at rest tells nothing, as dry friction may hold any torque there:
+its torques are taken out of both before that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from cablesense_base import Array
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_robot import smoothing
+from cablesense_robot.effects.effect import Scale
+from cablesense_robot.model import Robot
+from cablesense_robot.recording import RobotRecording
+
+MOST_ROWS = 5000
+"""Rows at which a model is evaluated; a longer recording has them farther apart."""
+
+_ROWS_A_PERIOD = 3.0
+_LIGHTER = 4.0
+"""Times the bandwidth of the comparison, at most, motion is smoothed with."""
+_POWER_SHARE, _HARMONICS = 0.95, 2.0
+"""Below what frequency the torques have that share of their power; friction has harmonics."""
+_LEAST_FLOOR = 0.005
+"""Of a joint's torque: no model of a machine is better."""
+_SLOW_SHARE = 0.02
+"""Of a joint's usual speed; slower is standing still, as far as friction is concerned."""
+_NOISE_DEVIATIONS = 3.0
+_LEAST_MOVING = 0.05
+_REST_S = 0.4
+_FEWEST_ROWS, _FEWEST_SAMPLES = 30, 16
+_GLITCH_SAMPLES, _GLITCH_DEVIATIONS = 5, 6.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
+
+    Attributes:
+        position, speed, acceleration: (R, J).
+        direction: (R, J) of each joint's motion, -1 to 1, smoothed like all the rest.
+        torque: (R, J) of the drives; NaN for joints without.
+        counts: (R, J) where the torque tells something.
+        floor: (J,) what noise of torques and positions leaves of any model in what is compared.
+        scale: how large torques and motion are.
+        smoothed_hz: bandwidth of the motion.
+        compared_hz: bandwidth of the comparison.
+        passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
+        compared_trial, compared_time_s: (Q,) of those.
+    """
+
+    time_s: Array
+    trial: NDArray[np.int64]
+    position: Array
+    speed: Array
+    acceleration: Array
+    direction: Array
+    torque: Array
+    counts: NDArray[np.bool_]
+    floor: Array
+    scale: Scale
+    smoothed_hz: float
+    compared_hz: float
+    passes: tuple[Array, ...]
+    compared_trial: NDArray[np.int64]
+    compared_time_s: Array
+
+    def compared(self, torque: Array) -> Array:
+        """(Q, J) of torques (R, J): what tells nothing taken out, then the low-pass."""
+        known = np.where(self.counts, torque, 0.0)
+        ends = np.flatnonzero(np.diff(self.trial)) + 1
+        parts = np.split(known, ends)
+        return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
+
+
+def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None = None) -> Motion:
+    """The recording's motion and torques; by default compared as far as torques have power.
+
+    Raises:
+        RecordingError: it has neither torques nor commands, or its trials are too short.
+    """
+    trials = _evenly_sampled(recording)
+    rate_hz = 1.0 / trials[0].interval_s
+    with_torque = np.isfinite(recording.torque).any(axis=0)
+    by_command = not with_torque.any()
+    if by_command and not (recording.command.size and np.isfinite(recording.command).all()):
+        raise RecordingError(
+            f"{recording.name}: has neither torque.<joint> nor the commands of all actuators; "
+            "a comparison by inverse dynamics needs either"
+        )
+    most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
+    drive = [t.command if by_command else t.torque for t in trials]
+    if bandwidth_hz is None:
+        compared_hz = float(np.clip(_of_power(drive, rate_hz), smoothing.LEAST_HZ, most_hz))
+    elif 0.1 <= bandwidth_hz <= most_hz:
+        compared_hz = bandwidth_hz
+    else:
+        raise RecordingError(
+            f"{recording.name}: a bandwidth of {bandwidth_hz:g} Hz must be from 0.1 to "
+            f"{most_hz:.3g} Hz at this rate"
+        )
+    noise = _noise(trials, rate_hz)
+    inertia = _inertia(robot, recording.position)
+    smoothed_hz = _widest(
+        noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
+    )
+    step = max(
+        1,
+        round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)),
+        -(-sum(len(t.position) for t in trials) // MOST_ROWS),
+    )
+    speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
+    slow = _slow(trials, rate_hz, smoothed_hz, speed_noise)
+    parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot, by_command) for t in trials]
+    joined = {
+        f.name: np.concatenate([getattr(p, f.name)[::step] for p in parts])
+        for f in fields(_Smoothed)
+    }
+    moving, torque = joined.pop("moving"), joined["torque"]
+    counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque)
+    rows_hz = rate_hz / step
+    passes, kept = _passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
+    trial = np.unique(joined["trial"], return_inverse=True)[1]
+    if len(kept) < _FEWEST_ROWS:
+        raise RecordingError(
+            f"{recording.name}: {len(kept)} rows are left of it after smoothing; record trials "
+            "of several seconds"
+        )
+    scale = _scale(joined, moving)
+    floor = np.hypot(
+        smoothing.noise_of_smoothed(noise.torque, compared_hz),
+        inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
+    )
+    floor = np.maximum(floor, _at_rest(parts, rate_hz, compared_hz))
+    joined["trial"] = trial
+    return Motion(
+        **joined,
+        counts=counts,
+        floor=np.maximum(floor, _LEAST_FLOOR * scale.torque),
+        scale=scale,
+        smoothed_hz=smoothed_hz,
+        compared_hz=compared_hz,
+        passes=passes,
+        compared_trial=trial[kept],
+        compared_time_s=joined["time_s"][kept],
+    )
+
+
+@dataclass(frozen=True)
+class _Trial:
+    number: int
+    time_s: Array
+    position: Array
+    torque: Array
+    command: Array
+    interval_s: float
+
+
+@dataclass(frozen=True)
+class _Smoothed:
+    """One trial, as `Motion`, at the recording's rate; and which joints move."""
+
+    trial: NDArray[np.int64]
+    time_s: Array
+    position: Array
+    speed: Array
+    acceleration: Array
+    direction: Array
+    torque: Array
+    moving: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Densities (J,), by hertz."""
+
+    position: Array
+    torque: Array
+
+
+def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
+    """Every trial at one rate, that of most rows."""
+    same = np.diff(recording.trial) == 0
+    interval_s = float(np.median(np.diff(recording.time_s)[same]))
+    found = []
+    for t in np.unique(recording.trial):
+        rows = np.flatnonzero(recording.trial == t)
+        own = recording.time_s[rows]
+        count = int((own[-1] - own[0]) / interval_s + 0.5) + 1
+        if count < _FEWEST_SAMPLES:
+            continue
+        time_s = own[0] + interval_s * np.arange(count)
+        position, torque, command = (
+            _interpolated(time_s, own, values[rows])
+            for values in (recording.position, recording.torque, recording.command)
+        )
+        found.append(_Trial(int(t), time_s, position, _cleared(torque), command, interval_s))
+    if not found:
+        raise RecordingError(
+            f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
+        )
+    return found
+
+
+def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
+    columns = [np.interp(at_s, time_s, column) for column in values.T]
+    return np.array(columns).reshape(values.shape[1], len(at_s)).T
+
+
+def _cleared(torque: Array) -> Array:
+    """Without single samples that stand out from their neighbours, as a switching drive makes."""
+    middle = median_filter(np.nan_to_num(torque), size=(_GLITCH_SAMPLES, 1), mode="nearest")
+    off = np.abs(torque - middle)
+    usual = np.median(off, axis=0) / 0.6745 + 1e-12
+    return np.where(off > _GLITCH_DEVIATIONS * usual, middle, torque)
+
+
+def _of_power(signals: Sequence[Array], rate_hz: float) -> float:
+    """The frequency up to which torques are compared."""
+    frequency, densities = smoothing.mean_spectrum([np.nan_to_num(s) for s in signals], rate_hz)
+    power = np.cumsum(densities, axis=0)
+    whole = power[-1]
+    reached = [
+        frequency[np.searchsorted(own, _POWER_SHARE * own[-1])]
+        for own, all_ in zip(power.T, whole, strict=True)
+        if all_ > 0.0
+    ]
+    return _HARMONICS * max(reached, default=smoothing.LEAST_HZ)
+
+
+def _noise(trials: Sequence[_Trial], rate_hz: float) -> _Noise:
+    """Median over the longer trials of what positions and torques have in the upper half."""
+    longest = max(len(t.position) for t in trials)
+    long = [t for t in trials if len(t.position) >= 0.5 * longest]
+    densities = []
+    for signals in ([t.position for t in long], [t.torque for t in long]):
+        each = [smoothing.noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
+        densities.append(np.median(each, axis=0))
+    return _Noise(*densities)
+
+
+def _inertia(robot: Robot, position: Array) -> Array:
+    """(J,) that each joint feels alone, at some of the poses."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    whole = np.zeros((model.nv, model.nv))
+    found = []
+    for row in np.linspace(0, len(position) - 1, 20).astype(int):
+        data.qpos[:] = position[row]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, whole)
+        found.append(whole.diagonal().copy())
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _widest(
+    noise: _Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
+) -> float:
+    """As wide as accelerations, compared, stay below the torques' noise, or 1 % of the torques."""
+    torque = np.concatenate([t.torque for t in trials])
+    own = smoothing.noise_of_smoothed(noise.torque, compared_hz)
+    least = np.maximum(own, 0.01 * np.nan_to_num(torque.std(0)).max())
+    good = compared_hz
+    for tried_hz in np.geomspace(compared_hz, most_hz, 20):
+        left = smoothing.noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
+        if (inertia * left <= least).all():
+            good = float(tried_hz)
+    return good
+
+
+def _slow(trials: Sequence[_Trial], rate_hz: float, smoothed_hz: float, noise: Array) -> Array:
+    """(J,) speeds below which the direction of motion is not known."""
+    squares = [
+        smoothing.derivatives(smoothing.smoothed(t.position, rate_hz, smoothed_hz), rate_hz)[0]
+        ** 2
+        for t in trials
+    ]
+    usual = np.sqrt(np.concatenate(squares).mean(0))
+    return np.maximum(np.maximum(_NOISE_DEVIATIONS * noise, _SLOW_SHARE * usual), 1e-9)
+
+
+def _of_trial(
+    trial: _Trial,
+    rate_hz: float,
+    smoothed_hz: float,
+    slow: Array,
+    robot: Robot,
+    by_command: bool,
+) -> _Smoothed:
+    def filtered(signal: Array) -> Array:
+        return smoothing.smoothed(signal, rate_hz, smoothed_hz)
+
+    position = filtered(trial.position)
+    speed, acceleration = smoothing.derivatives(position, rate_hz)
+    direction = filtered(np.clip(speed / slow, -1.0, 1.0))
+    torque = (
+        _actuated(robot, position, speed, filtered(trial.command))
+        if by_command
+        else filtered(trial.torque)
+    )
+    edge = min(round(rate_hz / smoothed_hz), len(position) // 3)  # where the filter has one side
+    inner = slice(edge, len(position) - edge)
+    return _Smoothed(
+        trial=np.full(len(position), trial.number)[inner],
+        time_s=trial.time_s[inner],
+        position=position[inner],
+        speed=speed[inner],
+        acceleration=acceleration[inner],
+        direction=direction[inner],
+        torque=torque[inner],
+        moving=np.abs(speed[inner]) >= slow,
+    )
+
+
+def _actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
+    """(T, J) what the model's actuators make of commands."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    found = np.empty_like(position)
+    for row in range(len(position)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = position[row], speed[row], command[row]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        found[row] = data.qfrc_actuator
+    return found
+
+
+def _passes(
+    counts: Sequence[int], rows_hz: float, compared_hz: float
+) -> tuple[tuple[Array, ...], NDArray[np.int64]]:
+    """The low-pass of each trial as a matrix, without its ends, and which rows it leads to."""
+    step = max(1, round(rows_hz / (_ROWS_A_PERIOD * compared_hz)))
+    edge = round(0.5 * rows_hz / compared_hz)
+    passes, kept, begin = [], [], 0
+    for count in counts:
+        own = np.arange(min(edge, count // 2), count - edge, step)
+        low = compared_hz < rows_hz / 2.5
+        passes.append(
+            smoothing.smoothed(np.eye(count), rows_hz, compared_hz)[own]
+            if low
+            else np.eye(count)[own]
+        )
+        kept.append(begin + own)
+        begin += count
+    return tuple(passes), np.concatenate(kept)
+
+
+def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
+    """Joints without a torque count as those with the largest."""
+    sizes = np.sqrt((joined["torque"] ** 2).mean(0))
+    largest = np.nanmax(sizes, initial=0.0)
+    if not largest > 0.0:
+        raise RecordingError("all torques are zero; record those of the drives")
+    sizes = np.where(np.isfinite(sizes), np.maximum(sizes, 1e-3 * largest), largest)
+    moved = np.maximum(moving.mean(0), 1e-6)
+    return Scale(
+        torque=sizes,
+        speed=np.sqrt((joined["speed"] ** 2 * moving).mean(0) / moved),
+        acceleration=np.sqrt((joined["acceleration"] ** 2 * moving).mean(0) / moved),
+        position=0.5 * np.ptp(joined["position"], axis=0),
+    )
+
+
+def _at_rest(parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float) -> Array:
+    """(J,) how much compared torques wander while all joints stand still; zero without a rest."""
+    squares, count = np.zeros(parts[0].position.shape[1]), 0
+    least = int(_REST_S * rate_hz)
+    for part in parts:
+        still = ~part.moving.any(1)
+        edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - begin >= least:
+                rest = smoothing.smoothed(part.torque[begin:end], rate_hz, compared_hz)
+                squares += ((rest - rest.mean(0)) ** 2).sum(0)
+                count += end - begin
+    return np.nan_to_num(np.sqrt(squares / max(count, 1)))
