@@ -13,17 +13,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cablesense_base import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_gap.pipeline import Diagnosis, diagnose, folds_of
-from cablesense_gap.recorded_contacts import RecordedErrors, recorded_errors, tares_n
+from cablesense_gap.recorded_contacts import (
+    RecordedErrors,
+    contact_errors,
+    recorded_errors,
+    tares_n,
+)
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Estimator as Errors
 from cablesense_sim.arm import Arm
+from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.load_capacity import contact_range_n
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
+from cablesense_training.inference.estimator import NORMAL_95, Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
-from cablesense_training.model_training import draw_training_data, train_model
+from cablesense_training.model_training import contact_answer, draw_training_data, train_model
+from cablesense_training.networks import Network
+from cablesense_training.networks.corrected import CorrectedClosedForm
+from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import adjusted, recipe_for
 
 NETWORK = "closed-form-corrected"
@@ -86,7 +97,8 @@ def adapt(
     after = None
     if found.verdict.shares:
         progress("training for the amended arm", _DIAGNOSIS_SHARE)
-        train_for(found.amended, estimator, recording, second, command)
+        seen = recording.rows(~np.isin(recording.trial, unseen))
+        train_for(carried_by_statics(found.amended), estimator, seen, second, command)
         progress("judging the estimators", 0.95)
         after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
     progress("done", 1.0)
@@ -120,6 +132,22 @@ def kept_apart(recording: Recording) -> tuple[int, ...]:
     return tuple(int(number) for number in numbers[folds == fold])
 
 
+def carried_by_statics(arm: Arm) -> Arm:
+    """The arm with those of its effects that its rest and its readings have at every moment alike.
+
+    An estimator that is trained on samples with friction or lag trusts no reading any more, and
+    misses contacts; without them it is the best that can be had from one sample.
+    """
+    known = known_effects()
+    kept = [
+        listed
+        for listed in arm.effects
+        for effect in (known[listed.effect],)
+        if effect.acts_on == "arm" or (effect.acts_on == "sensor" and not effect.needs_time)
+    ]
+    return arm.model_copy(update={"effects": kept})
+
+
 def train_for(
     arm: Arm,
     first: Estimator | TemporalEstimator,
@@ -129,7 +157,9 @@ def train_for(
 ) -> None:
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
-    Poses go as far as the recording's where that is farther, forces as far as the arm bears.
+    Poses go as far as the recording's where that is farther, forces as far as the arm bears. Its
+    intervals are widened until they hold the forces of the recording, which has what no
+    simulation has.
     """
     metadata = first.metadata
     pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
@@ -142,7 +172,32 @@ def train_for(
     recipe = recipe_for(NETWORK).settings
     settings = adjusted(recipe, seed=0, threads=1, epochs=_EPOCHS, batch_size=256)
     data = draw_training_data(arm, NETWORK, options, seed=0)
-    train_model(path, NETWORK, data, settings, command=command, test_samples=_TEST_SAMPLES)
+
+    def widen(network: Network | TemporalNetwork) -> None:
+        assert isinstance(network, CorrectedClosedForm)
+
+        def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
+            difference_n = (taken.tensions_n - tare_n)[rows]
+            return contact_answer(network, difference_n, taken.command_rad[rows])
+
+        errors = contact_errors(recording, arm, answering)
+        off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
+        turned = np.abs(angle_difference_deg(errors.answer.angle_deg, errors.truth.angle_deg))
+        told = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)
+        stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
+        for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
+            ratio = error[told] / (NORMAL_95 * std[told])
+            network.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
+
+    train_model(
+        path,
+        NETWORK,
+        data,
+        settings,
+        command=command,
+        test_samples=_TEST_SAMPLES,
+        on_trained=widen,
+    )
 
 
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:

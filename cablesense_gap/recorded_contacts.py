@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
@@ -24,14 +24,20 @@ from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 
+STEADY_N = 1.0
+"""Standard deviation of a cable's readings above which the estimator node takes no tare."""
+
+
 def tares_n(recording: Recording) -> Array:
     """(R, M) tare of every row that is loaded or released from a load; NaN where there is none.
 
-    The mean of the unloaded rows just before the load, at its command.
+    The mean of the unloaded rows just before the load, at its command; where these are not
+    steady, as sensors that lag leave them, the tare before that at this command.
     """
     loaded = recording.load_segment > 0
     moved = (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
     tare = np.full_like(recording.tensions_n, np.nan)
+    latest: dict[bytes, Array] = {}
     first: int | None = None  # of the latest unloaded rows at the present command
     last = 0
     for row in range(len(recording)):
@@ -43,8 +49,15 @@ def tares_n(recording: Recording) -> Array:
             last = row
             if not moved[row]:  # a load that has gone leaves what it left; none leaves none
                 tare[row] = tare[row - 1]
-        elif first is not None:
-            tare[row] = recording.tensions_n[first : last + 1].mean(axis=0)
+        elif loaded[row - 1] and not moved[row]:
+            tare[row] = tare[row - 1]
+        else:
+            command = recording.command_rad[row].tobytes()
+            if first is not None:
+                before = recording.tensions_n[first : last + 1]
+                if before.std(axis=0).max() <= STEADY_N:
+                    latest[command] = before.mean(axis=0)
+            tare[row] = latest.get(command, np.nan)
     return tare
 
 
@@ -74,6 +87,10 @@ class RecordedErrors(NamedTuple):
         }
 
 
+Answering = Callable[[Recording, Array, NDArray[np.bool_]], ContactAnswer]
+"""From a recording, its tares (R, M) and rows (R,) to the answers on these rows."""
+
+
 def recorded_errors(
     recording: Recording,
     estimator: Estimator | TemporalEstimator,
@@ -84,21 +101,38 @@ def recorded_errors(
     Raises:
         RecordingError: no load follows unloaded rows at its command, so there is no tare.
     """
-    arm: Arm = estimator.metadata.arm
+
+    def at_once(recording: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
+        assert isinstance(estimator, Estimator)
+        difference_n = (recording.tensions_n - tare_n)[rows]
+        found = estimator.estimate_batch(difference_n, recording.command_rad[rows])
+        return ContactAnswer.of(found)
+
+    def along(recording: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
+        assert isinstance(estimator, TemporalEstimator)
+        return _along(recording, tare_n, estimator).select(rows)
+
+    answering = along if isinstance(estimator, TemporalEstimator) else at_once
+    return contact_errors(recording, estimator.metadata.arm, answering, trials)
+
+
+def contact_errors(
+    recording: Recording,
+    arm: Arm,
+    answering: Answering,
+    trials: Collection[int] | None = None,
+) -> RecordedErrors:
+    """Errors of answers on the contacts of a recording; otherwise as `recorded_errors`."""
     tare = tares_n(recording)
     rows = np.asarray(np.isfinite(tare).all(axis=1))
-    answered = rows if trials is None else rows & np.isin(recording.trial, list(trials))
-    if not (answered & (recording.load_segment > 0)).any():
+    if trials is not None:
+        rows &= np.isin(recording.trial, list(trials))
+    if not (rows & (recording.load_segment > 0)).any():
         raise RecordingError(
             f"{recording.name}: no load follows unloaded rows at its command, so there is no tare "
             "to estimate from; record load cycles (cablesense gap protocol)"
         )
-    taken = recording.rows(answered)
-    if isinstance(estimator, TemporalEstimator):
-        answer = _along(recording, tare, estimator).select(answered)
-    else:
-        difference_n = taken.tensions_n - tare[answered]
-        answer = ContactAnswer.of(estimator.estimate_batch(difference_n, taken.command_rad))
+    answer, taken = answering(recording, tare, rows), recording.rows(rows)
     y, z = normal_components_n(
         mechanism_of(arm), taken.command_rad, np.maximum(taken.load_segment, 1), taken.load_n
     )

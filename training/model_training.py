@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -159,6 +160,7 @@ def train_model(
     command: str,
     test_samples: int | None = None,
     on_epoch: OnEpoch | None = None,
+    on_trained: Callable[[Network | TemporalNetwork], None] = lambda _: None,
 ) -> TrainingReport:
     """Train a network and write the model file; nothing is written when anything fails.
 
@@ -171,6 +173,7 @@ def train_model(
         test_samples: size of the test set, drawn afresh by the data's own protocol; None stands
             for `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
         on_epoch: called after every epoch.
+        on_trained: called with the trained network, which it may change, before that is tested.
 
     Raises:
         TrainingError: unknown network, data or settings that do not fit it, a place that cannot
@@ -198,6 +201,7 @@ def train_model(
         assert isinstance(data, Sequences)
         assert isinstance(settings, SequenceFitSettings)
         history = fit_sequences(built, data, settings, on_epoch)
+        on_trained(built)
         export_model(built, path, metadata)
         count = test_samples or max(1, round(TEST_SHARE_OF_SEQUENCES * data.protocol.sequences))
         motion = replace(data.protocol, sequences=count)
@@ -210,6 +214,7 @@ def train_model(
         assert isinstance(settings, FitSettings)
         history = fit(built, data, settings, on_epoch)
         built.double()
+        on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
         errors = _sample_errors(built, draw_dataset(data.arm, protocol, test_seed))
         export_model(built, path, metadata)
@@ -221,7 +226,7 @@ def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:
     if not isinstance(network, MultiContactNetwork):
         answer, truth = single_contact_answer(network, test), ContactTruth.of(test)
         return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
-    logits, magnitude_n, _ = _outputs(network, test)
+    logits, magnitude_n, _ = _outputs(network, test.tension_difference_n, test.command_rad)
     return {
         key: multi_contact_metrics(
             test.contacts, test.magnitudes_n, logits > 0.0, magnitude_n, weakest_n
@@ -269,7 +274,16 @@ def _metadata(
 
 def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
     """Answers of a single-contact network on a dataset; angles in [0, 360)."""
-    logits, direction, magnitude_n, magnitude_std_n, angle_std_deg = _outputs(network, dataset)
+    return contact_answer(network, dataset.tension_difference_n, dataset.command_rad)
+
+
+def contact_answer(
+    network: SingleContactNetwork, tension_difference_n: Array, command_rad: Array
+) -> ContactAnswer:
+    """Answers of a single-contact network on B samples, (B, M) and (B, 2N)."""
+    logits, direction, magnitude_n, magnitude_std_n, angle_std_deg = _outputs(
+        network, tension_difference_n, command_rad
+    )
     return ContactAnswer(
         segment=logits.argmax(axis=1),
         angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
@@ -279,11 +293,11 @@ def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> Co
     )
 
 
-def _outputs(network: Network, dataset: Dataset) -> list[Array]:
+def _outputs(network: Network, tension_difference_n: Array, command_rad: Array) -> list[Array]:
     """The network's outputs for all samples, in float64."""
     dtype = next(network.parameters()).dtype
-    tension = torch.as_tensor(dataset.tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
-    command = torch.as_tensor(dataset.command_rad).to(dtype).split(ROWS_AT_ONCE)
+    tension = torch.as_tensor(tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
+    command = torch.as_tensor(command_rad).to(dtype).split(ROWS_AT_ONCE)
     network.eval()
     with torch.no_grad():
         outputs = [network(*rows) for rows in zip(tension, command, strict=True)]

@@ -65,8 +65,8 @@ class ModelSession:
     ) -> ModelSession:
         """Read a model file that gives `outputs` and, where an arm is named, fits it.
 
-        A model made for the same arm without its effects, whatever that is named, fits as well:
-        it answers without knowledge of them.
+        A model made for the same arm without its effects or some of them, whatever that is named,
+        fits as well: it answers without knowledge of the others.
 
         Raises:
             ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
@@ -74,10 +74,7 @@ class ModelSession:
         """
         source = str(path)
         model, metadata = read_model(path)
-        if arm is not None and metadata.arm_identity not in (
-            arm.identity,
-            arm.nominal.model_copy(update={"name": metadata.arm.name}).identity,
-        ):
+        if arm is not None and not _fits(metadata.arm, arm):
             raise ModelFileError(
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
@@ -205,6 +202,13 @@ def _with_misfit_limit(model: onnx.ModelProto, limit: MisfitLimit | None) -> byt
     if limit is not None:
         model.metadata_props.add(key=MISFIT_KEY, value=limit.model_dump_json())
     return model.SerializeToString()
+
+
+def _fits(made_for: Arm, arm: Arm) -> bool:
+    """Whether a model's arm is an arm, but for its name and for effects that it lacks."""
+    known = made_for.nominal.model_copy(update={"name": arm.name})
+    lacks_some = all(effect in arm.effects for effect in made_for.effects)
+    return known.identity == arm.nominal.identity and lacks_some
 
 
 def _require_signature(
