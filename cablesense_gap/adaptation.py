@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
@@ -27,6 +28,7 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Estimator as Errors
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.effects.sensor_lag import SensorLag
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.inference.estimator import NORMAL_95, Estimator
@@ -35,10 +37,13 @@ from cablesense_training.model_training import contact_answer, draw_training_dat
 from cablesense_training.networks import Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
+from cablesense_training.networks.unlagged import UnlaggedClosedForm, lags, settled_sensors
 from cablesense_training.recipes import adjusted, recipe_for
 
 NETWORK = "closed-form-corrected"
 _SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
+_LESS = 0.95
+"""Of the first estimator's force error: so much must the second be below it."""
 _CONTACTS_GIVEN_UP = 0.01
 """Of the rows: a second estimator that names fewer is no better, however small its errors."""
 _DIAGNOSIS_SHARE = 0.7
@@ -86,23 +91,35 @@ def adapt(
         AdaptationError: too few loads to keep some apart.
         ModelFileError: `first` is no model of single contacts of this arm.
     """
-    estimator = open_estimator(first, arm)
+    open_estimator(first, arm)
     unseen = kept_apart(recording)
 
     def show(doing: str, done: float) -> None:
         progress(doing, _DIAGNOSIS_SHARE * done)
 
     found = diagnose(recording, arm, show, workers, on_finding, unseen)
-    before = recorded_errors(recording, estimator, unseen)
-    after = None
-    if found.verdict.shares:
-        progress("training for the amended arm", _DIAGNOSIS_SHARE)
-        seen = recording.rows(~np.isin(recording.trial, unseen))
-        train_for(carried_by_statics(found.amended), estimator, seen, second, command)
-        progress("judging the estimators", 0.95)
-        after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
+    progress("training for the amended arm", _DIAGNOSIS_SHARE)
+    adapted = adapt_to(found, recording, unseen, first, second, command)
     progress("done", 1.0)
-    better = after is not None and _is_better(before, after)
+    return adapted
+
+
+def adapt_to(
+    found: Diagnosis,
+    recording: Recording,
+    unseen: tuple[int, ...],
+    first: Path,
+    second: Path,
+    command: str,
+) -> Adaptation:
+    """What follows in `adapt` from a diagnosis that has not seen some trials."""
+    estimator = open_estimator(first, found.nominal)
+    before, after, better = recorded_errors(recording, estimator, unseen), None, False
+    if found.verdict.shares:
+        seen = recording.rows(~np.isin(recording.trial, unseen))
+        train_for(found.amended, estimator, seen, second, command)
+        after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
+        better = _is_better(before, after)
     errors = Errors(
         before=_named(before),
         after=None if after is None else _named(after),
@@ -132,18 +149,20 @@ def kept_apart(recording: Recording) -> tuple[int, ...]:
     return tuple(int(number) for number in numbers[folds == fold])
 
 
-def carried_by_statics(arm: Arm) -> Arm:
-    """The arm with those of its effects that its rest and its readings have at every moment alike.
+def that_can_be_undone(arm: Arm) -> Arm:
+    """The arm with those of its effects that an estimator can undo.
 
-    An estimator that is trained on samples with friction or lag trusts no reading any more, and
-    misses contacts; without them it is the best that can be had from one sample.
+    That is what its rest and its readings have at every moment alike, and lag of its sensors. One
+    that is trained on samples with friction trusts no reading any more, and misses contacts.
     """
     known = known_effects()
     kept = [
         listed
         for listed in arm.effects
         for effect in (known[listed.effect],)
-        if effect.acts_on == "arm" or (effect.acts_on == "sensor" and not effect.needs_time)
+        if effect.acts_on == "arm"
+        or (effect.acts_on == "sensor" and not effect.needs_time)
+        or isinstance(effect, SensorLag)
     ]
     return arm.model_copy(update={"effects": kept})
 
@@ -157,11 +176,13 @@ def train_for(
 ) -> None:
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
-    Poses go as far as the recording's where that is farther, forces as far as the arm bears. Its
-    intervals are widened until they hold the forces of the recording, which has what no
-    simulation has.
+    It knows what `that_can_be_undone` leaves of the arm. Poses go as far as the recording's where
+    that is farther, forces as far as the arm bears. Its intervals are widened until they hold the
+    forces of the recording, which has what no simulation has.
     """
-    metadata = first.metadata
+    arm, metadata = that_can_be_undone(arm), first.metadata
+    network = "unlagged" if lags(arm) else NETWORK
+    arm = arm if lags(arm) else settled_sensors(arm)
     pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
     options: dict[str, Any] = {
         "samples": _SAMPLES,
@@ -169,16 +190,18 @@ def train_for(
         "pose_range_deg": max(metadata.pose_range_deg, np.ceil(pose_deg)),
         "force_high_n": contact_range_n(arm, metadata.force_range_n),
     }
-    recipe = recipe_for(NETWORK).settings
+    recipe = recipe_for(network).settings
     settings = adjusted(recipe, seed=0, threads=1, epochs=_EPOCHS, batch_size=256)
-    data = draw_training_data(arm, NETWORK, options, seed=0)
+    data = draw_training_data(arm, network, options, seed=0)
 
-    def widen(network: Network | TemporalNetwork) -> None:
-        assert isinstance(network, CorrectedClosedForm)
+    def widen(trained: Network | TemporalNetwork) -> None:
+        assert isinstance(trained, CorrectedClosedForm)
 
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-            difference_n = (taken.tensions_n - tare_n)[rows]
-            return contact_answer(network, difference_n, taken.command_rad[rows])
+            difference_n = taken.tensions_n - tare_n
+            if isinstance(trained, UnlaggedClosedForm):
+                difference_n = _undone_n(trained, difference_n, tare_n)
+            return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)
         off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
@@ -187,11 +210,11 @@ def train_for(
         stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
         for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
             ratio = error[told] / (NORMAL_95 * std[told])
-            network.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
+            trained.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
 
     train_model(
         path,
-        NETWORK,
+        network,
         data,
         settings,
         command=command,
@@ -200,10 +223,22 @@ def train_for(
     )
 
 
+def _undone_n(network: UnlaggedClosedForm, differences_n: Array, tare_n: Array) -> Array:
+    """(R, M) differences as the network undoes their lags, from each tare on; NaN without one."""
+    settled = torch.zeros(1, network.own_state, dtype=torch.float64)
+    state, found = settled, differences_n.copy()
+    for row, difference_n in enumerate(differences_n):
+        if not np.isfinite(difference_n).all() or (tare_n[row] != tare_n[row - 1]).any():
+            state = settled
+        tension_n, state = network.undo(torch.as_tensor(difference_n)[None], state)
+        found[row] = tension_n[0].numpy()
+    return found
+
+
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
     first, second = before.whole.errors, after.whole.errors
     return (
-        second.magnitude_mae_n < first.magnitude_mae_n
+        second.magnitude_mae_n < _LESS * first.magnitude_mae_n
         and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_GIVEN_UP
     )
 

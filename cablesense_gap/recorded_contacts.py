@@ -23,7 +23,6 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
-
 STEADY_N = 1.0
 """Standard deviation of a cable's readings above which the estimator node takes no tare."""
 

@@ -48,6 +48,11 @@ from cablesense_training.inference.metadata import (
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
+from cablesense_training.networks.unlagged import (
+    UnlaggedClosedForm,
+    added_noise_n,
+    settled_sensors,
+)
 from cablesense_training.recipes import build_network, network_name, recipe_for
 
 TEST_SAMPLES = 20_000
@@ -143,12 +148,22 @@ def draw_training_data(
         with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
             return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)
     protocol = protocol_from_options({"kind": recipe.learns_from, **given}, arm)
+    settled = settled_sensors(arm) if network_name(network) == "unlagged" else arm
     parts = []
     with progress_bar(protocol.samples, shown=show_progress) as advance:
-        for part in generate(arm, protocol, seed, workers=workers):
+        for part in generate(settled, protocol, seed, workers=workers):
             parts.append(part)
             advance(len(part))
-    return Dataset.concatenate(parts)
+    data = Dataset.concatenate(parts)
+    return data if settled is arm else _as_undone(data, arm)
+
+
+def _as_undone(settled: Dataset, arm: Arm) -> Dataset:
+    """Samples of an arm with settled sensors as undoing the lags of `arm` leaves them."""
+    std_n = added_noise_n(arm, settled.protocol.tare_samples)
+    noise_n = np.random.default_rng(settled.seed).normal(0.0, 1.0, (len(settled), len(std_n)))
+    difference_n = settled.tension_difference_n + std_n * noise_n
+    return replace(settled, arm=arm, tension_difference_n=difference_n)
 
 
 def train_model(
@@ -216,7 +231,10 @@ def train_model(
         built.double()
         on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
-        errors = _sample_errors(built, draw_dataset(data.arm, protocol, test_seed))
+        lagging = isinstance(built, UnlaggedClosedForm)
+        drawn_on = settled_sensors(data.arm) if lagging else data.arm
+        tested = draw_dataset(drawn_on, protocol, test_seed)
+        errors = _sample_errors(built, _as_undone(tested, data.arm) if lagging else tested)
         export_model(built, path, metadata)
     return TrainingReport(path, name, parameters, history, **errors)
 
@@ -250,6 +268,13 @@ def _metadata(
             "hidden": network.hidden,
             "tick_s": protocol.tick_s,
             "joint_speed_deg_s": protocol.joint_speed_deg_s,
+        }
+    elif isinstance(network, UnlaggedClosedForm):
+        of_sequences = {
+            "memory": network.memory,
+            "hidden": network.own_state,
+            "tick_s": network.tick_s,
+            "joint_speed_deg_s": MotionProtocol.joint_speed_deg_s,
         }
     straight = not isinstance(protocol, MotionProtocol) and protocol.pose == "straight"
     return ModelMetadata(

@@ -26,6 +26,7 @@ from cablesense_training.networks.single_contact import (
     TwoStageNetwork,
 )
 from cablesense_training.networks.temporal import TemporalNetwork
+from cablesense_training.networks.unlagged import UnlaggedClosedForm
 
 Settings = TypeVar("Settings", bound=LoopSettings)
 
@@ -55,6 +56,12 @@ RECIPES: dict[str, Recipe] = {
     "closed-form-corrected": Recipe(
         "single",
         CorrectedClosedForm.for_arm,
+        40_000,
+        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
+    ),
+    "unlagged": Recipe(
+        "single",
+        UnlaggedClosedForm.for_arm,
         40_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
     ),

@@ -34,12 +34,25 @@ class SensorLag(Effect):
         return _Lagging(place, values["time_constant_s"], values["second_share"])
 
 
+def lag_shares(
+    passed_s: float, time_constant_s: Array, second_share: Array
+) -> tuple[Array, Array, Array]:
+    """What is left, each (P,), after a time: of either lag's own gap, and of the first's behind.
+
+    What the first lag has let through is behind by `first` of what it was; the reading by `second`
+    of what it was, and `across` of what the first one was behind.
+    """
+    first_s = np.maximum(time_constant_s, 1e-6)
+    # equal lags are the limit of lags that differ by little
+    share = np.clip(second_share, 1e-6, 1.0 - 1e-4)
+    first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / (share * first_s))
+    return first, second, (first - second) / (1.0 - share)
+
+
 class _Lagging(Sensing):
     def __init__(self, place: str, time_constant_s: Array, second_share: Array) -> None:
         self._place = place
-        self._first_s = np.maximum(time_constant_s, 1e-6)
-        # equal lags are the limit of lags that differ by little
-        self._share = np.clip(second_share, 1e-6, 1.0 - 1e-4)
+        self._lags = time_constant_s, second_share
         self._filtered_n: Array | None = None
         self._time_s = 0.0
 
@@ -47,10 +60,8 @@ class _Lagging(Sensing):
         if self._filtered_n is None:
             self._filtered_n = self._reading_n = tensions_n.copy()
         passed = max(time_s - self._time_s, 0.0)
-        first = np.exp(-passed / self._first_s)[:, None]
-        second = np.exp(-passed / (self._share * self._first_s))[:, None]
+        first, second, across = (share[:, None] for share in lag_shares(passed, *self._lags))
         behind_n = self._filtered_n - tensions_n
-        across = (first - second) / (1.0 - self._share[:, None])
         self._reading_n = tensions_n + second * (self._reading_n - tensions_n) + across * behind_n
         self._filtered_n = tensions_n + first * behind_n
         self._time_s = time_s

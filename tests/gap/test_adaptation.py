@@ -28,6 +28,7 @@ OFFSETS = [
     for n in range(1, 5)
 ]
 GAIN = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.3})
+LAG = ListedEffect(effect="sensor_lag", parameters={"time_constant_s": 0.5})
 SHARE = Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=0.1, probability=1.0)
 
 
@@ -82,11 +83,13 @@ def test_a_recording_without_loads_is_refused():
 
 @pytest.mark.slow  # trains, and exports the model
 def test_an_arm_that_differs_gets_an_estimator_that_knows_it(tmp_path: Path, diagnosed_as):
-    asked = diagnosed_as(*OFFSETS, GAIN)
+    hidden = (*OFFSETS, GAIN, LAG)
+    asked = diagnosed_as(*hidden)
     second = tmp_path / "second.onnx"
-    found = adapt(recorded(having(*OFFSETS, GAIN)), LAB, SHIPPED, second, "by a test")
+    recording = recorded(having(*hidden))
+    found = adapt(recording, LAB, SHIPPED, second, "by a test")
     assert found.better
-    assert asked == [found.trials] == [kept_apart(PROTOCOL)]
+    assert asked == [found.trials] == [kept_apart(recording)]
     before, after = (each.whole.errors.magnitude_mae_n for each in (found.before, found.after))
     assert after < 0.1 * before
     assert found.diagnosis.verdict.estimator.use == "after"

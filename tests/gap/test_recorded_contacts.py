@@ -55,7 +55,7 @@ def test_a_sensor_that_answers_half_as_much_shows_on_the_segments_that_it_reads(
 
 def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
     made = small_recording()
-    tensions = np.arange(float(len(made)))[:, None] * np.ones(12)
+    tensions = 0.1 * np.arange(float(len(made)))[:, None] * np.ones(12)
     tare = tares_n(replace(made, tensions_n=tensions))[:, 0]
     loaded = made.load_segment > 0
     released = np.flatnonzero(np.isfinite(tare) & ~loaded)
@@ -63,6 +63,16 @@ def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
     for row in released:
         before = np.flatnonzero(loaded[:row])[-1]
         assert tare[row] == tare[before] < row
+
+
+def test_readings_that_are_not_steady_are_no_tare() -> None:
+    made = small_recording()
+    loads = np.flatnonzero(np.diff((made.load_segment > 0).astype(int)) == 1) + 1
+    first, second = loads[:2]
+    tensions = made.tensions_n.copy()
+    tensions[second - 4 : second] += np.linspace(20.0, 2.0, 4)[:, None]  # what a lag leaves
+    tare = tares_n(replace(made, tensions_n=tensions))
+    assert np.array_equal(tare[second], tare[first])
 
 
 def test_loads_without_a_tare_are_refused(recording: Recording, estimator: Estimator) -> None:

@@ -74,9 +74,11 @@ def exact_statics(
     )
 
 
-def statics(arm: Arm, tare_samples: int) -> ClosedForm | SecondOrderClosedForm:
-    """The closed form of an arm; to second order where that is enough, which is faster."""
-    exact = exact_statics(arm, tare_samples)
+def statics(
+    arm: Arm, tare_samples: int, unexplained_n2: float | None = None
+) -> ClosedForm | SecondOrderClosedForm:
+    """`exact_statics` of an arm; to second order where that is enough, which is faster."""
+    exact = exact_statics(arm, tare_samples, unexplained_n2=unexplained_n2)
     if exact.springy or exact.held_by is not None or exact.pose_corrections > 1:
         return exact
     return SecondOrderClosedForm(exact)
