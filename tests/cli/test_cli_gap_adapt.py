@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
@@ -32,7 +33,8 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         rest = {"tolerances_n": 0.1, "unexplained_n": 0.0, "unexplained_share": 0.0}
         verdict = verdict_of("payload", shares={"payload": SHARE}, **rest)
         read = recording.tensions_n
-        return Diagnosis(recording, arm, verdict, LAB, read, read, read)
+        every = np.ones(len(recording), dtype=bool)
+        return Diagnosis(recording, arm, verdict, LAB, read, read, read, every)
 
     def train(arm, first, recording, path, command) -> None:
         shutil.copy(find_model("cdsm_lab"), path)

@@ -56,7 +56,8 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
             names = "+".join(sorted(shares)) or "none"
             read = recording.tensions_n
             verdict = verdict_of(names, shares=shares)
-            return Diagnosis(recording, arm, verdict, having(*effects), read, read, read)
+            every = np.ones(len(recording), dtype=bool)
+            return Diagnosis(recording, arm, verdict, having(*effects), read, read, read, every)
 
         monkeypatch.setattr(adaptation, "diagnose", diagnose)
         return asked
