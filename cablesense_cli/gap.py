@@ -17,6 +17,8 @@ from cablesense_cli.gap_robot import (
     ModelOption,
     diagnose_robot,
     predict_robot,
+    print_robot_protocol,
+    withhold_robots,
 )
 from cablesense_cli.options import (
     DurationOption,
@@ -179,6 +181,7 @@ def predict(
 def protocol(
     context: typer.Context,
     arm: _NominalArm = "cdsm_lab",
+    model: ModelOption = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
@@ -192,6 +195,12 @@ def protocol(
 
     Example: cablesense gap protocol --arm my_arm.yaml --out protocol.csv
     """
+    if model is not None:
+        refuse_given(context, ["arm"], "with --model")
+        if out is None:
+            refuse_given(context, ["force"], "without --out")
+        print_robot_protocol(model, out, force=force)
+        return
     from cablesense_gap.recordings.protocol import rows_of, standard_protocol
     from cablesense_sim.arm import find_arm, load_arm
 
@@ -340,10 +349,12 @@ def _print_score(found: Score, console: Console) -> None:
 
 
 def withhold(
+    context: typer.Context,
     count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
     out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
     seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
     arm: _NominalArm = "cdsm_lab",
+    model: ModelOption = None,
     answers: Annotated[
         Path | None, typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv.")
     ] = None,
@@ -366,13 +377,17 @@ def withhold(
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
     [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
     """
+    answers_file = answers or out / "answers" / "answers.csv"
+    if model is not None:
+        refuse_given(context, ["arm", "workers"], "with --model")
+        withhold_robots(model, out, answers_file, count, seed, only or [], force=force)
+        return
     from rich.progress import track
 
     from cablesense_gap.plant.body import read_nominal
     from cablesense_gap.plant.withhold import withhold as make
     from cablesense_sim.arm import find_arm
 
-    answers_file = answers or out / "answers" / "answers.csv"
     arm_file = find_arm(arm)
     output_folder(out, ("case_*.csv",), force=force, inputs=(arm_file,))
     output_folder(

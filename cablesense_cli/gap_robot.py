@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from glob import escape
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
-from cablesense_cli.options import print_json, task_bars
+from cablesense_cli.options import print_json, task_bars, titled_table
 
 ModelOption = Annotated[
     Path | None,
@@ -94,3 +95,49 @@ def predict_robot(
         f"what was measured, of its RMS: {sizes}",
         soft_wrap=True,
     )
+
+
+def print_robot_protocol(model: Path, out: Path | None, *, force: bool) -> None:
+    """`gap protocol --model`."""
+    from cablesense_robot.amending import load_amended
+    from cablesense_robot.protocol import standard_protocol, write_protocol
+
+    robot, _ = load_amended(model)
+    if out is not None:
+        output_file(out, force=force, inputs=(robot.path,))
+    blocks = standard_protocol(robot)
+    headings = ("trial", "takes, s", "what", "what to do")
+    table = titled_table(f"Protocol for {robot.name}", *headings, right=headings[:2])
+    for number, block in enumerate(blocks, start=1):
+        table.add_row(str(number), f"{block.duration_s:.0f}", block.kind, block.does)
+    console = Console()
+    console.print(table)
+    console.print(
+        "Record position.<joint> and torque.<joint> at 100 Hz or more; smaller ranges will do "
+        "where there is no room.",
+        style="dim",
+    )
+    if out is not None:
+        rows = write_protocol(out, robot, blocks)
+        console.print(f"{out}: {rows:,} rows", soft_wrap=True)
+
+
+def withhold_robots(
+    model: Path, out: Path, answers: Path, count: int, seed: int, only: list[str], *, force: bool
+) -> None:
+    """`gap withhold --model`."""
+    from rich.progress import track
+
+    from cablesense_robot.amending import load_amended
+    from cablesense_robot.withholding import withhold
+
+    robot, _ = load_amended(model)
+    output_folder(out, ("case_*.csv",), force=force, inputs=(robot.path,))
+    output_folder(answers.parent, (escape(answers.name),), force=force, inputs=(robot.path,))
+    for folder in (out, answers.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    made = withhold(out, answers, robot, count, seed, tuple(only))
+    for _ in track(made, description="Recording", total=count, console=console):
+        pass
+    console.print(f"{count} recordings in {out}, what is hidden in {answers}", soft_wrap=True)

@@ -43,6 +43,7 @@ class Answer:
         recording: its name, without a suffix.
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
         places: cables, segments and joints that the answer names; empty if it names none.
+        names: the words of `where`, of a robot the names of its joints and bodies.
         gap_over_floor: RMS gap of the nominal arm in noise floors, if the file gives it.
         form: which form of the effect the plant has, if the file gives it.
         each_gap_n: RMS gap of each of the effects alone, if the file gives it.
@@ -54,6 +55,7 @@ class Answer:
     gap_over_floor: float | None = None
     form: str = ""
     each_gap_n: tuple[float, ...] = ()
+    names: frozenset[str] = frozenset()
 
 
 def read_answers(path: str | Path) -> tuple[Answer, ...]:
@@ -85,7 +87,7 @@ def read_answers(path: str | Path) -> tuple[Answer, ...]:
 
 def _answer(at: str, row: dict[str, str | None]) -> Answer:
     cells = {key: (value or "").strip() for key, value in row.items() if isinstance(key, str)}
-    recording = Path(cells["recording"]).name.removesuffix(".csv")
+    recording = Path(cells["recording"]).name.removesuffix(".gz").removesuffix(".csv")
     if not recording:
         raise ScoreError(f"{at}: names no recording")
     effects = tuple(sorted(name.strip() for name in cells["effects"].split("+")))
@@ -99,8 +101,10 @@ def _answer(at: str, row: dict[str, str | None]) -> Answer:
     gap = _numbers(at, cells, "gap_over_floor", 1)
     each_gap_n = _numbers(at, cells, "each_gap_n", len(effects))
     places = frozenset(_PLACE.findall(cells["where"]))
+    # of what one place does to another the first counts, as in verdicts
+    names = frozenset(re.sub(r"_into_\S+", "", cells["where"]).split())
     form = cells.get("form", "")
-    return Answer(recording, effects, places, gap[0] if gap else None, form, each_gap_n)
+    return Answer(recording, effects, places, gap[0] if gap else None, form, each_gap_n, names)
 
 
 def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
@@ -337,6 +341,7 @@ def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
     if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
         ratio = gap.before_n / gap.floor_n
     kinds = {place.split("_")[0] for place in answer.places}
+    named_places = answer.names or answer.places
     on_truth = weighed.get(truth, 0.0)
     return {
         "recording": answer.recording,
@@ -350,9 +355,10 @@ def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
         "in_group": truth == named or joined(truth) in verdict.ambiguity_group,
         "names_one": not set(truth).isdisjoint(named),
         # the same set for each kind of place that the answer names
-        "has_places": bool(kinds),
-        "places_right": {p for p in verdict.where.places if p.split("_")[0] in kinds}
-        == answer.places,
+        "has_places": bool(named_places if verdict.channels else kinds),
+        "places_right": set(verdict.where.places) == named_places
+        if verdict.channels
+        else {p for p in verdict.where.places if p.split("_")[0] in kinds} == answer.places,
         "probability": verdict.probability,
         "on_truth": on_truth,
         "brier": (1.0 - on_truth) ** 2 + sum(p**2 for e, p in weighed.items() if e != truth),

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
 from cablesense_robot.model import Change, Robot
-from cablesense_robot.motion import Motion
+from cablesense_robot.motion import Course
 
 _CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
@@ -27,8 +27,8 @@ _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3
 class InverseDynamics:
     """Torques that variants of a robot need for one motion."""
 
-    def __init__(self, robot: Robot, motion: Motion) -> None:
-        """`motion` is what was measured."""
+    def __init__(self, robot: Robot, motion: Course) -> None:
+        """`motion` is what was measured, or is asked for."""
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
         self._cached: dict[tuple[bytes, ...], Array] = {}

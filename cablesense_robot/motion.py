@@ -44,12 +44,27 @@ _GLITCH_SAMPLES, _GLITCH_DEVIATIONS = 5, 6.0
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
+class Course:
+    """Motion of R rows.
 
     Attributes:
         position, speed, acceleration: (R, J).
-        direction: (R, J) of each joint's motion, -1 to 1, smoothed like all the rest.
+        direction: (R, J) of each joint's motion, -1 to 1.
+    """
+
+    time_s: Array
+    trial: NDArray[np.int64]
+    position: Array
+    speed: Array
+    acceleration: Array
+    direction: Array
+
+
+@dataclass(frozen=True)
+class Motion(Course):
+    """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
+
+    Attributes:
         torque: (R, J) of the drives; NaN for joints without.
         counts: (R, J) where the torque tells something.
         floor: (J,) what noise of torques and positions leaves of any model in what is compared.
@@ -60,12 +75,6 @@ class Motion:
         compared_trial, compared_time_s: (Q,) of those.
     """
 
-    time_s: Array
-    trial: NDArray[np.int64]
-    position: Array
-    speed: Array
-    acceleration: Array
-    direction: Array
     torque: Array
     counts: NDArray[np.bool_]
     floor: Array
@@ -168,15 +177,9 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Smoothed:
+class _Smoothed(Course):
     """One trial, as `Motion`, at the recording's rate; and which joints move."""
 
-    trial: NDArray[np.int64]
-    time_s: Array
-    position: Array
-    speed: Array
-    acceleration: Array
-    direction: Array
     torque: Array
     moving: NDArray[np.bool_]
 

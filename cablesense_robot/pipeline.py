@@ -10,7 +10,13 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.budget import rest_of, shares
-from cablesense_gap.diagnosis.probability import ambiguity, bundled_calibration, named, posterior
+from cablesense_gap.diagnosis.probability import (
+    ambiguity,
+    bundled_calibration,
+    named,
+    posterior,
+    rivals_of,
+)
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_size
@@ -18,6 +24,7 @@ from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import Channel, Verdict, Where
 from cablesense_robot.model import Robot
 from cablesense_robot.motion import Motion, prepared
+from cablesense_robot.protocol import next_experiment
 from cablesense_robot.recording import RobotRecording
 from cablesense_robot.simulator import RobotSimulator
 
@@ -80,6 +87,7 @@ def diagnose(
     group, reasons = ambiguity(problem, ranked, UNIT)
     if best is None:
         reasons = _unlisted(problem, [r.hypothesis for r in ranked if r.hypothesis], simulator)
+    weighed = [values, *(r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis)]
     rest = rest_of(problem, explained)
     before, after = problem.readings - problem.nominal, problem.readings - explained.held_out
     alone = problem.readings - best.held_out_effects if best and best.effects else None
@@ -87,6 +95,7 @@ def diagnose(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
         ambiguity_group=group,
+        next_experiment=next_experiment(robot, weighed if best else [], motion.floor),
         where=_where(robot, values),
         parameters=estimates(values, explained.deviations, simulator.candidates),
         shares=shares(problem, ranked, values),

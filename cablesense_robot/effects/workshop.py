@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import (
+    WHOLE_ARM,
+    Effect,
+    Parameter,
+    Scale,
+    Values,
+    size,
+    torque_unit,
+)
 from cablesense_robot.model import Change, Robot
 
 
@@ -51,3 +59,21 @@ class DriveTolerance(Effect):
         change.zero[at] += values["zero_rad"]
         change.torque_scale[at] += values["share"]
         change.torque_offset[at] += values["torque_n_m"]
+
+
+class TimingTolerance(Effect):
+    """Torques later than positions, or earlier, by 2 ms: filters and buses."""
+
+    name = "timing_tolerance"
+    about = "tolerances of timing"
+    tolerance = True
+    in_model = False
+
+    def places(self, robot: Robot) -> tuple[str, ...]:
+        return (WHOLE_ARM,)
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        return (size("time_s", "s", 0.02, 0.002, "torques later than positions"),)
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.delay_s += values["time_s"]

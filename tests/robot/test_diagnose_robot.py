@@ -93,7 +93,7 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
     assert "dry friction" in (out / "report.html").read_text()
     robot, beside = load_amended(out)
     assert robot.model.dof_frictionloss == pytest.approx([0.1, 0.08], abs=0.005)
-    assert {term.effect for term in beside} == {"drive_tolerance"}
+    assert {term.effect for term in beside} == {"drive_tolerance", "timing_tolerance"}
 
 
 @pytest.mark.slow

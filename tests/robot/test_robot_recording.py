@@ -1,0 +1,138 @@
+"""Recordings of robots: what is read, and what is refused in one line."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from two_link import recorded, write_model
+
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_robot.model import RobotError, load_robot
+from cablesense_robot.motion import prepared
+from cablesense_robot.recording import read_recording
+
+BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
+STILL = {"position.shoulder": 0.0, "position.elbow": 0.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("robot")
+
+
+@pytest.fixture(scope="module")
+def robot(folder):
+    return load_robot(write_model(folder))
+
+
+@pytest.fixture(scope="module")
+def table(folder):
+    return pd.read_csv(recorded(folder / "recording.csv", trials=3))
+
+
+def read(tmp_path, table, robot, name="changed.csv"):
+    table.to_csv(tmp_path / name, index=False)
+    return read_recording(tmp_path / name, robot)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.drop(columns="position.elbow"), "misses position.elbow; robot.xml has the"),
+        (lambda t: t.drop(columns="time_s"), "misses column time_s"),
+        (lambda t: t.rename(columns={"time_s": "time_ms"}), "time_ms is there: it must be time_s"),
+        (lambda t: t.assign(time_s=1e3 * t.time_s), "milliseconds given"),
+        (lambda t: t.assign(time_s=-t.time_s), "runs back"),
+        (lambda t: t.rename(columns=lambda c: c.replace("elbow", "knee")), "has knee, which the"),
+        (
+            lambda t: t.assign(**{"position.elbow": 60.0 * t["position.elbow"]}),
+            "degrees given",
+        ),
+        (lambda t: t.assign(**{"torque.elbow": "much"}), "'much' is no number"),
+        (lambda t: t.assign(**{"position.elbow": np.nan}), "empty; every row needs one"),
+        (
+            lambda t: t.assign(**{"position.elbow": 0.0, "position.shoulder": 0.0}),
+            "no joint moves",
+        ),
+        (lambda t: t.head(1), "has 1 rows"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, table, robot, change, says):
+    with pytest.raises(RecordingError, match=says) as refused:
+        read(tmp_path, change(table), robot)
+    assert "\n" not in str(refused.value)
+
+
+def test_without_torques_and_commands_nothing_can_be_compared(tmp_path, table, robot):
+    recording = read(tmp_path, table.drop(columns=["torque.shoulder", "torque.elbow"]), robot)
+    with pytest.raises(RecordingError, match="has neither torque"):
+        prepared(recording, robot)
+
+
+def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, robot):
+    for trial, own in table.groupby("trial"):
+        own = own.assign(time_s=own.time_s - own.time_s.iloc[0]).drop(columns="trial")
+        own.to_csv(tmp_path / f"run_{trial}.csv.gz", index=False)
+    whole = read_recording(tmp_path, robot)
+    assert len(whole) == len(table)
+    # three are too few to hold some out, so each is cut
+    assert whole.trial.max() + 1 >= 5
+    assert "cut into" in whole.notes[0]
+
+
+def test_trials_are_parted_by_pauses(tmp_path, table, robot):
+    moving = table[table.trial == 0]
+    parts, begin = [], 0.0
+    for _ in range(6):
+        for own in (moving, moving.tail(1).loc[moving.index[-1:].repeat(100)]):
+            time_s = begin + 0.01 * np.arange(len(own))
+            parts.append(own.assign(time_s=time_s))
+            begin = time_s[-1] + 0.01
+    found = read(tmp_path, pd.concat(parts).drop(columns="trial"), robot)
+    lengths = np.bincount(found.trial)
+    assert len(lengths) in (6, 7)
+    assert lengths[1:5] == pytest.approx(500, abs=30)
+
+
+def test_a_single_glitch_changes_nothing(tmp_path, table, robot):
+    glitch = table.copy()
+    glitch.loc[glitch.index[150], "torque.elbow"] += 5.0
+    clean, with_it = (prepared(read(tmp_path, t, robot), robot) for t in (table, glitch))
+    apart = clean.compared(clean.torque) - with_it.compared(with_it.torque)
+    assert np.abs(apart).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<mujoco/>", "has no joints"),
+        (
+            "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>",
+            "free",
+        ),
+        (
+            "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>",
+            "no name",
+        ),
+        ("<robot", "cannot read this"),
+    ],
+)
+def test_models_that_cannot_be_used_are_refused(tmp_path, text, says):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    with pytest.raises(RobotError, match=says):
+        load_robot(path)
+
+
+def test_a_urdf_is_a_model_too(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="crank"><link name="base"/><link name="arm"><inertial><mass value="2"/>'
+        '<origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><joint name="turn" type="revolute"><parent link="base"/>'
+        '<child link="arm"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" '
+        'velocity="1"/></joint></robot>'
+    )
+    robot = load_robot(path)
+    assert robot.joints == ("turn",)
+    assert robot.bodies == ("arm",)
+    assert robot.nominal().mass_kg == pytest.approx([2.0])

@@ -1,0 +1,65 @@
+"""Robots with something hidden, and the protocol that they are recorded on."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from two_link import write_model
+from verdict_cases import verdict_of
+
+from cablesense_gap.scoring import Answer, read_answers, score
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import Channel
+from cablesense_robot import withholding
+from cablesense_robot.inverse import inverse_dynamics
+from cablesense_robot.model import RobotError, load_robot
+from cablesense_robot.protocol import next_experiment, standard_protocol
+from cablesense_robot.smoothing import derivatives, smoothed
+
+
+@pytest.fixture
+def robot(tmp_path):
+    return load_robot(write_model(tmp_path))
+
+
+def test_the_protocol_moves_every_joint_alone_and_all_at_once(robot):
+    blocks = standard_protocol(robot)
+    alone = [np.ptp(b.position, axis=0) > 1e-9 for b in blocks if b.kind != "all joints"]
+    assert [list(moved) for moved in alone] == [[True, False]] * 2 + [[False, True]] * 2
+    assert all((np.ptp(b.position, axis=0) > 0.5).all() for b in blocks if b.kind == "all joints")
+
+
+def test_the_next_experiment_moves_the_joint_in_question(robot):
+    asked = next_experiment(
+        robot, [{Term("joint_friction", "shoulder", "torque_n_m"): 0.1}], np.array([0.1, 0.01])
+    )
+    assert "shoulder alone" in asked or "all joints" in asked
+    assert "0.7 floors" in asked  # one of two joints has a floor's size of friction all the time
+
+
+@pytest.mark.slow  # steps a robot through time
+def test_forward_and_inverse_dynamics_agree_on_what_is_recorded(tmp_path, robot, monkeypatch):
+    short = [b for b in standard_protocol(robot) if b.kind == "all joints"][:1]
+    monkeypatch.setattr(withholding, "standard_protocol", lambda _: short)
+    answers = tmp_path / "answers.csv"
+    hidden = list(withholding.withhold(tmp_path, answers, robot, 1, 3, ["none"]))
+    assert hidden[0].effects == "none"
+    table = pd.read_csv(tmp_path / "case_001.csv")
+    position = smoothed(table[["position.shoulder", "position.elbow"]].to_numpy(), 100.0, 8.0)
+    needed = inverse_dynamics(robot.model, position, *derivatives(position, 100.0))
+    left = (table[["torque.shoulder", "torque.elbow"]].to_numpy() - needed)[50:-50]
+    size = np.sqrt((needed**2).mean(0))
+    assert (np.sqrt((left**2).mean(0)) < 0.06 * size).all()  # noise and workshop
+    assert read_answers(answers) == (Answer("case_001", ("none",)),)
+
+
+def test_what_cannot_be_hidden_is_refused(tmp_path, robot):
+    with pytest.raises(RobotError, match="'magic' cannot be hidden; valid: none, unknown"):
+        list(withholding.withhold(tmp_path, tmp_path / "a.csv", robot, 1, 0, ["magic"]))
+
+
+def test_places_of_a_robot_are_scored_by_its_own_names(tmp_path):
+    answers = tmp_path / "answers.csv"
+    answers.write_text("recording,effects,where\na,joint_coupling,wrist-2_into_wrist-1\n")
+    channels = {"wrist-1": Channel(unit="N·m", before=1.0, after=0.1, floor=0.1)}
+    said = verdict_of("joint_coupling", joints=("wrist-2",), channels=channels)
+    assert score({"a": said}, read_answers(answers)).where.hits == 1
