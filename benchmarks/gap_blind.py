@@ -29,24 +29,21 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.arm_simulator import counted_rows
-from cablesense_gap.pipeline import Diagnosis, diagnose
+from cablesense_gap.pipeline import diagnose
 from cablesense_gap.plant.body import read_nominal
 from cablesense_gap.plant.withhold import Answer, draw_kinds, draw_several, withhold
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import Answer as Case
 from cablesense_gap.scoring import as_json, read_answers, score
-from cablesense_gap.settling import settled
+from cablesense_gap.settling import removed_on
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
     Verdict,
     read_verdict,
-    removed_fraction,
     write_verdict,
 )
 from cablesense_sim.arm import find_arm, open_arm
-from cablesense_sim.replay import replay_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -143,23 +140,11 @@ def _diagnosed(path: Path, until: float) -> tuple[Verdict, float] | None:
         arm = open_arm(ARM)
         diagnosis = diagnose(read_recording(path, arm), arm)
         write_verdict(kept, diagnosis.verdict)
-        beside.write_text(json.dumps(_removed_on(path.parent / "second" / path.name, diagnosis)))
+        again = read_recording(path.parent / "second" / path.name, arm)
+        floor_n = diagnosis.verdict.gap.floor_n
+        removed = removed_on(again, arm, diagnosis.amended, SETTLED_ROWS, floor_n)
+        beside.write_text(json.dumps(removed))
     return read_verdict(kept), json.loads(beside.read_text())
-
-
-def _removed_on(path: Path, diagnosis: Diagnosis) -> float:
-    recording = read_recording(path, diagnosis.nominal)
-    nominal_n, amended_n = (
-        replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
-        for arm in (diagnosis.nominal, settled(diagnosis.amended, recording, SETTLED_ROWS))
-    )
-    judged = counted_rows(diagnosis.nominal, recording, nominal_n)
-    judged[:SETTLED_ROWS] = False
-    before_n, after_n = (
-        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
-        for each in (nominal_n, amended_n)
-    )
-    return removed_fraction(before_n, after_n, diagnosis.verdict.gap.floor_n)
 
 
 def _second(removed: dict[str, float], truth: Sequence[Case]) -> dict[str, object]:

@@ -11,7 +11,15 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_folder, write_atomically
-from cablesense_cli.options import ForceOption, JsonOption, OptionError, print_json, task_bars
+from cablesense_cli.options import (
+    ForceOption,
+    JsonOption,
+    NominalArmOption,
+    OptionError,
+    RecordingArgument,
+    print_json,
+    task_bars,
+)
 
 if TYPE_CHECKING:
     from cablesense_gap.adaptation import Adaptation
@@ -21,16 +29,12 @@ ADAPTED_MODEL = "estimator.onnx"
 
 
 def adapt(
-    recording: Annotated[
-        Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
-    ],
+    recording: RecordingArgument,
     out: Annotated[
         Path,
         typer.Option(help="Folder for what `gap diagnose` writes, and for estimator.onnx."),
     ],
-    arm: Annotated[
-        str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
-    ] = "cdsm_lab",
+    arm: NominalArmOption = "cdsm_lab",
     model: Annotated[
         str | None,
         typer.Option(

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
 from cablesense_cli.adapt import adapt
+from cablesense_cli.blind import score, withhold
 from cablesense_cli.gap_robot import (
     BandwidthOption,
     ModelOption,
     diagnose_robot,
     predict_robot,
     print_robot_protocol,
-    withhold_robots,
 )
 from cablesense_cli.options import (
     DurationOption,
     ForceOption,
     JsonOption,
+    NominalArmOption,
+    RecordingArgument,
     RecordingFile,
     print_json,
     refuse_given,
@@ -31,23 +32,14 @@ from cablesense_cli.options import (
     titled_table,
 )
 
-if TYPE_CHECKING:
-    from cablesense_gap.scoring import Score
-
-
-_Recording = Annotated[Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")]
-_NominalArm = Annotated[
-    str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
-]
-
 
 def diagnose(
     context: typer.Context,
-    recording: _Recording,
+    recording: RecordingArgument,
     out: Annotated[
         Path, typer.Option(help="Folder for verdict.json, report.html and amended_arm.yaml.")
     ],
-    arm: _NominalArm = "cdsm_lab",
+    arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
@@ -103,7 +95,7 @@ def diagnose(
 
 def predict(
     context: typer.Context,
-    recording: _Recording,
+    recording: RecordingArgument,
     out: Annotated[Path, typer.Option(help="CSV file for the recording's rows as predicted.")],
     arm: Annotated[
         str,
@@ -180,7 +172,7 @@ def predict(
 
 def protocol(
     context: typer.Context,
-    arm: _NominalArm = "cdsm_lab",
+    arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     out: Annotated[
         Path | None,
@@ -272,132 +264,6 @@ def record(
     nominal = solve_equilibrium(mechanism_of(description), used.command_rad, used.forces_n)
     for finding in check_recording(recording, description, nominal.tensions_n, rows):
         console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
-
-
-def score(
-    verdicts: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR_OF_VERDICTS",
-            help="Holds RECORDING/verdict.json, or RECORDING.json, for each row of the answers.",
-        ),
-    ],
-    answers: Annotated[
-        Path, typer.Option(help="CSV with recording, effects joined by +, and where.")
-    ],
-    json_output: JsonOption = False,
-) -> None:
-    """Score verdicts against answers: what was named right, how sure, how calibrated.
-
-    Example: cablesense gap score verdicts --answers answers.csv --json
-    """
-    from cablesense_gap.scoring import as_json, read_answers, read_verdicts
-    from cablesense_gap.scoring import score as score_verdicts
-
-    listed = read_answers(answers)
-    found = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
-    if json_output:
-        print_json(as_json(found))
-        return
-    _print_score(found, Console())
-
-
-_SHARES = {
-    "exact": "exact",
-    "truth among the two most probable": "top2",
-    "truth named or in the ambiguity group": "truth_in_group",
-    "one effect: exact": "singles_exact",
-    "one effect, gap at least 5 floors: exact": "clear_singles_exact",
-    "two effects: both named": "doubles_both",
-    "two effects: at least one named": "doubles_one",
-    "none: false alarms": "false_alarms",
-    "unknown: recognised": "unknown_recall",
-    "right places, of correct verdicts": "where",
-}
-
-
-def _print_score(found: Score, console: Console) -> None:
-    headings = ("statistic", "value", "95 % interval", "cases")
-    table = titled_table(f"{found.cases} verdicts", *headings)
-    shares = {name: getattr(found, field) for name, field in _SHARES.items()}
-    shares |= {
-        "effects of at least 5 floors: named": found.budgets.named,
-        "names given that are false": found.budgets.false_names,
-        "shares within a third of the truth": found.budgets.shares,
-    }
-    shares |= {f"exact, {effect}": share for effect, share in found.by_effect.items()}
-    for name, share in shares.items():
-        if share.value is None:
-            table.add_row(name, "–", "", "0")
-            continue
-        low, high = share.ci95
-        interval, cases = f"{low:.0%} to {high:.0%}", f"{share.hits} of {share.count}"
-        table.add_row(name, f"{share.value:.1%}", interval, cases)
-    for name, value in (
-        ("removable gap removed, median of correct verdicts", found.median_removed_fraction),
-        ("mean probability on the truth", found.mean_probability_on_truth),
-        ("Brier score of the verdicts", found.reliability.brier),
-        ("expected calibration error", found.reliability.expected_error),
-    ):
-        table.add_row(name, "–" if value is None else f"{value:.3f}", "", str(found.cases))
-    console.print(table)
-    confusion = titled_table("confusion", "truth", "verdicts")
-    for truth, named in found.confusion.items():
-        counts = sorted(named.items(), key=lambda pair: (pair[0] != truth, -pair[1], pair[0]))
-        confusion.add_row(truth, ", ".join(f"{count} × {name}" for name, count in counts))
-    console.print(confusion)
-
-
-def withhold(
-    context: typer.Context,
-    count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
-    out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
-    seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
-    arm: _NominalArm = "cdsm_lab",
-    model: ModelOption = None,
-    answers: Annotated[
-        Path | None, typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv.")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Hide only this: none, unknown, an effect's name, or several joined by +. "
-            "Repeatable; they come in turn."
-        ),
-    ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
-    force: ForceOption = False,
-) -> None:
-    """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
-
-    The arms come from a plant that shares no code with the simulator or the diagnosis. Every arm
-    has manufacturing tolerances; a fifth hides nothing more, a fifth something that no verdict
-    has a name for, some two effects at once.
-
-    Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
-    [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
-    """
-    answers_file = answers or out / "answers" / "answers.csv"
-    if model is not None:
-        refuse_given(context, ["arm", "workers"], "with --model")
-        withhold_robots(model, out, answers_file, count, seed, only or [], force=force)
-        return
-    from rich.progress import track
-
-    from cablesense_gap.plant.body import read_nominal
-    from cablesense_gap.plant.withhold import withhold as make
-    from cablesense_sim.arm import find_arm
-
-    arm_file = find_arm(arm)
-    output_folder(out, ("case_*.csv",), force=force, inputs=(arm_file,))
-    output_folder(
-        answers_file.parent, (escape(answers_file.name),), force=force, inputs=(arm_file,)
-    )
-    console = Console()
-    made = make(out, answers_file, read_nominal(arm_file), count, seed, tuple(only or ()), workers)
-    for _ in track(made, description="Recording", total=count, console=console):
-        pass
-    console.print(f"{count} recordings in {out}, what is hidden in {answers_file}", soft_wrap=True)
 
 
 gap = typer.Typer(

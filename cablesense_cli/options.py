@@ -16,6 +16,12 @@ from rich.table import Table
 from cablesense_base import CableSenseError
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
+NominalArmOption = Annotated[
+    str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
+]
+RecordingArgument = Annotated[
+    Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")

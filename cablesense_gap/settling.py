@@ -11,11 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.arm_simulator import ArmSimulator, counted_rows
+from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.verdict import removed_fraction
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.replay import replay_arm
 
 _PRIOR = 0.05
 """Of the floor: a state that the first rows do not show stays where nothing is known of it."""
@@ -51,6 +53,34 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
         left, begin, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_MOST_TRIALS
     )
     return _begun(arm, states, found.x * typical)
+
+
+def removed_on(
+    recording: Recording, nominal: Arm, amended: Arm, rows: int, floor_n: float
+) -> float:
+    """The share of the removable gap that an amended arm removes on a new recording of it.
+
+    Its state is estimated from the first `rows`, which do not count.
+
+    Raises:
+        RecordingError: no rows are left to count.
+        EquilibriumError: an arm finds no rest.
+    """
+    nominal_n, amended_n = (
+        replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+        for arm in (nominal, settled(amended, recording, rows))
+    )
+    judged = counted_rows(nominal, recording, nominal_n)
+    judged[:rows] = False
+    if not judged.any():
+        raise RecordingError(
+            f"{recording.name}: no rows are left to judge behind the first {rows}; settle on fewer"
+        )
+    before_n, after_n = (
+        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
+        for each in (nominal_n, amended_n)
+    )
+    return removed_fraction(before_n, after_n, floor_n)
 
 
 def _states(arm: Arm) -> list[tuple[int, Parameter]]:

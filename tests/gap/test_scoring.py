@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_cli.app import app
+from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
+from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.scoring import (
     Answer,
     ScoreError,
@@ -22,6 +26,8 @@ from cablesense_gap.scoring import (
     score,
 )
 from cablesense_gap.verdict import Share, VerdictError, write_verdict
+from cablesense_sim.arm import ListedEffect
+from cablesense_sim.replay import replay_arm
 
 HEADER = "recording,effects,where\n"
 
@@ -108,6 +114,32 @@ def test_the_verb_prints_a_table_or_json(tmp_path):
     figures = json.loads(result.stdout)
     assert figures["exact"]["value"] == 0.5
     assert figures["confusion"]["sensor_lag"] == {"none": 1}
+
+
+def test_what_is_removed_on_a_second_recording_is_scored_behind_the_settled_rows(tmp_path):
+    recording = small_recording(peak_n=25.0)
+    play = {"play_m": 2e-4, "start": -0.8}
+    loose = ListedEffect(effect="actuator_backlash", at="cable_5", parameters=play)
+    told = recording.time_s, recording.command_rad, recording.forces_n
+    read_n = replay_arm(LAB.model_copy(update={"effects": [loose]}), *told)
+    (tmp_path / "second").mkdir()
+    write_csv(tmp_path / "second" / "a.csv", replace(recording, tensions_n=read_n))
+    folder = tmp_path / "verdicts" / "a"
+    folder.mkdir(parents=True)
+    write_verdict(folder / "verdict.json", verdict_of("actuator_backlash"))
+    elsewhere = loose.model_copy(update={"parameters": {**play, "start": 0.9}})
+    write_arm(folder / AMENDED_ARM, LAB.model_copy(update={"effects": [elsewhere]}), "a test's")
+    (tmp_path / "answers.csv").write_text(HEADER + "a,actuator_backlash,cable_5\n")
+    command = ["gap", "score", f"{folder.parent}", "--answers", f"{tmp_path / 'answers.csv'}"]
+    second = ["--second", f"{tmp_path / 'second'}"]
+    settled = CliRunner().invoke(app, [*command, *second, "--settle", "30", "--json"])
+    again = json.loads(settled.stdout)["second_recording"]
+    assert (again["settled"], list(again["removed_fractions"])) == (30, ["a"])
+    table = CliRunner().invoke(app, [*command, *second])
+    assert table.exit_code == 0, table.output
+    assert "Counted from the first row on" in table.output
+    refused = CliRunner().invoke(app, [*command, "--settle", "30"])
+    assert "without --second" in str(refused.exception)
 
 
 RNG = np.random.default_rng(8)
