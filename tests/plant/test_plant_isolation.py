@@ -77,7 +77,7 @@ def test_only_the_verb_that_withholds_may_import_the_plant() -> None:
     contracts = tomllib.loads(text)["tool"]["importlinter"]["contracts"]
     (protecting,) = [c for c in contracts if PLANT in c.get("protected_modules", [])]
     assert protecting["type"] == "protected"
-    assert protecting["allowed_importers"] == ["cablesense_cli.gap"]
+    assert protecting["allowed_importers"] == ["cablesense_cli.blind"]
 
 
 OTHERS = ("cablesense_sim", "cablesense_training", "cablesense_ros", "cablesense_gap")
