@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
+from cablesense_gap.recordings.mcap_file import is_bag
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_robot.bag import bag_table
 from cablesense_robot.model import Robot
 
 MAX_FILE_BYTES = 500_000_000
@@ -58,28 +60,39 @@ class RobotRecording:
 
 
 def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
-    """Read a .csv or .csv.gz file, or a folder of them, each file with trials of its own.
+    """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
+
+    Each file of a folder has trials of its own.
 
     Raises:
         RecordingError: no such file, not CSV, a column missing or of another robot, a cell that
             is no number, degrees or milliseconds, or time that does not go on.
     """
     path = Path(path)
-    if path.is_dir():
-        files = sorted(f for f in path.iterdir() if f.name.endswith(_ENDINGS))
-        if not files:
-            raise RecordingError(f"{path}: holds no .csv and no .csv.gz file")
-    elif path.is_file():
-        files = [path]
+    if is_bag(path):
+        files, tables = [path], [bag_table(path, robot)]
     else:
-        raise RecordingError(f"{path}: no such file; give a .csv or .csv.gz file or a folder")
-    tables = [_table(file) for file in files]
+        files = _files(path)
+        tables = [_table(file) for file in files]
     parts = [_part(file, table, robot) for file, table in zip(files, tables, strict=True)]
     trials, notes = _trials(parts, tables)
     name = path.name if path.is_dir() else path.name.removesuffix(".gz").removesuffix(".csv")
     every = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     _check(path, robot, every, trials)
     return RobotRecording(name, trial=trials, notes=notes, **every)
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise RecordingError(
+            f"{path}: no such file; give a .csv, .csv.gz or .mcap file, or a folder"
+        )
+    files = sorted(f for f in path.iterdir() if f.name.endswith(_ENDINGS))
+    if not files:
+        raise RecordingError(f"{path}: holds no .csv and no .csv.gz file, and is no rosbag2")
+    return files
 
 
 def _table(path: Path) -> dict[str, Array]:

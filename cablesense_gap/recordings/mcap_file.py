@@ -226,7 +226,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     found: dict[str, str] = {}
     others: set[str] = set()
     try:
-        for raw in _raw_messages(path):
+        for raw in raw_messages(path):
             topic = raw.topic.rpartition("/")[2]
             if topic not in INPUTS:
                 others.add(raw.topic)
@@ -261,7 +261,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
         )
 
 
-def _raw_messages(path: Path) -> Iterator[RawMessage]:
+def raw_messages(path: Path) -> Iterator[RawMessage]:
     """Of a file, also one that breaks off; of a folder, its files in the order of their numbers.
 
     A folder without MCAP files is left to `rosbags`, which unpacks without bound.

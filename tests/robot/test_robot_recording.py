@@ -1,11 +1,15 @@
 """Recordings of robots: what is read, and what is refused in one line."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from two_link import recorded, write_model
 
+from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_msgs_py.topics import CABLE_TENSIONS
 from cablesense_robot.model import RobotError, load_robot
 from cablesense_robot.motion import prepared
 from cablesense_robot.recording import read_recording
@@ -77,6 +81,31 @@ def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, r
     # three are too few to hold some out, so each is cut
     assert whole.trial.max() + 1 >= 5
     assert "cut into" in whole.notes[0]
+
+
+def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
+    path, table = tmp_path / "run.mcap", table[::4]
+    names = ["elbow", "shoulder", "gripper"]  # of any order, and more than the model's
+    with BagWriter(path) as bag:
+        for k, row in enumerate(table.to_dict("records")):
+            bag.trial(2 * k + 1, int(row["trial"]))
+            stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
+            position, effort = (
+                [row[f"{kind}.elbow"], row[f"{kind}.shoulder"], 0.0]
+                for kind in ("position", "torque")
+            )
+            bag.joint_state(
+                CABLE_TENSIONS, 2 * k + 2, stamp_ns, names, position=position, effort=effort
+            )
+    by_csv, by_bag = read(tmp_path, table, robot), read_recording(path, robot)
+    assert by_bag.time_s == pytest.approx(by_csv.time_s)
+    assert by_bag.position == pytest.approx(by_csv.position)
+    assert by_bag.torque == pytest.approx(by_csv.torque)
+    assert (by_bag.trial == by_csv.trial).all()
+    other = tmp_path / "other.xml"
+    other.write_text(Path(robot.path).read_text().replace("elbow", "knee"))
+    with pytest.raises(RecordingError, match="with the joints shoulder, knee; it names elbow"):
+        read_recording(path, load_robot(other))
 
 
 def test_trials_are_parted_by_pauses(tmp_path, table, robot):
