@@ -83,6 +83,7 @@ def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, r
     assert "cut into" in whole.notes[0]
 
 
+@pytest.mark.slow  # loads the message types
 def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
     path, table = tmp_path / "run.mcap", table[::4]
     names = ["elbow", "shoulder", "gripper"]  # of any order, and more than the model's
