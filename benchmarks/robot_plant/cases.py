@@ -25,6 +25,7 @@ from robot_plant.motion import (
 )
 
 NONE = "none"
+_OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
 _FLOORS = (6.0, 40.0)
 """What a cause makes of the torques, by the noise of one sample."""
@@ -109,7 +110,7 @@ def draw_case(kind: Kind, names: list[str], seed: int, index: int) -> Case:
     draw = Draw(rng, kind, nominal, joints, links)
     causes: list[tuple[Cause, float, float]] = []
     for name in names:
-        taken = [c.effect for c, *_ in causes]
+        taken = [c for c, *_ in causes]
         causes.append(_sized(draw, name, taken, plain, asked[0], without, scatter))
     causes.sort(key=lambda each: each[0].effect)
     robot = plain
@@ -139,7 +140,7 @@ def draw_case(kind: Kind, names: list[str], seed: int, index: int) -> Case:
 def _sized(
     draw: Draw,
     name: str,
-    taken: list[str],
+    taken: list[Cause],
     plain: Hidden,
     asked: Reference,
     without: Array,
@@ -147,14 +148,17 @@ def _sized(
 ) -> tuple[Cause, float, float]:
     """A cause, a size that makes about the gap wanted, and that gap."""
     pool = LISTED if name in LISTED else UNLISTED
-    others = [n for n in pool if n not in taken and _can_show(draw, n)]
+    known = {cause.effect for cause in taken}
+    others = [n for n in pool if n not in known and _can_show(draw, n)]
     for attempt in range(_REDRAWS):
         stuck = attempt % _OF_ONE_NAME == _OF_ONE_NAME - 1
         if stuck or name not in others:
             name = str(draw.rng.choice(others))
         cause = pool[name](draw)
-        if draw.planar and (cause.effect, *cause.places) == ("joint_zero", draw.joints[0]):
-            continue  # the same as a tilt of the base
+        if cause.effect in _OF_LINKS and any(
+            other.effect in _OF_LINKS and other.places == cause.places for other in taken
+        ):
+            continue  # three names for one thing
         least = max(_FLOORS[0], _TOLERANCES * scatter)
         wanted = float(np.exp(draw.rng.uniform(*np.log((least, max(_FLOORS[1], 2.0 * least))))))
         size, gap = _size_for(draw.kind, cause, plain, asked, without, wanted)
@@ -164,7 +168,9 @@ def _sized(
 
 
 def _can_show(draw: Draw, name: str) -> bool:
-    return not (draw.planar and name == "base_tilt")
+    """Where all axes are parallel, a tilt is the first joint's zero; a zero turns a link's centre."""
+    indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)
+    return not (draw.planar and name in indistinct)
 
 
 def _size_for(

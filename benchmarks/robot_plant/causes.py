@@ -108,7 +108,7 @@ def _joint_friction(draw: Draw) -> Cause:
 
 def _load_friction(draw: Draw) -> Cause:
     weight = draw.weighted_joints()
-    return _by_joint(draw, "load_friction", "proportional", weight, 0.5, "1")
+    return _by_joint(draw, "load_friction", "proportional", weight, 0.3, "1")
 
 
 def _viscous_friction(draw: Draw) -> Cause:
@@ -178,7 +178,7 @@ def _joint_coupling(draw: Draw) -> Cause:
         return replace(robot, moved=moved)
 
     place = f"{draw.joints[drive]}_into_{draw.joints[joint]}"
-    return Cause("joint_coupling", "a drive moves two joints", apply, 0.8, "1", (place,))
+    return Cause("joint_coupling", "a drive moves two joints", apply, 0.3, "1", (place,))
 
 
 def _with_link(robot: Hidden, link: int, **values: Any) -> Hidden:
@@ -294,7 +294,7 @@ def _ceiling(draw: Draw) -> Cause:
         ceiling[joint] = most * np.exp(1.0 - size)
         return replace(robot, ceiling=ceiling)
 
-    return Cause(UNKNOWN, "torque_ceiling", apply, 4.0, "1", (draw.joints[joint],))
+    return Cause(UNKNOWN, "torque_ceiling", apply, 2.2, "1", (draw.joints[joint],))
 
 
 def _flexible_base(draw: Draw) -> Cause:

@@ -21,7 +21,7 @@ KINDS = {
             encoder_rad=2.0 * np.pi / 2**16,
             noise_n_m=np.array([0.2, 0.25, 0.15, 0.04, 0.04, 0.02]),
             rate_hz=250,
-            trial_s=5.0,
+            trial_s=4.0,
             gain_1_s2=600.0,
             drives=tuple(f"motor_{n + 1}" for n in range(6)),
         ),
