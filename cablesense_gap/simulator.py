@@ -37,12 +37,15 @@ class Candidate:
         places: where it can sit; `arm` for everywhere at once.
         parameters: its numbers in each place.
         history_dependent: whether readings then depend on the past: expensive to simulate.
+        against_motion: whether it turns round with the motion, as friction does, so that nothing
+            static imitates it.
     """
 
     effect: str
     places: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     history_dependent: bool = False
+    against_motion: bool = False
 
     def terms(self, place: str) -> tuple[Term, ...]:
         """Its numbers in one place."""

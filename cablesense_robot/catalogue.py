@@ -29,7 +29,12 @@ def known_effects() -> Mapping[str, Effect]:
 
 def candidate(effect: Effect, robot: Robot, scale: Scale) -> Candidate:
     """An effect as the search knows it."""
-    return Candidate(effect.name, effect.places(robot), effect.parameters(robot, scale))
+    return Candidate(
+        effect.name,
+        effect.places(robot),
+        effect.parameters(robot, scale),
+        against_motion=effect.against_motion,
+    )
 
 
 def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:

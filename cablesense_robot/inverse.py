@@ -46,8 +46,8 @@ class InverseDynamics:
             + (change.damping - nominal.damping) * speed
             + (change.stiffness - nominal.stiffness) * (position - self._robot.model.qpos_spring)
         )
-        rubbing = change.friction + change.load_friction * np.abs(transmitted)
-        at_drive = transmitted + rubbing * motion.direction
+        losses = np.exp(change.load_friction * motion.direction * np.sign(transmitted))
+        at_drive = transmitted * losses + change.friction * motion.direction
         if change.coupling.any():
             at_drive = at_drive + at_drive @ change.coupling
         if change.delay_s:

@@ -162,13 +162,13 @@ def _sized(
         least = max(_FLOORS[0], _TOLERANCES * scatter)
         wanted = float(np.exp(draw.rng.uniform(*np.log((least, max(_FLOORS[1], 2.0 * least))))))
         size, gap = _size_for(draw.kind, cause, plain, asked, without, wanted)
-        if gap >= _VISIBLE * least:
+        if gap >= _VISIBLE * least and size >= cause.least:
             return cause, size, gap
     raise ValueError(f"{draw.kind.name}: no {name} shows")
 
 
 def _can_show(draw: Draw, name: str) -> bool:
-    """Where all axes are parallel, a tilt is the first joint's zero; a zero turns a link's centre."""
+    """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre."""
     indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)
     return not (draw.planar and name in indistinct)
 

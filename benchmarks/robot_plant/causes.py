@@ -13,6 +13,8 @@ from robot_plant.hidden import Hidden, Kind
 
 UNKNOWN = "unknown"
 _TWO_PLACES = 0.25
+_TIMING_S = 0.002
+"""Tolerance of the time between torques and positions."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Cause:
         form: what it physically is.
         apply: the robot with it, at a size.
         most: largest size, in `unit`.
+        least: below it a size is none.
         places: joints or links; none for the whole robot.
     """
 
@@ -34,6 +37,7 @@ class Cause:
     unit: str
     places: tuple[str, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
+    least: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -150,7 +154,8 @@ def _torque_offset(draw: Draw) -> Cause:
 
 
 def _torque_delay(draw: Draw) -> Cause:
-    return Cause("torque_delay", "torques late", _added("delay_s", np.array(1.0)), 0.04, "s")
+    late = _added("delay_s", np.array(1.0))
+    return Cause("torque_delay", "torques late", late, 0.04, "s", least=3.0 * _TIMING_S)
 
 
 def _base_tilt(draw: Draw) -> Cause:

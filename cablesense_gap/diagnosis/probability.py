@@ -47,8 +47,9 @@ PARALLEL = 0.75
 _SLIGHT = 1e-6
 _SEVERAL = 3
 _UNEXPLAINED, _OUTWEIGHED = 0.4, 0.7
-"""Share of the gap that may stay beside several effects, and beside one that depends on history:
-no static effect makes loading and unloading differ, so what it explains, none imitates."""
+"""Share of the gap that may stay beside several effects, and beside one that depends on history or
+turns round with the motion: no static effect makes loading and unloading differ, so what it
+explains, none imitates."""
 _BORNE_OUT = 1.6
 """A named effect's part must be about as large as all that stays unexplained."""
 
@@ -127,8 +128,8 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     """The explanations, first the one that the verdict names.
 
     The most probable one, unless that is an unlisted effect although listed ones are borne out,
-    several or one that depends on history, that explain more than they leave: then what they leave
-    is unexplained, and stated beside them.
+    several, or one that depends on history or turns round with the motion, that explain more than
+    they leave: then what they leave is unexplained, and stated beside them.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
@@ -154,7 +155,8 @@ def _outweighs(
         excess(left[effects].held_out_rmse ** 2, problem.floor)
         for effects in (("none",), one.effects)
     )
-    past = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+    candidates = problem.simulator.candidates
+    past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
     if past.isdisjoint(ratios):
         enough = len(ratios) >= _SEVERAL and rest <= _UNEXPLAINED * gap
     else:

@@ -57,6 +57,7 @@ class Effect:
         advice: what someone at the robot can check or do about it.
         tolerance: whether it is what a workshop leaves, fitted beside all others and no cause.
         in_model: whether an MJCF can say it.
+        against_motion: whether it turns round with the motion, whatever the speed.
     """
 
     name: ClassVar[str]
@@ -65,6 +66,7 @@ class Effect:
     advice: ClassVar[str] = ""
     tolerance: ClassVar[bool] = False
     in_model: ClassVar[bool] = True
+    against_motion: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Where it can sit: joints, bodies, or `arm` for the whole robot."""

@@ -12,6 +12,7 @@ class JointFriction(Effect):
     name = "joint_friction"
     about = "dry friction"
     advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
+    against_motion = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         most = 3.0 * scale.typical_torque

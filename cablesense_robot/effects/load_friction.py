@@ -7,7 +7,10 @@ from cablesense_robot.model import Change, Robot
 
 
 class LoadFriction(Effect):
-    """A torque against the motion, in proportion to what the joint transmits, as of gears."""
+    """A drive gives e^share times what the joint transmits, and where it brakes e^-share times.
+
+    So do gears, and cables over guides by Euler's law, share being friction times wrap angle.
+    """
 
     name = "load_friction"
     about = "friction that grows with the load"
@@ -15,9 +18,10 @@ class LoadFriction(Effect):
         "Check gears, screws, and cables over guides: their losses grow with what they transmit."
     )
     in_model = False
+    against_motion = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 0.9, 0.05, "of the transmitted torque", 0.0),)
+        return (size("share", "1", 0.9, 0.05, "logarithm of the loss", 0.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.load_friction[at] += values["share"]

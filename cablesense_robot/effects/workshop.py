@@ -62,7 +62,7 @@ class DriveTolerance(Effect):
 
 
 class TimingTolerance(Effect):
-    """Torques later than positions, or earlier, by 2 ms: filters and buses."""
+    """Torques later than positions, or earlier, by 2 ms, at most 5: filters and buses."""
 
     name = "timing_tolerance"
     about = "tolerances of timing"
@@ -73,7 +73,7 @@ class TimingTolerance(Effect):
         return (WHOLE_ARM,)
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("time_s", "s", 0.02, 0.002, "torques later than positions"),)
+        return (size("time_s", "s", 0.005, 0.002, "torques later than positions"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.delay_s += values["time_s"]

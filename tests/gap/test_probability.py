@@ -264,11 +264,16 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
 
 
 @pytest.mark.parametrize(
-    ("history_dependent", "leaves", "told"),
-    [(True, 2.0, ("a",)), (True, 2.4, UNKNOWN), (False, 2.0, UNKNOWN)],
+    ("differs", "leaves", "told"),
+    [
+        ("history_dependent", 2.0, ("a",)),
+        ("history_dependent", 2.4, UNKNOWN),
+        ("against_motion", 2.0, ("a",)),
+        (None, 2.0, UNKNOWN),
+    ],
 )
-def test_what_one_effect_makes_of_the_past_is_no_imitation(history_dependent, leaves, told):
-    candidate = Candidate("a", ("arm",), (), history_dependent=history_dependent)
+def test_what_one_effect_makes_of_past_and_direction_is_no_imitation(differs, leaves, told):
+    candidate = Candidate("a", ("arm",), (), **({differs: True} if differs else {}))
     problem = problem_of(Sums({candidate: lambda _: 0.0 * ONE}), {})
     hypotheses = [leaving(3.0), leaving(leaves, "a")]
     found = named(problem, posterior(hypotheses, FLOOR, BUNDLED), BUNDLED)
