@@ -65,7 +65,7 @@ def diagnose(
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
-    from cablesense_gap.report.text import headline
+    from cablesense_gap.report.text import earlier_sentence, headline
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -88,6 +88,8 @@ def diagnose(
         print_json(found.verdict.model_dump(mode="json", exclude_none=True))
         return
     console.print(headline(found.verdict), soft_wrap=True)
+    for earlier in found.verdict.earlier:
+        console.print(earlier_sentence(earlier), soft_wrap=True, highlight=False)
     if len(found.recording) < len(recorded):
         console.print(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

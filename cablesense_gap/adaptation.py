@@ -113,7 +113,7 @@ def adapt_to(
     command: str,
 ) -> Adaptation:
     """What follows in `adapt` from a diagnosis that has not seen some trials."""
-    estimator = open_estimator(first, found.nominal)
+    estimator = open_estimator(first)
     before, after, better = recorded_errors(recording, estimator, unseen), None, False
     if found.verdict.shares:
         seen = recording.rows(~np.isin(recording.trial, unseen))

@@ -35,6 +35,7 @@ from cablesense_gap.diagnosis.problem import (
     to_scaled,
 )
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.earlier import GoingOn, going_on, listed_values, without_effects
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable, stiffness_findings
 from cablesense_gap.recordings.recording import Recording
@@ -45,6 +46,7 @@ from cablesense_gap.unlisted import describe_unlisted
 from cablesense_gap.verdict import (
     UNKNOWN,
     CandidateResult,
+    Earlier,
     Estimate,
     Gap,
     Verdict,
@@ -121,6 +123,9 @@ def diagnose(
     with each problem of the recording before the search begins. The readings of the trials
     `unseen` are only checked: neither the search nor any figure of the verdict has them.
 
+    Of effects that the arm file lists it is said what of them stands, and the diagnosis goes on
+    from these, with the numbers that this recording gives them (`earlier`).
+
     Raises:
         RecordingError: the recording cannot be used.
         EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
@@ -131,6 +136,10 @@ def diagnose(
     rows = rows_to_use(whole)
     recording = whole if len(rows) == len(whole) else whole.rows(rows)
     progress("predicting the nominal arm", 0.0)
+    earlier: tuple[Earlier, ...] = ()
+    if listed_values(arm):
+        progress("judging what the arm file lists", 0.0)
+        arm, earlier = _going_on(arm, recording, unseen)
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
     if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
@@ -171,6 +180,7 @@ def diagnose(
         where=where(values, tuple(regimes(parts))),
         parameters=estimates(values, explained.deviations, simulator.candidates),
         shares=shares(problem, ranked, values),
+        earlier=earlier,
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
@@ -202,6 +212,14 @@ def diagnose(
         counted=used,
         findings=tuple(finding.text for finding in findings),
     )
+
+
+def _going_on(arm: Arm, recording: Recording, unseen: Collection[int]) -> GoingOn:
+    simulator = ArmSimulator(without_effects(arm), recording)
+    nominal = simulator.predict([{}])[0]
+    if not np.isfinite(nominal).all():  # an arm that stands by what it lists
+        return GoingOn(arm, ())
+    return going_on(problem_of(recording, simulator, nominal, unseen), arm)
 
 
 def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:

@@ -166,6 +166,24 @@ class Estimator(FilePart):
     trials: tuple[int, ...] = ()
 
 
+class Earlier(FilePart):
+    """An effect that the arm file listed, as an earlier diagnosis found it, judged anew.
+
+    Attributes:
+        places: where; empty for the whole arm.
+        outcome: whether it is borne out with about the numbers that it had, with other sizes, or
+            no longer.
+        was: its numbers in the arm file, by `parameter` or `place.parameter`.
+        now: as this recording has them; none where it is not needed.
+    """
+
+    effect: Name
+    places: tuple[str, ...] = ()
+    outcome: Literal["stands", "changed", "not needed"]
+    was: dict[str, float] = Field(default_factory=dict)
+    now: dict[str, Estimate] = Field(default_factory=dict)
+
+
 class Verdict(FilePart):
     """What causes the gap, where, how sure that is, and how far the gap shrinks.
 
@@ -176,6 +194,8 @@ class Verdict(FilePart):
             one explanation are joined by `+`.
         next_experiment: what to record next, in plain text.
         shares: of each effect named.
+        earlier: effects that the arm file listed, and what of them still stands; those of this
+            verdict are beside them.
         tolerances_n: RMS by which manufacturing tolerances, as fitted, change predictions.
         unexplained_n: RMS beyond the floor that is left on trials that the fit has not seen.
         unexplained_share: of the nominal arm's gap beyond the floor.
@@ -201,6 +221,7 @@ class Verdict(FilePart):
     parameters: dict[ParameterName, Estimate] = Field(default_factory=dict)
     gap: Gap
     shares: dict[Name, Share] = Field(default_factory=dict)
+    earlier: tuple[Earlier, ...] = ()
     tolerances_n: Newtons | None = None
     unexplained_n: Newtons | None = None
     unexplained_share: Probability | None = None

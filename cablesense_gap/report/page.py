@@ -32,6 +32,7 @@ from cablesense_gap.report.text import (
     SURE,
     candidate_name,
     cause,
+    earlier_sentence,
     effect_advice,
     effect_places,
     headline,
@@ -121,7 +122,9 @@ def report_page(
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
     }
-    filters: dict[str, Any] = {made.__name__: made for made in (newtons, percent, listed)}
+    filters: dict[str, Any] = {
+        made.__name__: made for made in (newtons, percent, listed, earlier_sentence)
+    }
     return rendered("cablesense_gap.report", "report.html", content, filters)
 
 

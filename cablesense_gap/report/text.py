@@ -6,7 +6,7 @@ import re
 from typing import NamedTuple
 
 from cablesense_gap.report.style import newtons, percent, with_interval
-from cablesense_gap.verdict import NONE, UNKNOWN, Estimate, Verdict, listed
+from cablesense_gap.verdict import NONE, UNKNOWN, Earlier, Estimate, Verdict, listed
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import known_effects
@@ -34,6 +34,24 @@ def headline(verdict: Verdict) -> str:
     causes = ", and from ".join(cause(verdict, name) for name in verdict.effects)
     probably = "" if verdict.probability >= SURE else " probably"
     return f"The gap{probably} comes from {causes} ({sure} sure)."
+
+
+_OUTCOMES = {
+    "stands": "still borne out, with about the same numbers",
+    "changed": "still borne out, with other numbers",
+    "not needed": "no longer needed: held-out trials are predicted as well without it",
+}
+
+
+def earlier_sentence(earlier: Earlier) -> str:
+    """What of one effect that the arm file listed still stands."""
+    name = earlier.effect.replace("_", " ") + _at(earlier.places)
+    numbers = [
+        f"{key} {estimate.value:.3g} {estimate.unit} (was {earlier.was[key]:.3g})"
+        for key, estimate in earlier.now.items()
+    ]
+    after = f": {', '.join(numbers)}" if numbers and earlier.outcome == "changed" else ""
+    return f"The arm file's {name} is {_OUTCOMES[earlier.outcome]}{after}."
 
 
 def cause(verdict: Verdict, name: str) -> str:
