@@ -220,6 +220,7 @@ class CableChains:
                 tensions = held + self._stiffness_n_m * _gained(passed)
                 bent, _ = self._bent(passed)
                 slips = np.where(rigid, np.sign(passed), np.sign(bent) * (np.abs(bent) >= 1.0))
+                slips = np.where(free, slips, 0.0)
             last, before = passed, slips
             rows = self._rows(free, slips, passed, tensions, limit)
             passed = rows.solved(held)

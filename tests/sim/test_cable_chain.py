@@ -97,16 +97,15 @@ def histories(draw):
     """A cable, and changes of its pieces' lengths that slacken it now and then."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(2, 5))
-    give = draw(st.sampled_from([0.0, 1e-6, 2e-5]))
+    give = draw(st.sampled_from([0.0, 2e-7, 1e-6, 2e-5]))
     rounding = draw(st.sampled_from([0.0, 0.5, 0.95]))
     compliance = 10.0 ** rng.uniform(-7.0, -5.0, (8, count))
     compliance[:4, draw(st.integers(2, count)) :] = 0.0
     lengths = np.zeros_like(compliance)
     lengths[:, 0] = 50.0 * compliance.sum(-1)
-    limit = rng.uniform(0.0, 0.5, (8, count - 1))
-    cable = CableChains(
-        compliance, lengths, limit, rng.uniform(-1, 1, limit.shape), give, rounding
-    )
+    limit = rng.uniform(0.0, 0.5, (8, count - 1)) * draw(st.sampled_from([1.0, 1e-3]))
+    share = np.clip(rng.uniform(-2.0, 2.0, limit.shape), -1.0, 1.0)
+    cable = CableChains(compliance, lengths, limit, share, give, rounding)
     steps = rng.normal(0.0, 20.0, (12, *compliance.shape)) * compliance
     return cable, compliance, lengths, limit, steps, give
 
