@@ -230,14 +230,13 @@ def _cleared(torque: Array) -> Array:
 
 
 def _of_power(signals: Sequence[Array], rate_hz: float) -> float:
-    """The frequency up to which torques are compared."""
-    frequency, densities = smoothing.mean_spectrum([np.nan_to_num(s) for s in signals], rate_hz)
-    power = np.cumsum(densities, axis=0)
-    whole = power[-1]
+    """The frequency up to which torques are compared; their noise has no part in it."""
+    known = [np.nan_to_num(signal) for signal in signals]
+    frequency, density = smoothing.mean_spectrum(known, rate_hz)
+    noise = np.mean([smoothing.noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
+    power = np.cumsum(np.maximum(density - 2.0 * noise, 0.0), axis=0)
     reached = [
-        frequency[np.searchsorted(own, _POWER_SHARE * own[-1])]
-        for own, all_ in zip(power.T, whole, strict=True)
-        if all_ > 0.0
+        frequency[np.searchsorted(own, _POWER_SHARE * own[-1])] for own in power.T if own[-1] > 0.0
     ]
     return _HARMONICS * max(reached, default=smoothing.LEAST_HZ)
 

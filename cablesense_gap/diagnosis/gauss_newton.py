@@ -73,7 +73,7 @@ def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothes
     The search takes them linear about the nominal mechanism, which is near enough to choose by.
     The problem with these tolerances is given too.
     """
-    if not hypothesis.values:
+    if not hypothesis.values or not problem.tolerance_terms:
         return hypothesis, problem
     base = {**hypothesis.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
