@@ -1,8 +1,9 @@
 """Several effects at once: effects are added, exchanged and left out, all numbers fitted together.
 
-Every step is linear about what was found so far, and judged on held-out trials; the simulator
-itself then fits what is promising. An effect stays only where leaving it out makes held-out trials
-worse by more than chance over the trials.
+Effects are added linear about what was found so far, as long as each helps a little on held-out
+trials: of four alike, the first takes away an eighth of what is left, and the last all of it. The
+simulator itself then fits them all, and only then each must be worth its place: it stays where
+leaving it out makes held-out trials worse by more than chance over the trials.
 """
 
 from __future__ import annotations
@@ -15,7 +16,12 @@ import numpy as np
 
 from cablesense_gap.diagnosis.gauss_newton import refit
 from cablesense_gap.diagnosis.places import LinearEffect, Placing, linear_effects, place
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
+from cablesense_gap.diagnosis.problem import (
+    Hypothesis,
+    Problem,
+    prior_precision,
+    to_scaled,
+)
 from cablesense_gap.diagnosis.screening import Offered, Screened, screen_pairs
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_sim.effects.effect import WHOLE_ARM
@@ -30,6 +36,9 @@ _PROMISING = 2.0
 _STEPS_AGAIN = 3
 _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
+_FURTHER_WORTH = 1.03
+_HELPS = 1.02
+_MOST_ADDED = 14
 _ELSEWHERE = 0.04
 """Power of the number of places among which one is chosen."""
 _SIZE_WORTH = 1.005
@@ -65,13 +74,15 @@ class JointSelection:
             if enough(best):
                 break
             offered = self._offered(best)
-            better = self._best_of(self._added(best, offered), best)
+            better = self._best_of(self._grown(best, offered), best)
+            if better is None:
+                better = self._best_of(self._added(best, offered), best)
             if better is None and exchanges < _MOST_EXCHANGES:
                 exchanges += 1
                 better = self._best_of(self._exchanged(best, offered), best)
             if better is None:
                 break
-            best = self._without_idle(better)
+            best = better
             yield best
 
     def _offered(self, about: Hypothesis) -> Offered:
@@ -87,6 +98,43 @@ class JointSelection:
             for c, shapes in zip(self._candidates, linear, strict=True)
             if c.effect not in whole
         }
+
+    def _grown(self, beside: Hypothesis, offered: Offered) -> list[Screened]:
+        """Effects and places added one by one, as long as each helps."""
+        sites = [
+            (effect, k, linear)
+            for effect, shapes in offered.items()
+            for k, every in enumerate(shapes)
+            for linear in every
+        ]
+        if not sites:
+            return []
+        residual = self._problem.readings - beside.without_tolerances
+        placing = Placing(self._problem, residual, beside.columns, [s[2] for s in sites])
+
+        def is_left(k: int, chosen: Sequence[int]) -> bool:
+            effect, shape, linear = sites[k]
+            same = [sites[c] for c in chosen if sites[c][0] == effect]
+            names = {*beside.effects, *(sites[c][0] for c in chosen)}
+            whole = WHOLE_ARM in (linear.place, *(other.place for *_, other in same))
+            return (
+                k not in chosen
+                and (effect in names or len(names) < _MOST_EFFECTS)
+                and all(shape == begun and not whole for _, begun, _ in same)
+            )
+
+        def worth(more: Sequence[int]) -> float:
+            return _HELPS * _SIZE_WORTH ** sum(len(sites[k][2].probed) for k in more)
+
+        chosen: list[int] = []
+        left = placing.left(chosen)
+        while len(chosen) < _MOST_ADDED:
+            rest = [[k] for k in range(len(sites)) if is_left(k, chosen)]
+            further, penalised = placing.best(chosen, rest, worth)
+            if penalised >= left:
+                break
+            chosen, left = further, placing.left(further)
+        return [Screened(placing.placed(chosen), beside)] if chosen else []
 
     def _added(self, beside: Hypothesis, offered: Offered, *, two: bool = True) -> list[Screened]:
         """One effect or two in their best places, or in further ones, beside what is there."""
@@ -114,11 +162,15 @@ class JointSelection:
         """The best of the most promising, fitted; None where none is worth it."""
         before = self._judged(than)
         least = min(map(self._forecast, screened[:1]), default=np.inf)
-        most = min(before, _PROMISING * least)
-        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= most]
+        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= _PROMISING * least]
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
+        smaller = [values for h in fitted if len(values := self._pruned(h)) < len(h.values)]
+        fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
         best = min(fitted, key=self._judged, default=None)
-        return best if best is not None and self._judged(best) < before else None
+        if best is None or self._judged(best) >= before:
+            return None
+        best = self._without_idle(best)
+        return best if self._judged(best) < before else None
 
     def _forecast(self, screened: Screened) -> float:
         placed, beside = screened.placed, screened.beside
@@ -137,7 +189,32 @@ class JointSelection:
         """What is left, with a penalty for each effect, each place among many, and each number."""
         for effect, _ in set(sites):
             cost *= self._worth[effect]
-        return cost * _EFFECT_WORTH ** len({e for e, _ in sites}) * _SIZE_WORTH**count
+        cost *= _EFFECT_WORTH ** len({e for e, _ in sites}) * _FURTHER_WORTH ** len(set(sites))
+        return cost * _SIZE_WORTH**count
+
+    def _pruned(self, fitted: Hypothesis) -> dict[Term, float]:
+        """The values in those places without which more would be left, linear about the fit."""
+        sites = list(dict.fromkeys(term[:2] for term in fitted.values))
+        counts = [sum(term[:2] == site for term in fitted.values) for site in sites]
+        placing = _own_places(self._problem, fitted, sites)
+
+        def judged(kept: Sequence[int]) -> float:
+            own = [sites[k] for k in kept]
+            return self._penalised(placing.left(kept), own, sum(counts[k] for k in kept))
+
+        kept = list(range(len(sites)))
+        left = judged(kept)
+        while kept:
+            gone = [{k} for k in kept] + [
+                {k for k in kept if sites[k][0] == effect} for effect in fitted.effects
+            ]
+            fewer = [[k for k in kept if k not in each] for each in gone]
+            best = min((f for f in fewer if f and len(f) < len(kept)), key=judged, default=kept)
+            if best is kept or judged(best) >= left:
+                break
+            kept, left = best, judged(best)
+        stay = {sites[k] for k in kept}
+        return {term: value for term, value in fitted.values.items() if term[:2] in stay}
 
     def _without_idle(self, hypothesis: Hypothesis) -> Hypothesis:
         """Effects are left out as long as held-out trials hardly notice."""
@@ -155,10 +232,14 @@ class JointSelection:
 
     def _idle(self, hypothesis: Hypothesis, factor: float) -> list[str]:
         """Effects without which no more than a factor of what is left would be left, linearly."""
+        sites = list(dict.fromkeys(term[:2] for term in hypothesis.values))
+        placing = _own_places(self._problem, hypothesis, sites)
         most = factor * self._problem.cost_of(hypothesis)
-        return [
-            e for e in hypothesis.effects if _cost_without(self._problem, hypothesis, e) < most
-        ]
+
+        def without(effect: str) -> float:
+            return placing.left([k for k, site in enumerate(sites) if site[0] != effect])
+
+        return [effect for effect in hypothesis.effects if without(effect) < most]
 
 
 def left_out(
@@ -188,13 +269,20 @@ def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:
     return bool(gain.sum() > _CHANCE * np.sqrt(len(gain)) * gain.std())
 
 
-def _cost_without(problem: Problem, hypothesis: Hypothesis, effect: str) -> float:
-    """What leaving an effect out would cost, linear about the fit."""
-    own = np.array([term.effect == effect for term in hypothesis.values])
+def _own_places(problem: Problem, fitted: Hypothesis, sites: Sequence[tuple[str, str]]) -> Placing:
+    """The sites of a fit to choose among, linear about it."""
     ranges = parameters_of(problem.simulator.candidates)
-    gone = problem.readings - hypothesis.without_tolerances
-    for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
-        if term.effect == effect and ranges[term].role == "size":
-            gone = gone + to_scaled(ranges[term], value) * column
-    placed = Placing(problem, gone, hypothesis.columns[~own], ()).placed(())
-    return problem.cost(placed.mean_square, placed.tolerance_chi2)
+    residual = problem.readings - fitted.without_tolerances
+    for column, (term, value) in zip(fitted.columns, fitted.values.items(), strict=True):
+        if ranges[term].role == "size":
+            residual = residual + to_scaled(ranges[term], value) * column
+    offered = []
+    for site in sites:
+        own = [k for k, term in enumerate(fitted.values) if term[:2] == site]
+        terms = tuple(term for term in fitted.values if term[:2] == site)
+        precision = np.array([prior_precision(ranges[term]) for term in terms])
+        names = tuple(term.parameter for term in terms)
+        offered.append(
+            LinearEffect(site[1], terms, np.zeros(len(own)), fitted.columns[own], precision, names)
+        )
+    return Placing(problem, residual, fitted.columns[:0], offered)

@@ -5,7 +5,7 @@ An effect of typical size in one place changes the readings by the columns of a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
 
@@ -23,6 +23,7 @@ from cablesense_gap.diagnosis.evidence import (
 from cablesense_gap.diagnosis.problem import (
     Hypothesis,
     Problem,
+    excess,
     from_scaled,
     is_logarithmic,
     prior_precision,
@@ -175,14 +176,12 @@ class Placed:
     Attributes:
         chosen: the effect in each place, in the order in which they were found.
         coefficients: (K,) of their columns, scaled.
-        squares: (T,) left in each held-out trial.
-        mean_square: of all that is left.
+        mean_square: of all that is left on held-out trials.
         tolerance_chi2: sum of the squares of the tolerances beside them, in standard deviations.
     """
 
     chosen: tuple[LinearEffect, ...]
     coefficients: Array
-    squares: Array
     mean_square: float
     tolerance_chi2: float
 
@@ -218,7 +217,8 @@ class Placing:
     """Linear effects among which places are chosen; tolerances and others are fitted along.
 
     Attributes:
-        data: products of all columns with the residual; the `base` ones fitted along come first.
+        data: products of all columns with the residual, by fold; the `base` ones that are fitted
+            along come first.
         precision: of the priors of all columns.
         owned: columns of each effect.
     """
@@ -229,12 +229,13 @@ class Placing:
         """As for `place`."""
         columns = [problem.tolerance_columns, beside, *(e.columns for e in offered)]
         self.base = len(problem.tolerance_columns) + len(beside)
-        ends = self.base + np.cumsum([len(e.columns) for e in offered])
+        ends = self.base + np.cumsum([len(e.columns) for e in offered], dtype=np.int64)
         self.owned = [np.arange(n - len(e.columns), n) for n, e in zip(ends, offered, strict=True)]
-        self.data = products(np.concatenate(columns), residual, problem.trial, problem.used)
+        fold_of_row = problem.fold[problem.trial]
+        self.data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self.precision = np.concatenate([np.ones(self.base), *(e.precision for e in offered)])
         self._problem, self._offered = problem, offered
-        self._weight = weight(self.data.mean_square, problem.floor)
+        self._folds = np.arange(len(self.data.count))
 
     def grow(self, among: Sequence[int], most: int = 99) -> tuple[list[int], float]:
         """Places added one by one, and the cost of what is left.
@@ -243,53 +244,71 @@ class Placing:
         other, either alone may explain nothing.
         """
         chosen: list[int] = []
-        left = self._left(chosen)
+        left = self.left(chosen)
         while len(chosen) < min(len(among), most):
             rest, worth = [k for k in among if k not in chosen], WORTH
-            reduced = self._reduced(chosen)
-            tried, now = self._best([[*chosen, k] for k in rest], reduced)
+            tried, now = self.best(chosen, [[k] for k in rest])
             if chosen and now * WORTH > left and len(chosen) + 2 <= most:
                 twos = combinations(rest, 2) if len(rest) <= MOST_IN_TWOS else ()
-                tried, now = self._best([[*chosen, *two] for two in twos], reduced)
+                tried, now = self.best(chosen, [list(two) for two in twos])
                 worth = WORTH**2
             if chosen and now * worth > left:
                 break
             chosen, left = tried, now
         return chosen, left
 
+    def best(
+        self,
+        chosen: Sequence[int],
+        more: Sequence[Sequence[int]],
+        worth: Callable[[Sequence[int]], float] = lambda _: 1.0,
+    ) -> tuple[list[int], float]:
+        """The best of several options to add to what is chosen, and the cost of what it leaves.
+
+        Costs are multiplied by what an option must be worth. All are ranked at the weight of what
+        is left without them, and few judged each at its own.
+        """
+        if not more:
+            return [], np.inf
+        weight_ = weight(self._fitted(chosen)[1], self._problem.floor)
+        reduced = self.reduced(weight_)
+        options = [[*chosen, *option] for option in more]
+        sets = [np.concatenate([self.owned[k] for k in o]) - self.base for o in options]
+        left, counts = np.empty(len(sets)), np.array([len(columns) for columns in sets])
+        for count in np.unique(counts):
+            at = np.flatnonzero(counts == count)
+            left[at] = reduced.mean_squares(np.array([sets[k] for k in at]))
+        factors = np.array([worth(option) for option in more])
+        forecast = factors * [excess(each, self._problem.floor) for each in left]
+        tried = [(self.left(options[k]) * factors[k], k) for k in np.argsort(forecast)[:_TRIED]]
+        now, at_best = min(tried)
+        return options[at_best], float(now)
+
+    def reduced(self, weight_: float) -> Reduced:
+        """All effects' columns with the others eliminated."""
+        return Reduced(self.data, self.base, self.precision, weight_, self._folds)
+
     def placed(self, chosen: Sequence[int]) -> Placed:
         """The chosen effects with their coefficients and what they leave."""
-        found, squares, mean_square, chi2 = self._fitted(chosen)
+        found, mean_square, chi2 = self._fitted(chosen)
         effects = tuple(self._offered[k] for k in chosen)
-        return Placed(effects, found[self.base :], squares, mean_square, chi2)
+        return Placed(effects, found[self.base :], mean_square, chi2)
 
-    def _reduced(self, chosen: Sequence[int]) -> Reduced:
-        """All columns, at the weight of what is left beside those chosen."""
-        weight_ = weight(self._fitted(chosen)[2], self._problem.floor)
-        return Reduced(self.data, self.base, self.precision, weight_, self._problem.fold)
+    def left(self, chosen: Sequence[int]) -> float:
+        """The cost of what the chosen effects leave."""
+        return self._problem.cost(*self._fitted(chosen)[1:])
 
-    def _best(self, options: Sequence[list[int]], reduced: Reduced) -> tuple[list[int], float]:
-        """Of options with equally many columns, ranked at one weight, judged each at its own."""
-        if not options:
-            return [], np.inf
-        own = np.array([np.concatenate([self.owned[k] for k in option]) for option in options])
-        ranked = np.argsort(reduced.mean_squares(own - self.base))[:_TRIED]
-        tried = [self._left(options[k]) for k in ranked]
-        return options[ranked[int(np.argmin(tried))]], min(tried)
-
-    def _left(self, chosen: Sequence[int]) -> float:
-        return self._problem.cost(*self._fitted(chosen)[2:])
-
-    def _fitted(self, chosen: Sequence[int]) -> tuple[Array, Array, float, float]:
-        """Coefficients, squares left in held-out trials, their mean, and that of tolerances."""
+    def _fitted(self, chosen: Sequence[int]) -> tuple[Array, float, float]:
+        """Coefficients, the mean square left on held-out trials, and that of tolerances."""
         at, problem = self._columns(chosen), self._problem
         part, precision, none = self.data.columns(at), self.precision[at], np.zeros(len(at))
-        squares = held_out_squares(part, precision, none, self._weight, problem.fold)
-        weight_ = weight(float(squares.sum() / part.count.sum()), problem.floor)
+        count, weight_ = part.count.sum(), weight(self.data.mean_square, problem.floor)
+        squares = held_out_squares(part, precision, none, weight_, self._folds).sum()
+        weight_ = weight(float(squares / count), problem.floor)
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
-        squares = held_out_squares(part, precision, none, weight_, problem.fold)
+        squares = held_out_squares(part, precision, none, weight_, self._folds).sum()
         chi2 = float((found[: len(problem.tolerance_terms)] ** 2).sum())
-        return found, squares, float(squares.sum() / part.count.sum()), chi2
+        return found, float(squares / count), chi2
 
     def _columns(self, chosen: Sequence[int]) -> NDArray[np.int64]:
         return np.concatenate([np.arange(self.base), *(self.owned[k] for k in chosen)])

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_gap.diagnosis.evidence import Indices, Reduced, weight
+from cablesense_gap.diagnosis.evidence import Indices, weight
 from cablesense_gap.diagnosis.places import (
     MOST_IN_TWOS,
     WORTH,
@@ -162,9 +162,7 @@ class _Pairing:
         self._problem = problem
         self._most_places = max(_LEAST_CHANNELS, problem.nominal.shape[1])
         self._owned: list[Indices] = [own - placing.base for own in placing.owned]
-        self._reduced = Reduced(
-            placing.data, placing.base, placing.precision, weight_, problem.fold
-        )
+        self._reduced = placing.reduced(weight_)
 
     def grow(self, one: _Side, other: _Side) -> _Grown:
         """The best place of each, and further places of either, as long as they are worth it."""

@@ -46,7 +46,7 @@ def offer(problem):
 
 def leaving(rmse, tolerance_chi2=0.0):
     """A look at nothing in particular that leaves so much."""
-    return Screened(Placed((), np.empty(0), np.empty(0), rmse**2, tolerance_chi2))
+    return Screened(Placed((), np.empty(0), rmse**2, tolerance_chi2))
 
 
 def gain_alone(problem):
