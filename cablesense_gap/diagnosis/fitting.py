@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 
-from cablesense_gap.diagnosis.gauss_newton import refine, refit
+from cablesense_gap.diagnosis.gauss_newton import refine, refit, refit_part
 from cablesense_gap.diagnosis.places import WORTH
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
 from cablesense_gap.diagnosis.screening import Offered, Screened, screen_singles
@@ -81,7 +81,11 @@ def _starts(
             # sizes as screened; shapes from what screening adds beside a size of one
             added = change.get(term.parameter, 0.0)
             start[term] = added if ranges[term].role == "size" else begin + added / first
-        if any(not p.low <= change[p.name] * p.typical <= p.high for p in sizes):
+        low_high = [(to_scaled(p, p.low), to_scaled(p, p.high)) for p in sizes]
+        if any(
+            not low <= change[p.name] <= high
+            for p, (low, high) in zip(sizes, low_high, strict=True)
+        ):
             impossible |= dict(zip(effect.terms, effect.start, strict=True))
     return start, impossible
 
@@ -141,7 +145,7 @@ def _fewest_places(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
         if sum(e == effect for e, _ in sites) == 1:
             continue
         rest = {t: v for t, v in hypothesis.values.items() if t[:2] != (effect, place)}
-        fitted = refit(problem, rest, _STEPS_AGAIN)
+        fitted = refit_part(problem, hypothesis, rest, _STEPS_AGAIN)
         if fitted is not None and problem.cost_of(fitted) <= WORTH * cost:
             hypothesis = fitted
             sites.remove((effect, place))
@@ -157,5 +161,5 @@ def each_alone(problem: Problem, hypothesis: Hypothesis) -> Iterator[Hypothesis]
         return
     for effect in hypothesis.effects:
         own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
-        if (fitted := refit(problem, own, _STEPS_AGAIN)) is not None:
+        if (fitted := refit_part(problem, hypothesis, own, _STEPS_AGAIN)) is not None:
             yield fitted

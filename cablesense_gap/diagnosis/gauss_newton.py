@@ -20,9 +20,9 @@ from cablesense_gap.diagnosis.problem import (
     Hypothesis,
     Problem,
     from_scaled,
-    is_logarithmic,
     prior_precision,
     to_scaled,
+    unit_of,
 )
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
@@ -30,7 +30,9 @@ from cablesense_sim.effects.effect import Parameter
 _STEP = 0.03
 _CLOSE = 5e-3
 _WORTH = 5e-3
-_MOST_DAMPING = 0.5
+_MOST_DAMPING = 30.0
+_NEAR = 0.25
+"""So far from where they were taken derivatives still serve, scaled."""
 _FINAL_STEPS = 3
 _SEVERAL = 3
 
@@ -67,6 +69,15 @@ def refit(
     return refine(problem, parameters, [start], most_steps, begun=begun)
 
 
+def refit_part(
+    problem: Problem, hypothesis: Hypothesis, values: Mapping[Term, float], most_steps: int
+) -> Hypothesis | None:
+    """As `refit`, of some of a hypothesis' values, begun with its sensitivities."""
+    own = [k for k, term in enumerate(hypothesis.values) if term in values]
+    predicted = problem.simulator.predict([values])[0]
+    return refit(problem, values, most_steps, (predicted, hypothesis.columns[own]))
+
+
 def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothesis, Problem]:
     """The same effects, fitted beside tolerances that are linear about these very effects.
 
@@ -101,7 +112,8 @@ class _Fit:
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
         history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
         effects = {term.effect for term in self._terms}
-        several = len(effects) >= _SEVERAL and bool(effects & history)
+        self._slow = bool(effects & history)
+        several = len(effects) >= _SEVERAL and self._slow
         self._without_history = np.array(
             [several and t.effect not in history for t in self._terms]
         )
@@ -122,21 +134,27 @@ class _Fit:
         if not np.isfinite(predicted).all():
             return None
         damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
+        linear_at = point
         for _ in range(most_steps):
             step = self._step(point, predicted, columns, mean_square, damping)
             tried = np.clip(point + step, self._low, self._high)
             if np.abs(tried - point).max(initial=0.0) < _CLOSE:
                 break
-            ahead = self._linear(tried, columns)
+            far = bool(np.abs(tried - linear_at).max() > _NEAR)
+            there = self._linear(tried, columns) if far and self._slow else None
+            ahead = self._predicted(tried) if there is None else there[0]
             before = self._cost(point, predicted, mean_square)
-            after = self._cost(tried, ahead[0], mean_square)
+            after = self._cost(tried, ahead, mean_square)
             if not after[0] < before[0]:
                 if damping > _MOST_DAMPING:
                     break
                 damping *= 30.0
                 continue
-            point, (predicted, columns), mean_square = tried, ahead, after[1]
+            point, predicted, mean_square = tried, ahead, after[1]
             damping = max(damping / 10.0, 1e-6)
+            if far:
+                columns = self._linear(tried, columns)[1] if there is None else there[1]
+                linear_at = tried
             if (before[0] - after[0]) / before[0] < _WORTH:
                 break
         return self._hypothesis(point, predicted, columns, mean_square)
@@ -150,6 +168,9 @@ class _Fit:
         left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
         best = int(np.argmin(left))
         return starts[best], left[best]
+
+    def _predicted(self, point: Array) -> Array:
+        return self._problem.simulator.predict([self._assignment(point)])[0]
 
     def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
         """The prediction (R, C) at one point, with its derivatives (K, R, C).
@@ -263,7 +284,7 @@ class _Fit:
         spread[at] = np.sqrt(covariance.diagonal()[at])
         values = self._assignment(point)
         units = [
-            value if is_logarithmic(parameter) else parameter.typical
+            unit_of(parameter, value)
             for parameter, value in zip(self._parameters, values.values(), strict=True)
         ]
         tolerances = found[:none] * problem.tolerance_std

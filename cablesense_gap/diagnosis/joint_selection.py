@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.diagnosis.gauss_newton import refit_part
 from cablesense_gap.diagnosis.places import LinearEffect, Placing, linear_effects, place
 from cablesense_gap.diagnosis.problem import (
     Hypothesis,
@@ -164,7 +164,7 @@ class JointSelection:
         least = min(map(self._forecast, screened[:1]), default=np.inf)
         tried = [s for s in screened[:_TRIED] if self._forecast(s) <= _PROMISING * least]
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
-        smaller = [values for h in fitted if len(values := self._pruned(h)) < len(h.values)]
+        smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
         best = min(fitted, key=self._judged, default=None)
         if best is None or self._judged(best) >= before:
@@ -246,15 +246,17 @@ def left_out(
     spread: Spread, hypothesis: Hypothesis, effects: Sequence[str] | None = None
 ) -> list[Hypothesis]:
     """The hypothesis without each of its effects, all other numbers refitted."""
-    rests: list[dict[Term, float]] = [
-        {t: v for t, v in hypothesis.values.items() if t.effect != effect}
+    rests = [
+        (hypothesis, {t: v for t, v in hypothesis.values.items() if t.effect != effect})
         for effect in (hypothesis.effects if effects is None else effects)
     ]
     return [h for h in spread(_refitted, rests) if h is not None]
 
 
-def _refitted(problem: Problem, values: Mapping[Term, float]) -> Hypothesis | None:
-    return refit(problem, values, _STEPS_AGAIN)
+def _refitted(
+    problem: Problem, some: tuple[Hypothesis, Mapping[Term, float]]
+) -> Hypothesis | None:
+    return refit_part(problem, *some, _STEPS_AGAIN)
 
 
 def _linear_about(

@@ -212,13 +212,25 @@ def is_logarithmic(parameter: Parameter) -> bool:
 
 def to_scaled(parameter: Parameter, value: float) -> float:
     """The value as the search has it."""
+    if parameter.relative:
+        return float(np.log1p(value) / np.log1p(parameter.typical))
     return float(np.log(value)) if is_logarithmic(parameter) else value / parameter.typical
 
 
 def from_scaled(parameter: Parameter, scaled: float) -> float:
     """The value that the search means, within the plausible range."""
-    value = np.exp(scaled) if is_logarithmic(parameter) else scaled * parameter.typical
+    if parameter.relative:
+        value = float(np.expm1(scaled * np.log1p(parameter.typical)))
+    else:
+        value = np.exp(scaled) if is_logarithmic(parameter) else scaled * parameter.typical
     return float(np.clip(value, parameter.low, parameter.high))
+
+
+def unit_of(parameter: Parameter, value: float) -> float:
+    """By how much the value moves as the scaled one moves by one."""
+    if parameter.relative:
+        return float((1.0 + value) * np.log1p(parameter.typical))
+    return value if is_logarithmic(parameter) else parameter.typical
 
 
 def prior_precision(parameter: Parameter) -> float:

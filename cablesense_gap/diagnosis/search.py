@@ -40,6 +40,9 @@ _FAR_BEHIND = 6.0
 """A screening that leaves so many times as much as a fit is no rival of it."""
 _RESOLVED = 0.04
 _BARELY = 1.25
+_OUTDOES = 0.25
+_SLIGHTLY = 0.95
+"""What leaves more than this share of the gap, as screened, is not the cause by itself."""
 _ALIKE = 1.02
 _BORNE_OUT = 1.6
 """Effects without which so much more is left are certain to be needed."""
@@ -101,12 +104,23 @@ class _Search:
         self._reselect_best(cheap)
         if barely or self._is_resolved():
             return
-        self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
-        self._reselect_best(cheap)
-        if not self._is_resolved():
-            self._select_jointly({})
+        self._select_jointly({})
+        several = self._best()
+        if len(several.effects) < 3 or not self._outdoes_pairs(several):
+            self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
+            self._reselect_best(cheap)
+            if self._best() is not several and not self._is_resolved():
+                self._select_jointly({})
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
+
+    def _best(self) -> Hypothesis:
+        return min([self._none, *self._found.values()], key=self._problem.cost_of)
+
+    def _outdoes_pairs(self, several: Hypothesis) -> bool:
+        """Whether an explanation leaves so little that no pair of effects is its rival."""
+        cost_of = self._problem.cost_of
+        return self._is_explained(several) or cost_of(several) <= _OUTDOES * cost_of(self._none)
 
     def _explore_history_dependent(self, cheap: Offered, best: float) -> None:
         """By the sketch, if there is one; what comes of it is judged on all rows."""
@@ -128,10 +142,13 @@ class _Search:
         self._refine_best(2)
         self._leave_out()
         self._progress("judging what depends on the past on all rows", 0.95)
+        most = _FAR_BEHIND * self._problem.cost_of(self._best())
         new = [
             (h, self._about.get(id(h), sketch.problem).tolerance_columns)
             for effects, h in self._found.items()
-            if h is not reduced.get(effects) and not self._is_idle(h)
+            if h is not reduced.get(effects)
+            and self._problem.cost_of(h) <= most
+            and not self._is_idle(h)
         ]
         refined = {h.effects for h, _ in new if id(h) in self._about}
         self._found = known
@@ -147,17 +164,18 @@ class _Search:
         expensive = self._offer([c for c in candidates if c.history_dependent], 0.5)
         screened = screen_singles(problem, expensive)
         best = min(best, self._least(screened))
+        gap = excess(self._none.held_out_rmse**2, problem.floor)
         for one in screened:
             fitted = [excess(h.held_out_rmse**2, problem.floor) for h in self._found.values()]
             forecast = excess(one.placed.mean_square, problem.floor)
-            if forecast <= _FAR_BEHIND * min(fitted, default=np.inf):
+            if forecast <= min(_FAR_BEHIND * min(fitted, default=np.inf), _SLIGHTLY * gap):
                 self._fit(promising(problem, [one], best), "history-dependent effects", 0.6)
         self._refine_best(1)
         left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
         if self._is_resolved() or left <= _BARELY * problem.floor:
             return
         offered = {**cheap, **expensive}
-        enough = _WORTH_PAIRING * min(map(problem.cost_of, [self._none, *self._found.values()]))
+        enough = _WORTH_PAIRING * problem.cost_of(self._best())
         pairs = [
             pair
             for pair in self._pairs(offered)
@@ -175,7 +193,7 @@ class _Search:
         Where it is one of these alone, pairs have been tried.
         """
         problem = self._problem
-        best = min([self._none, *self._found.values()], key=problem.cost_of)
+        best = self._best()
         if set(offered) & set(best.effects):
             return len(best.effects) > 1
         beside = screen_singles(problem, offered, best)[:1]
@@ -186,8 +204,7 @@ class _Search:
         """From the best explanation on; of `known` effects the columns are those offered."""
         candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
         selection = JointSelection(self._problem, self._map, candidates, fit, known)
-        start = min([self._none, *self._found.values()], key=self._problem.cost_of)
-        for k, grown in enumerate(selection.run(start, self._is_explained)):
+        for k, grown in enumerate(selection.run(self._best(), self._is_explained)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
             self._keep(grown)
         self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:1])
@@ -271,7 +288,7 @@ class _Search:
     def _leave_out(self) -> None:
         """The best explanation without each of its effects, down to what nothing can miss."""
         cost_of, history_dependent = self._problem.cost_of, self._history_dependent()
-        best = min([self._none, *self._found.values()], key=cost_of)
+        best = self._best()
         if (
             self._whole.sketch
             and self._problem is self._whole

@@ -23,8 +23,9 @@ class CableStiffness(Effect):
         "kind or length of cable, and for a soft anchor."
     )
     parameters = (
-        Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher"),
-    )
+        Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher",
+                  relative=True),
+    )  # fmt: skip
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         scale = np.where(own_cables(place, mechanism), 1.0 + values["change"], 1.0)

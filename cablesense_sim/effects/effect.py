@@ -44,6 +44,8 @@ class Parameter:
         about: what it means, in a few words.
         fades: whether what it changes fades along a recording, as the past does.
         past: whether it is what the past has left, so that each recording has its own.
+        relative: whether it is the share by which something positive is larger, so that a
+            quarter and four times as much are equally far from nothing.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Parameter:
     trials: tuple[float, ...] = ()
     fades: bool = False
     past: bool = False
+    relative: bool = False
 
 
 shape = partial(Parameter, role="shape")
