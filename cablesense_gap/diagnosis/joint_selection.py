@@ -126,13 +126,24 @@ class JointSelection:
         def worth(more: Sequence[int]) -> float:
             return _HELPS * _SIZE_WORTH ** sum(len(sites[k][2].probed) for k in more)
 
+        ranges = parameters_of(self._problem.simulator.candidates)
         chosen: list[int] = []
+        impossible: set[int] = set()
         left = placing.left(chosen)
         while len(chosen) < _MOST_ADDED:
-            rest = [[k] for k in range(len(sites)) if is_left(k, chosen)]
+            every = set(range(len(sites))) - impossible
+            rest = [[k] for k in sorted(every) if is_left(k, chosen)]
             further, penalised = placing.best(chosen, rest, worth)
             if penalised >= left:
                 break
+            placed = placing.placed(further)
+            last = sites[further[-1]][2]
+            sizes = placed.coefficients[-len(last.probed) :]
+            own = zip(last.probed, sizes, strict=True)
+            low = {term.parameter: ranges[term].low for term in last.terms}
+            if any(size < 0.0 <= low[name] for name, size in own):
+                impossible.add(further[-1])
+                continue
             chosen, left = further, placing.left(further)
         return [Screened(placing.placed(chosen), beside)] if chosen else []
 
@@ -272,16 +283,17 @@ def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:
 
 
 def _own_places(problem: Problem, fitted: Hypothesis, sites: Sequence[tuple[str, str]]) -> Placing:
-    """The sites of a fit to choose among, linear about it."""
+    """The sites of a fit to choose among, linear about it; sizes that it held at zero stay so."""
     ranges = parameters_of(problem.simulator.candidates)
+    free = [value != 0.0 or ranges[term].low < 0.0 for term, value in fitted.values.items()]
     residual = problem.readings - fitted.without_tolerances
     for column, (term, value) in zip(fitted.columns, fitted.values.items(), strict=True):
         if ranges[term].role == "size":
             residual = residual + to_scaled(ranges[term], value) * column
     offered = []
     for site in sites:
-        own = [k for k, term in enumerate(fitted.values) if term[:2] == site]
-        terms = tuple(term for term in fitted.values if term[:2] == site)
+        own = [k for k, term in enumerate(fitted.values) if term[:2] == site and free[k]]
+        terms = tuple(term for k, term in enumerate(fitted.values) if k in own)
         precision = np.array([prior_precision(ranges[term]) for term in terms])
         names = tuple(term.parameter for term in terms)
         offered.append(

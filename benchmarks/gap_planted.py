@@ -1,0 +1,180 @@
+"""Planted truth: every effect at 0.3 to 10 times its typical size, in every kind of place.
+
+    python benchmarks/gap_planted.py [--effects payload,sensor_gain] [--history] [--write]
+
+The arm of the standard protocol has manufacturing tolerances, one effect, and its sensors' noise,
+all simulated by the library itself: what is measured is the search, not how true the library is.
+Sizes beyond their range are held to it; an effect of several sizes has them all, of random sign.
+Which of the places of a kind it sits in is drawn. A case whose effect changes the readings by less
+than one floor is counted apart. With `--history` friction and creep are planted too. With
+`--folder` it goes on where it was stopped, and after `--minutes` it begins no further case.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import harness
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_base.workers import WorkerPool
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.pipeline import diagnose
+from cablesense_gap.recordings.protocol import rows_of, standard_protocol
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.simulator import Candidate, Term
+from cablesense_gap.verdict import Verdict
+from cablesense_sim.arm import open_arm
+from cablesense_sim.effects.effect import WHOLE_ARM
+from cablesense_sim.replay import read_tensions_n
+
+RESULT = "gap_planted.json"
+ARM = "cdsm_lab"
+MULTIPLES = (0.3, 1.0, 3.0, 10.0)
+RATE_HZ = 5.0
+WITHIN = 0.05
+
+
+def main() -> None:
+    """Plants, diagnoses and counts; keeps the cases with `--write`."""
+    parser = harness.parser(__doc__, f"results/{RESULT}")
+    parser.add_argument("--effects", default="", help="only these, joined by commas")
+    parser.add_argument("--history", action="store_true", help="friction and creep too")
+    parser.add_argument("--seed", type=int, default=1, help="of places, signs and tolerances")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
+    parser.add_argument("--folder", type=Path, help="of finished cases, goes on there")
+    options = parser.parse_args()
+    arm = open_arm(ARM)
+    asked = rows_of(standard_protocol(arm), RATE_HZ)
+    only = set(filter(None, options.effects.split(",")))
+    planted = [
+        (candidate, place, multiple)
+        for candidate in ArmSimulator(arm, asked).candidates
+        if not candidate.history_dependent or options.history
+        if not only or candidate.effect in only
+        for place in _one_of_each_kind(candidate, options.seed)
+        for multiple in MULTIPLES
+    ]
+    folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_planted_"))
+    folder.mkdir(parents=True, exist_ok=True)
+    work = partial(
+        _case,
+        asked=asked,
+        seed=options.seed,
+        folder=folder,
+        until=time.time() + 60.0 * options.minutes,
+    )
+    with WorkerPool(options.workers) as pool:
+        cases = [case for case in pool.map(work, planted) if case]
+    clear = [case for case in cases if case["gap_over_floor"] >= 1.0]
+    result = {
+        **harness.origin(),
+        "planned": len(planted),
+        "cases": len(cases),
+        "below_the_floor": len(cases) - len(clear),
+        "found": sum(case["found"] for case in clear),
+        "found_in_place": sum(case["in_place"] for case in clear),
+        "sizes": sum(case["sizes"] for case in clear),
+        "sizes_right": sum(case["sizes_right"] for case in clear),
+        "missed": [case for case in clear if not case["in_place"]],
+        "each": cases,
+    }
+    harness.publish(RESULT, result, options)
+
+
+def _one_of_each_kind(candidate: Candidate, seed: int) -> Iterator[str]:
+    kinds: dict[str, list[str]] = {}
+    for place in candidate.places:
+        kinds.setdefault(place.split("_")[0], []).append(place)
+    rng = np.random.default_rng([seed, *candidate.effect.encode()])
+    yield from (str(rng.choice(places)) for places in kinds.values())
+
+
+def _case(
+    planted: tuple[Candidate, str, float],
+    asked: Recording,
+    seed: int,
+    folder: Path,
+    until: float,
+) -> dict[str, Any] | None:
+    candidate, place, multiple = planted
+    kept = folder / f"{candidate.effect}.{place}.{multiple:g}.json"
+    if not kept.exists():
+        if time.time() > until:
+            return None
+        arm, rng = open_arm(ARM), np.random.default_rng([seed, *kept.name.encode()])
+        simulator = ArmSimulator(arm, asked)
+        off = {
+            term: float(rng.normal(0.0, parameter.typical))
+            for tolerance in simulator.tolerances
+            for at in tolerance.places
+            for term, parameter in zip(tolerance.terms(at), tolerance.parameters, strict=True)
+        }
+        truth = _truth(candidate, place, multiple, rng)
+        ideal, without = (simulator.predict([{**off, **v}])[0] for v in (truth, {}))
+        if not np.isfinite(ideal).all():
+            return None
+        read = read_tensions_n(ideal, arm.sensors, rng)
+        began = time.process_time()
+        verdict = diagnose(replace(asked, tensions_n=read), arm).verdict
+        case = {
+            "effect": candidate.effect,
+            "place": place,
+            "multiple": multiple,
+            "gap_over_floor": round(_rms(ideal - without) / simulator.floor, 2),
+            "cpu_s": round(time.process_time() - began, 1),
+            "verdict": "+".join(verdict.effects),
+            "probability": round(verdict.probability, 3),
+            **_judged(verdict, candidate, place, truth),
+        }
+        kept.write_text(json.dumps(case), encoding="utf-8")
+    found: dict[str, Any] = json.loads(kept.read_text("utf-8"))
+    return found
+
+
+def _truth(
+    candidate: Candidate, place: str, multiple: float, rng: np.random.Generator
+) -> dict[Term, float]:
+    values = {}
+    for term, p in zip(candidate.terms(place), candidate.parameters, strict=True):
+        sign = -1.0 if p.low < 0.0 and rng.uniform() < 0.5 else 1.0
+        size = float(np.clip(sign * multiple * p.typical, p.low, p.high))
+        values[term] = size if p.role == "size" else p.default
+    return values
+
+
+def _judged(
+    verdict: Verdict, candidate: Candidate, place: str, truth: Mapping[Term, float]
+) -> dict[str, Any]:
+    """Whether the verdict has the effect, in its place alone, and how many sizes are right."""
+    found = verdict.effects == (candidate.effect,)
+    sizes = {p.name for p in candidate.parameters if p.role == "size"}
+    wanted = {term: value for term, value in truth.items() if term.parameter in sizes}
+    several = any(key.count(".") > 1 for key in verdict.parameters)
+    expected = set() if place == WHOLE_ARM else {place.split("_into_")[0]}
+    right, in_place = 0, found and set(verdict.where.places) == expected
+    if found:
+        for term, value in wanted.items():
+            key = str(term) if several else f"{term.effect}.{term.parameter}"
+            if (estimate := verdict.parameters.get(key)) is not None:
+                low, high = estimate.ci95
+                near = abs(estimate.value - value) <= WITHIN * abs(value)
+                right += near or low <= value <= high
+    return {"found": found, "in_place": in_place, "sizes": len(wanted), "sizes_right": right}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+if __name__ == "__main__":
+    main()
