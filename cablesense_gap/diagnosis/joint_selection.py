@@ -37,7 +37,7 @@ _STEPS_AGAIN = 3
 _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
 _FURTHER_WORTH = 1.03
-_HELPS = 1.02
+_HELPS, _BETTER = 1.02, 0.98
 _MOST_ADDED = 14
 _ELSEWHERE = 0.04
 """Power of the number of places among which one is chosen."""
@@ -67,14 +67,24 @@ class JointSelection:
         every = problem.simulator.candidates
         self._worth = {c.effect: max(_PLACE_WORTH, len(c.places) ** _ELSEWHERE) for c in every}
 
-    def run(self, start: Hypothesis, enough: Callable[[Hypothesis], bool]) -> Iterator[Hypothesis]:
-        """Every explanation on the way from `start`, the last one the best."""
+    def run(
+        self,
+        start: Hypothesis,
+        enough: Callable[[Hypothesis], bool],
+        nearly: Callable[[Hypothesis], bool],
+    ) -> Iterator[Hypothesis]:
+        """Every explanation on the way from `start`, the last one the best.
+
+        What is nearly enough is only added to, and no two effects at once are tried beside it.
+        """
         best, exchanges = start, 0
         for _ in range(_MOST_CHANGES):
             if enough(best):
                 break
             offered = self._offered(best)
             better = self._best_of(self._grown(best, offered), best)
+            if better is None and nearly(best):
+                break
             if better is None:
                 better = self._best_of(self._added(best, offered), best)
             if better is None and exchanges < _MOST_EXCHANGES:
@@ -102,29 +112,26 @@ class JointSelection:
     def _grown(self, beside: Hypothesis, offered: Offered) -> list[Screened]:
         """Effects and places added one by one, as long as each helps."""
         sites = [
-            (effect, k, linear)
+            (effect, linear)
             for effect, shapes in offered.items()
-            for k, every in enumerate(shapes)
+            for every in shapes
             for linear in every
         ]
         if not sites:
             return []
         residual = self._problem.readings - beside.without_tolerances
-        placing = Placing(self._problem, residual, beside.columns, [s[2] for s in sites])
+        placing = Placing(self._problem, residual, beside.columns, [linear for _, linear in sites])
 
         def is_left(k: int, chosen: Sequence[int]) -> bool:
-            effect, shape, linear = sites[k]
-            same = [sites[c] for c in chosen if sites[c][0] == effect]
+            effect, linear = sites[k]
+            same = {sites[c][1].place for c in chosen if sites[c][0] == effect}
             names = {*beside.effects, *(sites[c][0] for c in chosen)}
-            whole = WHOLE_ARM in (linear.place, *(other.place for *_, other in same))
-            return (
-                k not in chosen
-                and (effect in names or len(names) < _MOST_EFFECTS)
-                and all(shape == begun and not whole for _, begun, _ in same)
-            )
+            if effect not in names:
+                return len(names) < _MOST_EFFECTS
+            return linear.place not in same and not (same and WHOLE_ARM in {linear.place, *same})
 
         def worth(more: Sequence[int]) -> float:
-            return _HELPS * _SIZE_WORTH ** sum(len(sites[k][2].probed) for k in more)
+            return _HELPS * _SIZE_WORTH ** sum(len(sites[k][1].probed) for k in more)
 
         ranges = parameters_of(self._problem.simulator.candidates)
         chosen: list[int] = []
@@ -137,7 +144,7 @@ class JointSelection:
             if penalised >= left:
                 break
             placed = placing.placed(further)
-            last = sites[further[-1]][2]
+            last = sites[further[-1]][1]
             sizes = placed.coefficients[-len(last.probed) :]
             own = zip(last.probed, sizes, strict=True)
             low = {term.parameter: ranges[term].low for term in last.terms}
@@ -178,10 +185,10 @@ class JointSelection:
         smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
         best = min(fitted, key=self._judged, default=None)
-        if best is None or self._judged(best) >= before:
+        if best is None or self._judged(best) >= _BETTER * before:
             return None
         best = self._without_idle(best)
-        return best if self._judged(best) < before else None
+        return best if self._judged(best) < _BETTER * before else None
 
     def _forecast(self, screened: Screened) -> float:
         placed, beside = screened.placed, screened.beside

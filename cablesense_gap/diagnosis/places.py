@@ -82,36 +82,38 @@ def linear_effects(
         base = problem.simulator.predict([known])[0]
     taken = {term.place for term in everything if term.effect == candidate.effect}
     offered = [place for place in candidate.places if place not in taken]
-    shapes = [p for p in candidate.parameters if p.role == "shape"]
+    first_values = [
+        p.starts or (p.typical if p.role == "size" else p.default,) for p in candidate.parameters
+    ]
     combined = [
-        dict(zip((p.name for p in shapes), starts, strict=True))
-        for starts in product(*(p.starts or (p.default,) for p in shapes))
+        dict(zip((p.name for p in candidate.parameters), starts, strict=True))
+        for starts in product(*first_values)
     ]
     absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
 
-    def variant(place: str, shape: dict[str, float], probe: dict[str, float]) -> Assignment:
+    def variant(place: str, begun: dict[str, float], probe: dict[str, float]) -> Assignment:
         among = offered if candidate.history_dependent else (place,)
         return known | {
             Term(candidate.effect, at, name): value
             for at in among
-            for name, value in (absent | (probe if at == place else shape)).items()
+            for name, value in (begun | absent | (probe if at == place else {})).items()
         }
 
-    probed = [(shape, _probes(candidate, shape)) for shape in combined]
+    probed = [(begun, _probes(candidate, begun)) for begun in combined]
     batches = [
-        [variant(place, shape, probe) for _, probe in probes]
-        for shape, probes in probed
+        [variant(place, begun, probe) for _, probe in probes]
+        for begun, probes in probed
         for place in offered
     ]
     if candidate.history_dependent:
         batches = [list(chain(*batches))]
     changes = (c for b in batches for c in problem.simulator.predict(b) - base)
     found = []
-    for shape, probes in probed:
+    for begun, probes in probed:
         parameters = [parameter for parameter, _ in probes]
         effects = [
             _linear_effect(
-                candidate, at, shape, parameters, np.array([next(changes) for _ in probes])
+                candidate, at, begun, parameters, np.array([next(changes) for _ in probes])
             )
             for at in offered
         ]
@@ -120,7 +122,7 @@ def linear_effects(
 
 
 def _probes(
-    candidate: Candidate, shape: dict[str, float]
+    candidate: Candidate, begun: dict[str, float]
 ) -> list[tuple[Parameter, dict[str, float]]]:
     """Parameters that screening takes as linear, each with values that show what it changes.
 
@@ -131,33 +133,37 @@ def _probes(
     found = []
     for parameter in candidate.parameters:
         if parameter.role == "size":
-            found.append((parameter, shape | {parameter.name: parameter.typical}))
+            found.append((parameter, {parameter.name: begun[parameter.name]}))
         elif not is_logarithmic(parameter):
-            moved = to_scaled(parameter, shape[parameter.name]) + _step(parameter, shape)
-            there = {first.name: first.typical, parameter.name: from_scaled(parameter, moved)}
-            found.append((parameter, shape | there))
+            moved = to_scaled(parameter, begun[parameter.name]) + _step(parameter, begun)
+            there = {first.name: begun[first.name], parameter.name: from_scaled(parameter, moved)}
+            found.append((parameter, there))
     return found
 
 
-def _step(parameter: Parameter, shape: dict[str, float]) -> float:
-    ahead = to_scaled(parameter, shape[parameter.name]) + _SHAPE_STEP
+def _step(parameter: Parameter, begun: dict[str, float]) -> float:
+    ahead = to_scaled(parameter, begun[parameter.name]) + _SHAPE_STEP
     return _SHAPE_STEP if ahead * parameter.typical <= parameter.high else -_SHAPE_STEP
 
 
 def _linear_effect(
     candidate: Candidate,
     place: str,
-    shape: dict[str, float],
+    begun: dict[str, float],
     probed: Sequence[Parameter],
     changes: Array,
 ) -> LinearEffect:
+    """What each number changes, in the mean up to the size that is probed."""
     first = next(k for k, p in enumerate(probed) if p.role == "size")
+    size = to_scaled(probed[first], begun[probed[first].name])
     columns = [
-        change if p.role == "size" else (change - changes[first]) / _step(p, shape)
+        change / to_scaled(p, begun[p.name])
+        if p.role == "size"
+        else (change - changes[first]) / (size * _step(p, begun))
         for p, change in zip(probed, changes, strict=True)
     ]
     start = [
-        0.0 if p.role == "size" else to_scaled(p, shape[p.name]) for p in candidate.parameters
+        0.0 if p.role == "size" else to_scaled(p, begun[p.name]) for p in candidate.parameters
     ]
     return LinearEffect(
         place,

@@ -204,7 +204,7 @@ class _Search:
         """From the best explanation on; of `known` effects the columns are those offered."""
         candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
         selection = JointSelection(self._problem, self._map, candidates, fit, known)
-        for k, grown in enumerate(selection.run(self._best(), self._is_explained)):
+        for k, grown in enumerate(selection.run(self._best(), self._is_explained, self._nearly)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
             self._keep(grown)
         self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:1])
@@ -312,10 +312,12 @@ class _Search:
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""
-        floor = self._problem.floor
-        gap = excess(self._none.held_out_rmse**2, floor)
-        best = min(map(self._problem.cost_of, self._found.values()), default=float("inf"))
-        return best <= max(_RESOLVED * gap, 1.5 * excess(0.0, floor))
+        return any(map(self._nearly, self._found.values()))
+
+    def _nearly(self, hypothesis: Hypothesis) -> bool:
+        gap = excess(self._none.held_out_rmse**2, self._problem.floor)
+        little = self._problem.cost_of(hypothesis) <= _RESOLVED * gap
+        return little or self._is_explained(hypothesis)
 
     def _history_dependent(self) -> set[str]:
         """Effects that depend on history; they are expensive to simulate."""

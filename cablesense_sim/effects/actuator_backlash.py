@@ -18,7 +18,8 @@ class ActuatorBacklash(Effect):
     sites = ("cable",)
     advice = "Check couplings and nuts of these actuators, or approach poses from one side."
     parameters = (
-        Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks"),
+        Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks",
+                  starts=(5e-5, 2.5e-4)),
         shape("start", "1", -1.0, 1.0, 1.0,
               "where in the play it begins, from the short to the long side", past=True),
     )  # fmt: skip

@@ -39,7 +39,7 @@ class Parameter:
         default: its value where none is given.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
             determines how the effect behaves where it is present.
-        starts: values of a shape to screen with.
+        starts: values to screen with, instead of the default of a shape or the typical size.
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
         fades: whether what it changes fades along a recording, as the past does.
