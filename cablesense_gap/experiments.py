@@ -78,8 +78,11 @@ def next_experiment(
     rivals: Sequence[Rival],
     floor_n: float,
     blocks: Sequence[Block] | None = None,
+    question: str = "",
 ) -> Experiment:
     """What to record to distinguish the first rival from the others.
+
+    `question` is what that would tell, where the rivals are one explanation with other numbers.
 
     Rivals are fitted numbers, `{}` for none. One alone is distinguished from the nominal arm, so
     that it can be confirmed. `blocks` are those of the standard protocol unless given.
@@ -113,7 +116,7 @@ def next_experiment(
         return Experiment("No block of the protocol can be simulated with these explanations.")
     block, by_cable_n = best
     apart_n = _rms(by_cable_n)
-    text = _text(arm, rivals, block.does, by_cable_n, floor_n)
+    text = _text(arm, rivals, block.does, by_cable_n, floor_n, question)
     return Experiment(text, block.does, apart_n, apart_n / floor_n)
 
 
@@ -187,10 +190,19 @@ def _without_mean(values_n: Array, free_constants: bool) -> Array:
     return values_n - values_n.mean(0) if free_constants else values_n
 
 
-def _text(arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor_n: float) -> str:
+def _text(
+    arm: Arm,
+    rivals: Sequence[Rival],
+    does: str,
+    by_cable_n: Array,
+    floor_n: float,
+    question: str,
+) -> str:
     floors = _rms(by_cable_n) / floor_n
     first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
     if floors < HIDDEN_FLOORS:
+        if question:
+            return f"No block of the protocol shows {question}."
         return (
             f"No block of the protocol distinguishes {first} from {others}: with the numbers that "
             "were fitted, they predict the same readings."
@@ -201,7 +213,9 @@ def _text(arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor
         f"by {short(_rms(by_cable_n))} N, {short(floors)} times the noise floor, "
         f"most at cable{'s' if numbers[1:] else ''} {' and '.join(numbers)}."
     )
-    if not rivals[0]:
+    if question:
+        text = f"To find out {question}: {does} There predictions part {by}"
+    elif not rivals[0]:
         text = (
             "Nothing more needs to be recorded. What may hide below the noise would show most "
             f"here: {does} With the size that fits best, {others} would change the readings {by}"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, counted_rows
-from cablesense_gap.budget import rest_of, shares
+from cablesense_gap.budget import rest_of, shares, trades
 from cablesense_gap.diagnosis.probability import (
     Ranked,
     ambiguity,
@@ -42,7 +42,7 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term, parameters_of
-from cablesense_gap.unlisted import describe_unlisted
+from cablesense_gap.unlisted import describe_unlisted, repeat_largest_trial
 from cablesense_gap.verdict import (
     UNKNOWN,
     CandidateResult,
@@ -59,6 +59,8 @@ from cablesense_sim.replay import replay_arm
 FOLDS = 5
 NEGLIGIBLE = 0.1
 """A place that changes the readings by less than this share of the foremost one is not named."""
+_MUCH_UNEXPLAINED = 0.25
+"""Of the gap: the next experiment is then the one that shows most of it."""
 _DRAWS = 2000
 _SKETCH_SHARE = 0.7
 """Of the rows, at most, that a search among effects that depend on the past goes through first."""
@@ -161,16 +163,26 @@ def diagnose(
     values = foremost(explained, simulator.candidates)
     used, before = problem.used, recording.tensions_n - nominal
     group, reasons = ambiguity(problem, ranked)
+    rest = rest_of(problem, explained)
+    traded = trades(problem, best) if best else []
     if best:
         rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
-        experiment = next_experiment(arm, [values, *rivals], problem.floor).text
+        if traded and not rivals:
+            one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
+            question = f"how much is {one} and how much {other}"
+            parted = [best.values, traded[0].elsewhere]
+            experiment = next_experiment(arm, parted, problem.floor, question=question).text
+        elif rest.share >= _MUCH_UNEXPLAINED and not rivals:
+            left = (recording.tensions_n - best.held_out)[used]
+            experiment = repeat_largest_trial(recording.rows(used), left, problem.floor)
+        else:
+            experiment = next_experiment(arm, [values, *rivals], problem.floor).text
         held_out, predicted = explained.held_out, explained.prediction
     else:
         reasons, experiment, held_out = describe_unlisted(problem, recording, fitted, arm)
         predicted = held_out
     parts = decompose(recording.rows(used), before[used], problem.floor, arm)
     after = recording.tensions_n - held_out
-    rest = rest_of(problem, explained)
     alone = recording.tensions_n - best.held_out_effects if best and best.effects else None
     verdict = Verdict(
         effects=ranked[0].effects,
@@ -180,6 +192,7 @@ def diagnose(
         where=where(values, tuple(regimes(parts))),
         parameters=estimates(values, explained.deviations, simulator.candidates),
         shares=shares(problem, ranked, values),
+        traded=tuple(trade.traded for trade in traded),
         earlier=earlier,
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,

@@ -96,6 +96,22 @@ class Share(FilePart):
     alternatives: tuple[Name, ...] = ()
 
 
+class Traded(FilePart):
+    """Two of the effects, which the recording shows together better than apart: one item.
+
+    Attributes:
+        share_n: RMS by which predictions change without both.
+        ci95_n: interval of `share_n`.
+        correlation: of their shares as fitted: near -1 where one may stand for the other, near 1
+            where they may cancel.
+    """
+
+    effects: Effects
+    share_n: Newtons
+    ci95_n: Interval
+    correlation: Annotated[float, Field(ge=-1.0, le=1.0)]
+
+
 class Gap(FilePart):
     """How far the gap shrinks on trials that the fit has not seen; sizes are RMS over readings.
 
@@ -194,6 +210,7 @@ class Verdict(FilePart):
             one explanation are joined by `+`.
         next_experiment: what to record next, in plain text.
         shares: of each effect named.
+        traded: pairs of these whose shares trade against each other, the largest first.
         earlier: effects that the arm file listed, and what of them still stands; those of this
             verdict are beside them.
         tolerances_n: RMS by which manufacturing tolerances, as fitted, change predictions.
@@ -221,6 +238,7 @@ class Verdict(FilePart):
     parameters: dict[ParameterName, Estimate] = Field(default_factory=dict)
     gap: Gap
     shares: dict[Name, Share] = Field(default_factory=dict)
+    traded: tuple[Traded, ...] = ()
     earlier: tuple[Earlier, ...] = ()
     tolerances_n: Newtons | None = None
     unexplained_n: Newtons | None = None

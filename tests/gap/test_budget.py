@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
-from cablesense_gap.budget import rest_of, shares
+from cablesense_gap.budget import rest_of, shares, trades
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
 
@@ -60,3 +60,34 @@ def test_what_no_effect_explains_is_stated(problem):
     assert half.unexplained == pytest.approx(size_of(PLANTED["other"]), rel=0.1)
     nothing = rest_of(problem, refine(problem, {}, [[]]))
     assert nothing.share == pytest.approx(1.0, abs=0.05)
+
+
+NEAR = SIGNALS[1] + 0.05 * SIGNALS[5]
+
+
+def fitted_together(second):
+    """What `gain` at b and an effect of another signal make of a mixture of the two."""
+    truth = {amount("gain", "b"): 0.5, amount("other", "a"): 0.4}
+    problem = problem_of(
+        Sums(linear("gain", "b", [SIGNALS[1]]) | linear("other", "a", [second])), truth
+    )
+    return problem, refit(problem, truth, 4)
+
+
+def test_effects_that_one_recording_hardly_parts_are_one_item():
+    problem, best = fitted_together(NEAR)
+    (trade,) = trades(problem, best)
+    traded = trade.traded
+    assert traded.effects == ("gain", "other")
+    assert traded.correlation < -0.9
+    together = size_of(0.5 * SIGNALS[1] + 0.4 * NEAR)
+    assert traded.ci95_n[0] < together < traded.ci95_n[1]
+    assert traded.ci95_n[1] - traded.ci95_n[0] < 0.2 * together
+    # other numbers of both, and yet nearly the same predictions
+    moved = problem.simulator.predict([trade.elsewhere])[0] - best.without_tolerances
+    assert size_of(moved) < 0.2 * together
+    assert abs(trade.elsewhere[amount("other", "a")] - best.values[amount("other", "a")]) > 0.05
+
+
+def test_effects_of_different_signals_do_not_trade():
+    assert trades(*fitted_together(SIGNALS[5])) == []
