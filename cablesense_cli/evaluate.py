@@ -12,16 +12,18 @@ from rich.table import Table
 
 from cablesense_base.files import output_file, write_atomically
 from cablesense_cli.options import (
+    ERRORS,
     ForceOption,
     JsonOption,
     OptionError,
+    error_cells,
     print_json,
     refuse_given,
     titled_table,
 )
 
 if TYPE_CHECKING:
-    from cablesense_training.evaluation.metrics import ErrorMetrics, SingleContactMetrics
+    from cablesense_training.evaluation.metrics import SingleContactMetrics
     from cablesense_training.evaluation.noise_bound import NoiseBound
 
 
@@ -161,7 +163,7 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
         with style():
             image = image_bytes(drawn_errors(found), "png")
         write_atomically(picture, image, OptionError)
-    headings = ("", "rows", *_ERRORS)
+    headings = ("", "rows", *ERRORS)
     tables = []
     for name, each in found.items():
         parts = [("all loads", each.whole.errors)]
@@ -171,26 +173,13 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
             for part in each.whole.bins
             if part.errors.contacts
         ]
-        rows = [(what, f"{e.contacts:,}", *_error_cells(e)) for what, e in parts]
+        rows = [(what, f"{e.contacts:,}", *error_cells(e)) for what, e in parts]
         if each.false_n == each.false_n:
             free = (each.truth.segment == 0).sum()
             rows.append(("released", f"{free:,}", "", "", f"{each.false_n:.3f} N told", "", ""))
         title = f"{name} on {recording.name}, arm {opened[name].metadata.arm_identity}"
         tables.append(titled_table(title, *headings, right=headings[1:], rows=rows))
     return {name: each.as_json() for name, each in found.items()}, tables
-
-
-_ERRORS = ("contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
-
-
-def _error_cells(errors: ErrorMetrics) -> tuple[str, ...]:
-    return (
-        f"{errors.contact_accuracy:.2%}",
-        f"{errors.direction_mae_deg:.2f}°",
-        f"{errors.magnitude_mae_n:.3f} N",
-        f"{errors.magnitude_rmse_n:.3f} N",
-        f"{errors.magnitude_coverage95:.1%}",
-    )
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
@@ -245,23 +234,17 @@ def _comparison(samples: int, seed: int, workers: int) -> Result:
         )
         for name, multi in comparison.multi.items()
     ]
-    headings = ("estimator", "recognised", "macro F1", "force MAE per segment")
+    headings = ("estimator", "recognised", "macro F1", "force MAE by segment")
     several = titled_table("several contacts", *headings, rows=rows)
     return as_json(comparison), [*tables, several]
 
 
 def _errors_table(title: str, models: dict[str, SingleContactMetrics], bound: NoiseBound) -> Table:
     """Errors of models on the same samples, and of the noise bound."""
-
-    def row(
-        name: str, errors: ErrorMetrics | NoiseBound, accuracy: str = "", coverage: str = ""
-    ) -> tuple[str, ...]:
-        mae, rmse = f"{errors.magnitude_mae_n:.3f} N", f"{errors.magnitude_rmse_n:.3f} N"
-        return name, accuracy, f"{errors.direction_mae_deg:.3f}°", mae, rmse, coverage
-
-    rows = []
-    for name, metrics in models.items():
-        coverage = f"{metrics.errors.magnitude_coverage95:.1%}"
-        rows.append(row(name, metrics.errors, f"{metrics.contact_accuracy:.2%}", coverage))
-    headings = ("estimator", "contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
-    return titled_table(title, *headings, rows=[*rows, row("noise bound", bound)])
+    rows = [
+        (name, f"{metrics.contact_accuracy:.2%}", *error_cells(metrics.errors)[1:])
+        for name, metrics in models.items()
+    ]
+    mae, rmse = f"{bound.magnitude_mae_n:.3f} N", f"{bound.magnitude_rmse_n:.3f} N"
+    rows.append(("noise bound", "", f"{bound.direction_mae_deg:.3f}°", mae, rmse, ""))
+    return titled_table(title, "estimator", *ERRORS, rows=rows)

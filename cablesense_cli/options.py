@@ -6,7 +6,7 @@ import json
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -14,6 +14,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from cablesense_base import CableSenseError
+
+if TYPE_CHECKING:
+    from cablesense_training.evaluation.metrics import ErrorMetrics
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 NominalArmOption = Annotated[
@@ -46,6 +49,10 @@ RandomiseOption = Annotated[
 ]
 
 
+ERRORS = ("contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
+"""Headings of errors; `error_cells` has what stands below them."""
+
+
 class OptionError(CableSenseError):
     """Options that do not go together."""
 
@@ -69,6 +76,17 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
     if given:
         have = "has" if len(given) == 1 else "have"
         raise OptionError(f"{', '.join(given)} {have} no effect {why}; leave it out")
+
+
+def error_cells(errors: ErrorMetrics) -> tuple[str, ...]:
+    """The errors of single contacts as every verb prints them."""
+    return (
+        f"{errors.contact_accuracy:.2%}",
+        f"{errors.direction_mae_deg:.3f}°",
+        f"{errors.magnitude_mae_n:.3f} N",
+        f"{errors.magnitude_rmse_n:.3f} N",
+        f"{errors.magnitude_coverage95:.1%}",
+    )
 
 
 def print_json(content: Any) -> None:

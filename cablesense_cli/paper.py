@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.progress import TaskID
 
-from cablesense_cli.options import ForceOption, task_bars
+from cablesense_cli.options import ForceOption, JsonOption, print_json, task_bars
 from cablesense_paper.study import study_names
 
 
@@ -36,6 +36,7 @@ def paper(
         ),
     ] = None,
     force: ForceOption = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Repeat the paper's experiments here, and show each result beside the paper's.
 
@@ -57,7 +58,7 @@ def paper(
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
     studies = chosen_studies(only or ())
     claim_folder(out, force)
-    console = Console()
+    console = Console(stderr=json_output)
     outcomes = []
     with task_bars(console) as progress:
         for study in studies:
@@ -68,7 +69,9 @@ def paper(
 
             outcomes.append(run_study(study, quick, show))
             show(1.0)
-    write_report(out, outcomes, quick)
+    results = write_report(out, outcomes, quick)
+    if json_output:
+        print_json(results)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
     failed = [outcome.study.name for outcome in outcomes if outcome.failure]
     if failed:

@@ -14,6 +14,7 @@ from rich.table import Table
 from cablesense_base.files import output_file
 from cablesense_base.progress import progress_bar
 from cablesense_cli.options import (
+    ERRORS,
     ArmOption,
     ForceOption,
     JsonOption,
@@ -21,6 +22,7 @@ from cablesense_cli.options import (
     PoseRangeOption,
     RandomiseOption,
     command_line,
+    error_cells,
     refuse_given,
     titled_table,
 )
@@ -175,11 +177,8 @@ def _tables(report: TrainingReport, arm_identity: str) -> Iterator[Table]:
     if (single := report.single) is not None:
         rows += [
             ("test samples", f"{single.samples:,}"),
-            ("contact accuracy", f"{single.contact_accuracy:.2%}"),
-            ("direction MAE", f"{single.errors.direction_mae_deg:.3f} deg"),
-            ("magnitude MAE", f"{single.errors.magnitude_mae_n:.3f} N"),
-            ("magnitude RMSE", f"{single.errors.magnitude_rmse_n:.3f} N"),
-            ("95 % intervals that hold", f"{single.coverage95:.1%}"),
+            (ERRORS[0], f"{single.contact_accuracy:.2%}"),
+            *zip(ERRORS[1:], error_cells(single.errors)[1:], strict=True),
         ]
     for multi, which in ((report.multi, "all contacts"), (report.multi_firm, "from 5 N")):
         if multi is not None:
@@ -187,18 +186,16 @@ def _tables(report: TrainingReport, arm_identity: str) -> Iterator[Table]:
             rows += [
                 (f"{which}: recognised", f"{multi.recognition_accuracy:.2%}"),
                 (f"{which}: macro F1", f"{multi.macro_f1:.4f}"),
-                (f"{which}: magnitude MAE by segment", f"{by_segment} N"),
+                (f"{which}: force MAE by segment", f"{by_segment} N"),
             ]
     yield titled_table(f"{report.path}: {report.network}, arm {arm_identity}", rows=rows)
     if single is not None:
-        headings = ("force, N", "contacts", "right segment", "direction MAE", "magnitude MAE")
+        headings = ("", "rows", *ERRORS)
         bins = [
             (
-                f"{part.low_n:g} to {part.high_n:g}",
+                f"{part.low_n:g} to {part.high_n:g} N",
                 f"{part.errors.contacts:,}",
-                f"{part.errors.contact_accuracy:.2%}",
-                f"{part.errors.direction_mae_deg:.3f} deg",
-                f"{part.errors.magnitude_mae_n:.3f} N",
+                *error_cells(part.errors),
             )
             for part in single.bins
             if part.errors.contacts
@@ -211,7 +208,7 @@ def _tables(report: TrainingReport, arm_identity: str) -> Iterator[Table]:
                 name,
                 f"{part.samples:,}",
                 f"{part.contact_accuracy:.2%}",
-                f"{part.errors.direction_mae_deg:.2f} deg",
+                f"{part.errors.direction_mae_deg:.3f}°",
                 f"{part.errors.magnitude_mae_n:.3f} N",
                 f"{false_n:.3f} N",
             )

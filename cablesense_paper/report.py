@@ -37,8 +37,8 @@ def claim_folder(folder: Path, force: bool = False) -> None:
         ) from error
 
 
-def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None:
-    """Write all files, each of them whole or not at all.
+def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> dict[str, Any]:
+    """Write all files, each of them whole or not at all; gives the content of `results.json`.
 
     Raises:
         ReportError: the place cannot be written to.
@@ -54,6 +54,7 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> None
     files["report.html"] = paper_page(outcomes, quick)
     for name, content in files.items():
         write_atomically(folder / name, content, ReportError)
+    return results
 
 
 def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:

@@ -34,11 +34,12 @@ class Nominal:
 
     Attributes:
         gravity_m_s2: (3,) base frame.
-        length_m: joint centre to joint centre.
+        length_m: (N,) joint centre to joint centre.
+        mass_kg: (N,) of each segment.
         plate_offset_m: from a guide plate to its joint's centre; joint 1 is that far from x = 0.
-        contact_m: from a segment's joint centre to its contact point, on the axis.
+        contact_m: (N,) from a segment's joint centre to its contact point, on the axis.
         per_segment: cables that end on a segment.
-        radius_m: of the guide holes about the axis.
+        radius_m: (M,) of a cable's guide holes about the axis.
         hole_angle_rad: (M,) from +z towards +y.
         stiffness_n_m: of cable and actuator in series.
         pretension_n: with the arm straight and weightless.
@@ -48,12 +49,12 @@ class Nominal:
 
     gravity_m_s2: Array
     segment_count: int
-    length_m: float
-    mass_kg: float
+    length_m: Array
+    mass_kg: Array
     plate_offset_m: float
-    contact_m: float
+    contact_m: Array
     per_segment: int
-    radius_m: float
+    radius_m: Array
     hole_angle_rad: Array
     stiffness_n_m: float
     pretension_n: float
@@ -74,7 +75,7 @@ class Nominal:
 
 
 def read_nominal(path: str | Path) -> Nominal:
-    """Read the numbers of an arm file of identical segments.
+    """Read the numbers of an arm file.
 
     Raises:
         PlantError: the file cannot be read, lacks a number, or describes another kind of arm.
@@ -87,8 +88,8 @@ def read_nominal(path: str | Path) -> Nominal:
         raise PlantError(f"{path}: {error} is missing; the plant needs a complete arm") from error
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise PlantError(
-            f"{path}: {error}; the plant builds arms of identical segments, as "
-            "config/arms/cdsm_lab.yaml"
+            f"{path}: {error}; the plant builds arms like config/arms/cdsm_lab.yaml, with one "
+            "number or one for each segment"
         ) from error
 
 
@@ -102,10 +103,17 @@ def _nominal(text: Any) -> Nominal:
     angle = cables["angle_deg"]
     segment, cable = np.divmod(np.arange(count * per_segment), per_segment)
     angles = angle["first"] + angle["per_segment"] * segment + angle["per_cable"] * cable
+
+    def by_segment(given: Any) -> Array:
+        values = np.asarray(given, dtype=float)
+        if values.shape not in ((), (count,)):
+            raise ValueError(f"{given} is not one number, nor {count}, one for each segment")
+        return np.broadcast_to(values, count)
+
     numbers = {
         name: float(part[name])
         for part, names in (
-            (segments, ("length_m", "mass_kg", "plate_offset_m", "contact_m")),
+            (segments, ("plate_offset_m",)),
             (cables, ("stiffness_n_m", "pretension_n", "run_m")),
             (sensors, ("rate_hz", "noise_std_n", "step_n")),
         )
@@ -114,8 +122,11 @@ def _nominal(text: Any) -> Nominal:
     return Nominal(
         gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
         segment_count=count,
+        length_m=by_segment(segments["length_m"]),
+        mass_kg=by_segment(segments["mass_kg"]),
+        contact_m=by_segment(segments["contact_m"]),
         per_segment=per_segment,
-        radius_m=float(cables["routing_radius_m"]),
+        radius_m=by_segment(cables["routing_radius_m"])[segment],
         hole_angle_rad=np.deg2rad(angles.astype(float)),
         **numbers,
     )
@@ -216,23 +227,24 @@ def rigid_body(nominal: Nominal) -> Body:
     """The arm as drawn, one joint a segment."""
     n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
     angle = nominal.hole_angle_rad
-    holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1) * nominal.radius_m
+    holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1)
+    holes *= nominal.radius_m[:, None]
     before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
     before[..., 0], after[..., 0] = -offset, offset
     on_axis, joints = np.array([1.0, 0.0, 0.0]), np.arange(n)
     return Body(
         gravity_m_s2=nominal.gravity_m_s2,
-        spacing_m=np.array([offset] + [nominal.length_m] * (n - 1)),
+        spacing_m=np.append(offset, nominal.length_m[:-1]),
         before_m=before,
         after_m=after,
         passes=joints[:, None] <= np.arange(m) // nominal.per_segment,
         skew=np.tile(np.eye(3), (n, 1, 1)),
-        mass_kg=np.full(n, nominal.mass_kg),
+        mass_kg=nominal.mass_kg,
         mass_joint=joints,
-        mass_at_m=np.tile(0.5 * nominal.length_m * on_axis, (n, 1)),
+        mass_at_m=0.5 * nominal.length_m[:, None] * on_axis,
         contact_joint=joints,
-        contact_at_m=np.tile(nominal.contact_m * on_axis, (n, 1)),
-        tip_at_m=nominal.length_m * on_axis,
+        contact_at_m=nominal.contact_m[:, None] * on_axis,
+        tip_at_m=nominal.length_m[-1] * on_axis,
         stiffness_n_m=np.full(m, nominal.stiffness_n_m),
         pretension_n=np.full(m, nominal.pretension_n),
         driven=joints,

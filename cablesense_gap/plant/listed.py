@@ -169,7 +169,7 @@ def joint_friction(draw: Draw) -> Change:
 def payload(draw: Draw) -> Change:
     """A mass on a segment's axis, anywhere along it."""
     segment = draw.segment()
-    at_m = draw.uniform(0.0, draw.nominal.length_m)
+    at_m = draw.uniform(0.0, float(draw.nominal.length_m[segment]))
     loaded = partial(_loaded, segment=segment, at_m=at_m)
     return Change(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
 

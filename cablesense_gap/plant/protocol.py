@@ -10,6 +10,8 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.plant.body import Ints, Nominal
 
+_ROWS_HZ = 5.0
+"""Rate at which trials are laid out, below."""
 _UP = np.linspace(0.0, 1.0, 12)[1:-1]
 _CYCLE = np.concatenate([_UP, np.ones(9), _UP[::-1], np.zeros(4)])
 _HOLD = np.concatenate([np.linspace(0.0, 1.0, 6)[1:], np.ones(120), np.zeros(80)])
@@ -106,17 +108,43 @@ def _moving(commands: Array) -> _Trial:
 
 def _schedule(nominal: Nominal, trials: list[_Trial]) -> Schedule:
     """Loads are scaled by what the cables can hold at the arm's reach."""
-    moment_nm = nominal.pretension_n * nominal.radius_m * nominal.cable_count
-    reach_m = nominal.segment_count * nominal.length_m
-    strength = moment_nm / reach_m / (50.0 * 0.05 * 12 / (4 * 0.13))
+    moment_nm = nominal.pretension_n * nominal.radius_m.mean() * nominal.cable_count
+    strength = moment_nm / nominal.length_m.sum() / (50.0 * 0.05 * 12 / (4 * 0.13))
     commands, segments, loads = zip(*trials, strict=True)
     rows = [len(command) for command in commands]
     load = np.round(strength * np.concatenate(loads), 3) + 0.0  # no -0.0
-    return Schedule(
-        time_s=1.0 / nominal.rate_hz * np.arange(sum(rows), dtype=float),
+    done = Schedule(
+        time_s=1.0 / _ROWS_HZ * np.arange(sum(rows), dtype=float),
         trial=np.repeat(np.arange(len(rows)), rows),
         command_rad=np.round(np.concatenate(commands), 6) + 0.0,
         load_segment=np.where((load != 0.0).any(axis=1), np.repeat(segments, rows), 0),
+        load_n=load,
+    )
+    return done if nominal.rate_hz == _ROWS_HZ else _sampled(done, nominal.rate_hz)
+
+
+def _sampled(done: Schedule, rate_hz: float) -> Schedule:
+    """The same at another rate: straight on from row to row, in as long a time.
+
+    Between trials no load acts, so that one which rises or falls belongs to the row that has it.
+    """
+    time_s = np.arange(round(done.time_s[-1] * rate_hz) + 1) / rate_hz
+    before = np.clip(np.searchsorted(done.time_s, time_s, "right") - 1, 0, len(done.time_s) - 1)
+    after = np.minimum(before + 1, len(done.time_s) - 1)
+    share = np.clip((time_s - done.time_s[before]) * _ROWS_HZ, 0.0, 1.0)[:, None]
+    share[share < 1e-6] = 0.0  # rounding of times is no load
+
+    def between(column: Array, places: int) -> Array:
+        straight = column[before] + share * (column[after] - column[before])
+        return np.asarray(np.round(straight, places) + 0.0)
+
+    load = between(done.load_n, 3)
+    segment = np.maximum(done.load_segment[before], done.load_segment[after])
+    return Schedule(
+        time_s=time_s,
+        trial=done.trial[np.where(share[:, 0] > 0.0, after, before)],
+        command_rad=between(done.command_rad, 6),
+        load_segment=np.where((load != 0.0).any(axis=1), segment, 0),
         load_n=load,
     )
 

@@ -166,7 +166,7 @@ def wall(draw: Draw) -> Change:
 
 
 def _reach_m(draw: Draw) -> float:
-    return draw.nominal.plate_offset_m + draw.nominal.segment_count * draw.nominal.length_m
+    return draw.nominal.plate_offset_m + float(draw.nominal.length_m.sum())
 
 
 @_DRAWS.of_size("deg", 0.3, 40.0)

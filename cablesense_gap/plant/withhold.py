@@ -39,7 +39,7 @@ _CHANGE_REDRAWS = 8
 
 _TRIES = 6
 _NEAR = 1.25
-_STRIDE = 6
+_TRIED_HZ, _STRIDE = 5.0, 6
 _RETREAT = 0.4
 _NONE_SHARE, _UNKNOWN_SHARE, _DOUBLE_SHARE = 0.2, 0.2, 0.12
 _REDRAWS = 5
@@ -70,9 +70,10 @@ def withhold(
         make = partial(make_case, second=second)
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
-            _write_recording(folder / name, recorded.schedule, recorded.tensions_n)
+            hertz = nominal.rate_hz
+            _write_recording(folder / name, hertz, recorded.schedule, recorded.tensions_n)
             if recorded.second is not None:
-                _write_recording(folder / "second" / name, *recorded.second)
+                _write_recording(folder / "second" / name, hertz, *recorded.second)
             answers.append(recorded.answer)
             yield recorded.answer
     with _written(answers_file) as beside, beside.open("w", encoding="utf-8", newline="") as file:
@@ -134,12 +135,13 @@ def _pair(names: Iterator[str]) -> str:
     return "+".join(sorted((first, second)))
 
 
-def _write_recording(path: Path, done: Schedule, tensions_n: Array) -> None:
+def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Array) -> None:
     """One row a sample, columns named with their units."""
     angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
     header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
     header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
-    decimals = [2, 0, *[6] * angles, 0, *[3] * 3, *[4] * cables]
+    time_decimals = 2 if 100.0 % rate_hz == 0.0 else 6  # microseconds, where 10 ms are too coarse
+    decimals = [time_decimals, 0, *[6] * angles, 0, *[3] * 3, *[4] * cables]
     table = np.column_stack([*done, tensions_n])
     for column, places in zip(table.T, decimals, strict=True):
         column[:] = np.round(column, places) + 0.0  # no -0.00
@@ -322,5 +324,7 @@ def _alone_n(
 
 def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
     """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
+    rows = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0]) / _TRIED_HZ
     history_dependent = change.apply(arm, change.least).history_dependent
-    return schedule.rows(slice(None, None, _STRIDE)) if history_dependent else schedule
+    stride = max(1, round(rows)) * (_STRIDE if history_dependent else 1)
+    return schedule.rows(slice(None, None, stride))

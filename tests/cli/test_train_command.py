@@ -35,7 +35,7 @@ def test_writes_a_model_and_prints_its_figures(tmp_path):
     result = _run(*SMALL, "--out", str(out))
     assert result.exit_code == 0, result.output
     assert Estimator.load(out).metadata.misfit_limit.samples
-    for words in ("contact accuracy", "direction MAE", "by force", "100 to 200"):
+    for words in ("contact", "direction MAE", "force MAE", "by force", "100 to 200 N"):
         assert words in result.output
 
 

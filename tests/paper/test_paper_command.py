@@ -47,6 +47,15 @@ def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypa
     assert "ZeroDivisionError" in page
 
 
+def test_results_are_printed_for_programs_as_they_are_written(tmp_path, monkeypatch):
+    chosen = (study(lambda quick, progress: StudyResult("It ran."), name="second"),)
+    monkeypatch.setattr("cablesense_paper.study.chosen_studies", lambda only: chosen)
+    result = invoke("--out", str(tmp_path / "report"), "--json")
+    written = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
+    assert json.loads(result.stdout) == written
+    assert written["studies"][0]["name"] == "second"
+
+
 def test_help_names_the_studies():
     result = invoke("--help")
     assert result.exit_code == 0

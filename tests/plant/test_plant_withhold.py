@@ -1,18 +1,24 @@
 """Sets of recordings with hidden effects: files, answers, refusals."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_variants import variant
 from plant_arm import ARM_FILE, NOMINAL
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
+from cablesense_gap.arm_simulator import counted_rows, write_arm
 from cablesense_gap.plant.body import PlantError, read_nominal
+from cablesense_gap.plant.protocol import draw_schedule
 from cablesense_gap.plant.withhold import draw_several, make_case, withhold
+from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_sim.arm import open_arm
+from cablesense_sim.replay import replay_arm
 
 pytestmark = pytest.mark.slow
 
@@ -46,6 +52,43 @@ def test_the_files_are_rounded_as_documented(folder: Path) -> None:
     decimals = [len(text.partition(".")[2]) for text in first]
     assert decimals == [2, 0, *[6] * 8, 0, *[3] * 3, *[4] * 12]
     assert not any(text.startswith("-0.0000") for text in first)
+
+
+@pytest.mark.parametrize("rate_hz", [3.0, 40.0, 1000.0])
+def test_a_protocol_is_the_same_at_any_rate(rate_hz: float) -> None:
+    slow = draw_schedule(NOMINAL, np.random.default_rng(5))
+    other = draw_schedule(replace(NOMINAL, rate_hz=rate_hz), np.random.default_rng(5))
+    assert other.time_s[-1] == pytest.approx(slow.time_s[-1], abs=0.5 / rate_hz)
+    np.testing.assert_allclose(np.diff(other.time_s), 1.0 / rate_hz)
+    assert set(other.trial) == set(slow.trial)
+    both = np.flatnonzero(np.isin(np.round(other.time_s, 6), np.round(slow.time_s, 6)))
+    same = np.searchsorted(slow.time_s, other.time_s[both] - 1e-6)
+    for name in ("trial", "command_rad", "load_segment", "load_n"):
+        np.testing.assert_array_equal(getattr(other, name)[both], getattr(slow, name)[same])
+    np.testing.assert_array_equal(other.load_segment > 0, (other.load_n != 0.0).any(axis=1))
+
+
+def test_an_arm_with_lists_at_an_odd_rate_is_read_and_predicted(tmp_path: Path) -> None:
+    """Its tolerances alone part its readings from those of the simulator's arm."""
+    arm = variant(
+        {
+            "segments.length_m": [0.15, 0.13, 0.12, 0.11],
+            "segments.mass_kg": [0.6, 0.5, 0.4, 0.3],
+            "segments.contact_m": [0.07, 0.06, 0.06, 0.05],
+            "cables.routing_radius_m": [0.06, 0.055, 0.05, 0.045],
+            "sensors.rate_hz": 3.0,
+        },
+        "cdsm_lab",
+    )
+    file = tmp_path / "arm.yaml"
+    write_arm(file, arm, "")
+    (answer,) = withhold(tmp_path, tmp_path / "a.csv", read_nominal(file), 1, 4, ["none"])
+    read = read_recording(tmp_path / "case_001.csv", arm)
+    predicted_n = replay_arm(arm, read.time_s, read.command_rad, read.forces_n)
+    assert check_recording(read, arm, predicted_n) == []
+    counted = counted_rows(arm, read, predicted_n)
+    left_n = (read.tensions_n - predicted_n)[counted]
+    assert np.sqrt((left_n**2).mean()) == pytest.approx(answer.scatter_gap_n, rel=0.3)
 
 
 def test_answers_stand_apart_and_no_recording_contains_them(folder: Path) -> None:
@@ -92,8 +135,9 @@ def test_nothing_remains_of_a_file_that_cannot_take_its_place(tmp_path: Path) ->
     [
         (("name: cdsm_lab", "name: ["), "not plain YAML"),
         (("mass_kg: 0.50", "mass: 0.5"), "'mass_kg' is missing"),
-        (("count: 4", "count: 1"), "identical segments"),
-        (("length_m: 0.130", "length_m: long"), "identical segments"),
+        (("count: 4", "count: 1"), "fewer than 2 segments"),
+        (("length_m: 0.130", "length_m: long"), "one number or one for each segment"),
+        (("length_m: 0.130", "length_m: [0.1, 0.2]"), "nor 4, one for each segment"),
         (("name: cdsm_lab", "effects: [{effect: payload}]"), "effects are listed"),
     ],
 )
