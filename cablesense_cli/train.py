@@ -41,7 +41,8 @@ def train(
             "accurate; closed-form: statics alone. From tensions alone: scale-aware, or the "
             "paper's decoupled, shared-backbone and two-stage. Several contacts at once: "
             "multi-contact-closed-form, or the paper's multi-contact. In motion and under "
-            "friction: temporal, which is history-dependent, and its baseline memoryless."
+            "friction: temporal, which is history-dependent, and its baseline memoryless. For an "
+            "arm file with lagging sensors: unlagged."
         ),
     ] = "closed-form-corrected",
     data: Annotated[
