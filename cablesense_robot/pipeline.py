@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from cablesense_robot.simulator import RobotSimulator
 
 UNIT = "floors"
 FOLDS = 5
+_FAR_OFF = 3.0
+"""Standard deviations that one tolerance among many may be off."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def diagnose(
     simulator = RobotSimulator(robot, motion, beside or {})
     problem = problem_of(simulator)
     calibration = bundled_calibration()
-    found = posterior(search(problem, progress, workers), problem.floor, calibration)
+    hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
+    found = posterior(hypotheses, problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
@@ -134,6 +137,18 @@ def problem_of(simulator: RobotSimulator) -> Problem:
     count = int(trial.max()) + 1
     fold = np.arange(count) % min(FOLDS, count)
     return prepare(simulator, simulator.readings, trial, fold, np.ones(len(trial), dtype=bool))
+
+
+def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """One tolerance far off counts as all of them off would.
+
+    A robot has so many that one alone, as a delay of many samples, would not show in their sum.
+    """
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    tolerances = hypothesis.tolerances
+    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
+    least = len(tolerances) * (largest / _FAR_OFF) ** 4
+    return replace(hypothesis, tolerance_chi2=max(hypothesis.tolerance_chi2, least))
 
 
 def _compared(motion: Motion) -> str:

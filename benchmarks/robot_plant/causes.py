@@ -360,5 +360,5 @@ def with_tolerances(robot: Hidden, kind: Kind, rng: np.random.Generator) -> Hidd
         stiffness=robot.stiffness * (1.0 + 0.02 * rng.standard_normal(count)),
         zero=robot.zero + np.deg2rad(0.1) * rng.standard_normal(count),
         scale=robot.scale + 0.01 * rng.standard_normal(count),
-        offset=robot.offset + 0.2 * kind.noise_n_m * rng.standard_normal(count),
+        offset=robot.offset + 0.05 * kind.noise_n_m * rng.standard_normal(count),
     )

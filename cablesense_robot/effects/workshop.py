@@ -39,7 +39,7 @@ class LinkTolerance(Effect):
 
 
 class DriveTolerance(Effect):
-    """Zeros to a tenth of a degree, torque constants to 1 %, torque zeros to 0.2 %."""
+    """Zeros to 0.1°, torque constants to 1 %, torque zeros to 0.2 %, dampers and rotors to 3 %."""
 
     name = "drive_tolerance"
     about = "tolerances of encoders and torques"
@@ -53,12 +53,16 @@ class DriveTolerance(Effect):
             size("zero_rad", robot.position_units[0], 10.0 * zero, zero, "read at the true zero"),
             size("share", "1", 0.1, 0.01, "read too much"),
             size("torque_n_m", torque_unit(robot), 10.0 * typical, typical, "read without torque"),
+            size("damping_share", "1", 0.3, 0.03, "more damping than modelled"),
+            size("rotor_share", "1", 0.3, 0.03, "more inertia of the rotor than modelled"),
         )
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.zero[at] += values["zero_rad"]
         change.torque_scale[at] += values["share"]
         change.torque_offset[at] += values["torque_n_m"]
+        change.damping[at] *= 1.0 + values["damping_share"]
+        change.armature[at] *= 1.0 + values["rotor_share"]
 
 
 class TimingTolerance(Effect):
