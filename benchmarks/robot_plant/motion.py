@@ -11,7 +11,7 @@ from robot_plant.hidden import Hidden, Kind, stacked
 
 STEP_S = 1e-3
 """Of the simulation and of the robots' controller."""
-TRIALS = ("sines", "points", "sines", "one by one", "points", "sines")
+TRIALS = ("sines", "points", "sines", "slow", "points", "sines")
 _TAPER = 0.16
 """Of a trial, at both ends: how long sines take to come and to go."""
 _MOVE_S, _HOLD_S = 0.9, 0.5
@@ -48,7 +48,7 @@ def reference(kind: Kind, rng: np.random.Generator) -> Reference:
         elif what == "sines":
             trials.append(_sines(kind, rng, time_s))
         else:
-            trials.append(_one_by_one(kind, rng, time_s))
+            trials.append(_slow(kind, rng, time_s))
     angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
     speed = np.gradient(angle, STEP_S, axis=0)
     return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
@@ -76,14 +76,12 @@ def _points(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
     return np.asarray(goals[at] + share[:, None] * (goals[at + 1] - goals[at]))
 
 
-def _one_by_one(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
-    """Each joint alone to one side and the other, slowly."""
-    count = len(kind.home_rad)
-    slot_s = time_s[-1] / count
-    at = np.minimum((time_s / slot_s).astype(int), count - 1)
-    within = time_s / slot_s - at
-    wave = np.sin(2.0 * np.pi * within) * _smooth(8.0 * np.minimum(within, 1.0 - within))
-    return np.where(at[:, None] == np.arange(count), wave[:, None], 0.0)
+def _slow(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """Every joint to one side and the other, once or twice in the trial."""
+    turns = rng.integers(1, 3, len(kind.home_rad)) * rng.choice([-1, 1], len(kind.home_rad))
+    share = (time_s / time_s[-1])[:, None]
+    edge = np.minimum(share, 1.0 - share) / _TAPER
+    return np.asarray(0.9 * np.sin(2.0 * np.pi * turns * share) * _smooth(edge))
 
 
 def _smooth(share: Array) -> Array:
