@@ -150,9 +150,10 @@ def _summary(cases: list[dict[str, Any]]) -> dict[str, Any]:
             "mean_interval_coverage": float(
                 np.mean([errors.get("interval_coverage", 0.0) for errors in used])
             ),
-            "seconds": harness.percentiles(
-                [case["seconds"] for case in misled], ("median", "worst")
-            ),
+            **{
+                name: harness.percentiles([case[name] for case in misled], ("median", "worst"))
+                for name in ("diagnosis_seconds", "training_seconds")
+            },
         }
     return {**summary, "cases": cases}
 

@@ -35,6 +35,7 @@ from cablesense_gap.report.text import (
     earlier_sentence,
     effect_advice,
     effect_places,
+    error_rows,
     headline,
     numbers,
     place_text,
@@ -121,6 +122,7 @@ def report_page(
         "changed": found.after_label != "",
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
+        "errors": error_rows(verdict.estimator) if verdict.estimator else [],
     }
     filters: dict[str, Any] = {
         made.__name__: made for made in (newtons, percent, listed, earlier_sentence)

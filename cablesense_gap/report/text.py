@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 from cablesense_gap.report.style import newtons, percent, with_interval
-from cablesense_gap.verdict import NONE, UNKNOWN, Earlier, Estimate, Verdict, listed
+from cablesense_gap.verdict import NONE, UNKNOWN, Earlier, Estimate, Estimator, Verdict, listed
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import known_effects
@@ -52,6 +53,28 @@ def earlier_sentence(earlier: Earlier) -> str:
     ]
     after = f": {', '.join(numbers)}" if numbers and earlier.outcome == "changed" else ""
     return f"The arm file's {name} is {_OUTCOMES[earlier.outcome]}{after}."
+
+
+_ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
+    "contact_accuracy": ("loaded segment named", percent),
+    "force_mae_n": ("force off by, mean", newtons),
+    "direction_mean_deg": ("direction off by, mean", lambda value: f"{value:.2f}°"),
+    "interval_coverage": ("force within the stated 95 % interval", percent),
+    "false_force_n": ("force told of the released arm, mean", newtons),
+}
+
+
+def error_rows(estimator: Estimator) -> list[tuple[str, str, str]]:
+    """Errors of the first and of the second estimator, by what they are; dashes where none."""
+    found = []
+    for name in dict(estimator.before, **(estimator.after or {})):
+        label, text = _ERRORS.get(name, (name.replace("_", " "), "{:.4g}".format))
+        cells = [
+            text(errors[name]) if errors and name in errors else "–"
+            for errors in (estimator.before, estimator.after)
+        ]
+        found.append((label, cells[0], cells[1]))
+    return found
 
 
 def cause(verdict: Verdict, name: str) -> str:
