@@ -1,0 +1,231 @@
+"""Real double pendulums of three designs: which effects separate them from their published models.
+
+    python benchmarks/real_double_pendulum.py --data DIR [--write]
+
+`DIR` holds `index.csv` (recording, design) and the runs as gzipped CSV, from the repository
+dfki-ric-underactuated-lab/double_pendulum (BSD 3-Clause, Copyright (c) 2022, DFKI RIC
+Underactuated Robotics Lab), resampled at 200 Hz. The nominal models are the
+`config/robots/double_pendulum_….xml`: published masses, lengths and inertias, no friction. Every
+other run of a design is diagnosed; the amended model is judged on the runs between, by the
+torques that their motion needs. `mujoco.sysid` fits all parameters to the same runs, over
+short windows from measured states, and is judged alike; without its libraries
+(`pip install mujoco[sysid]`) it is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import harness
+import mujoco
+import numpy as np
+import pandas as pd
+
+from cablesense_base import Array
+from cablesense_gap.simulator import Assignment
+from cablesense_robot import smoothing
+from cablesense_robot.catalogue import changed
+from cablesense_robot.inverse import InverseDynamics
+from cablesense_robot.model import Robot, load_robot
+from cablesense_robot.motion import Motion, prepared
+from cablesense_robot.pipeline import RobotDiagnosis, diagnose
+from cablesense_robot.recording import RobotRecording, read_recording
+from cablesense_robot.report import write_robot_diagnosis
+
+MODELS = Path(__file__).parents[1] / "config" / "robots"
+DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
+_WINDOW_S, _STEP_S, _STATES_HZ = 0.5, 0.0025, 10.0
+_FRICTION = "joint_friction.joint_{}.torque_n_m"
+
+
+def main() -> None:
+    """Diagnoses one half of each design's runs and judges on the other."""
+    parser = harness.parser(__doc__, "real_double_pendulum.json")
+    parser.add_argument("--data", type=Path, required=True, help="folder of the runs")
+    parser.add_argument("--design", choices=DESIGNS, action="append", help="only this one")
+    parser.add_argument("--report", type=Path, help="folder for the report of each design")
+    options = parser.parse_args()
+    found = {
+        design: _of_design(design, options)
+        for design in DESIGNS
+        if not options.design or design in options.design
+    }
+    result = {**harness.origin("mujoco"), "designs": found}
+    harness.publish("real_double_pendulum.json", result, options)
+
+
+def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
+    index = pd.read_csv(options.data / "index.csv")
+    runs = index[index.design == design].recording.tolist()
+    robot = load_robot(MODELS / f"double_pendulum_{DESIGNS[design]}.xml")
+    with tempfile.TemporaryDirectory() as folder:
+        halves = []
+        for name, own in (("fitted", runs[::2]), ("judged", runs[1::2])):
+            converted(options.data, own, Path(folder) / name)
+            halves.append(read_recording(Path(folder) / name, robot))
+        fitted, judged = halves
+    diagnosis = diagnose(fitted, robot)
+    if options.report is not None:
+        write_robot_diagnosis(options.report / DESIGNS[design], diagnosis)
+    verdict = diagnosis.verdict
+    motion = prepared(judged, robot)
+    return {
+        "diagnosed": runs[::2],
+        "judged": runs[1::2],
+        "effects": verdict.effects,
+        "probability": round(verdict.probability, 2),
+        "friction_n_m": _friction(diagnosis),
+        "parameters": {
+            name: [round(estimate.value, 4), *(round(end, 4) for end in estimate.ci95)]
+            for name, estimate in verdict.parameters.items()
+        },
+        "seconds": round(verdict.seconds or 0.0, 1),
+        "compared up to, Hz": round(motion.compared_hz, 2),
+        "torque error on judged runs, N·m": {
+            "torque itself": _sizes(motion, motion.torque),
+            "published model": _sizes(motion, motion.torque - _torques(robot, motion)),
+            "amended model": _sizes(
+                motion, motion.torque - _torques(robot, motion, diagnosis.amended)
+            ),
+            **_of_sysid(robot, fitted, motion),
+        },
+    }
+
+
+def converted(data: Path, runs: Sequence[str], folder: Path) -> None:
+    """Runs in the columns that recordings of robots have, a file each."""
+    units = {"position": "rad", "torque": "nm"}
+    names = {
+        f"{what}_{joint}_{unit}": f"{what}.joint_{joint}"
+        for what, unit in units.items()
+        for joint in (1, 2)
+    }
+    folder.mkdir()
+    for run in runs:
+        table = pd.read_csv(data / f"{run}.csv.gz", usecols=["time_s", *names])
+        table.rename(columns=names).to_csv(folder / f"{run}.csv.gz", index=False)
+
+
+def _friction(diagnosis: RobotDiagnosis) -> list[float | None]:
+    """Dry friction of both joints, where it is named."""
+    found = [diagnosis.verdict.parameters.get(_FRICTION.format(joint)) for joint in (1, 2)]
+    return [None if each is None else round(each.value, 3) for each in found]
+
+
+def _torques(robot: Robot, motion: Motion, effects: Assignment | None = None) -> Array:
+    """(R, J) by a model and effects."""
+    return InverseDynamics(robot, motion).torques(changed(robot, [effects or {}]))
+
+
+def _sizes(motion: Motion, torque: Array) -> list[float]:
+    """Root mean square of what is compared, joint by joint, and of both together."""
+    square = (motion.compared(torque) ** 2).mean(0) / motion.counts.mean(0)
+    return [round(float(np.sqrt(each)), 4) for each in (*square, square.mean())]
+
+
+def _of_sysid(robot: Robot, fitted: RobotRecording, motion: Motion) -> dict[str, Any]:
+    """All parameters free, by `mujoco.sysid` from the runs that were diagnosed."""
+    try:
+        import absl  # noqa: F401  (without it mujoco.sysid imports, and has nothing in it)
+    except ModuleNotFoundError:
+        return {}
+    spec = mujoco.MjSpec.from_file(str(robot.path))
+    values = _identified(spec, fitted)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "identified.xml"
+        spec.compile()
+        path.write_text(spec.to_xml(), encoding="utf-8")
+        other = load_robot(path)
+        error = motion.torque - _torques(other, motion)
+    return {"mujoco.sysid": _sizes(motion, error), "mujoco.sysid found": values}
+
+
+def _identified(spec: mujoco.MjSpec, fitted: RobotRecording) -> Mapping[str, float]:
+    """Masses, centres, inertias, rotors, dampers and friction; leaves them in the spec."""
+    from mujoco import sysid
+
+    spec.option.timestep = _STEP_S
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for joint in ("joint_1", "joint_2"):
+        for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+            sensor = {"type": kind, "objtype": mujoco.mjtObj.mjOBJ_JOINT, "objname": joint}
+            spec.add_sensor(name=f"{joint}_{kind}", **sensor)
+    model = spec.compile()
+    states, controls, sensors = [], [], []
+    for trial in np.unique(fitted.trial):
+        rows = fitted.trial == trial
+        time_s, torque = fitted.time_s[rows], fitted.torque[rows]
+        rate_hz = 1.0 / float(np.median(np.diff(time_s)))
+        position = smoothing.smoothed(fitted.position[rows], rate_hz, _STATES_HZ)
+        speed, _ = smoothing.derivatives(position, rate_hz)
+        count = round(_WINDOW_S * rate_hz)
+        for begin in range(0, len(time_s) - count, count):
+            own = slice(begin, begin + count + 1)
+            since_s = time_s[own] - time_s[begin]
+            states.append(sysid.create_initial_state(model, position[begin], speed[begin]))
+            controls.append(sysid.TimeSeries.from_control_names(since_s, torque[own], model))
+            both = np.empty((len(since_s), 4))
+            both[:, ::2], both[:, 1::2] = position[own], speed[own]
+            sensors.append(sysid.TimeSeries.from_names(since_s, both, model))
+    names = [f"window_{w}" for w in range(len(states))]
+    windows = sysid.ModelSequences("double_pendulum", spec, names, states, controls, sensors)
+    parameters = sysid.ParameterDict()
+    for name, value, least, most, change in _free(spec):
+        parameters.add(sysid.Parameter(name, value, least, most, modifier=change))
+    residual = sysid.build_residual_fn(models_sequences=[windows], n_threads=1)
+    best, _ = sysid.optimize(
+        parameters, residual, optimizer="scipy", verbose=False, diff_step=1e-3, max_iters=40
+    )
+    for parameter in best.parameters.values():
+        parameter.apply_modifier(spec)
+    return {name: round(float(p.value[0]), 4) for name, p in best.parameters.items()}
+
+
+def _free(spec: mujoco.MjSpec) -> list[tuple[str, float, float, float, Any]]:
+    """Name, first value, bounds and what sets it, of each parameter."""
+
+    def of_joint(joint: str, attribute: str) -> Any:
+        return lambda s, p: setattr(s.joint(joint), attribute, _as(s.joint(joint), attribute, p))
+
+    def of_link(link: str, attribute: str, at: slice) -> Any:
+        def change(s: mujoco.MjSpec, p: Any) -> None:
+            getattr(s.body(link), attribute)[at] = p.value[0]
+
+        return change
+
+    found = []
+    for n in (1, 2):
+        link, joint = spec.body(f"link_{n}"), f"joint_{n}"
+        mass, centre, inertia = link.mass, link.ipos[2], link.inertia[0]
+        found += [
+            (f"mass_{n}", mass, 0.1 * mass, 4.0 * mass, _set_mass(link.name)),
+            (f"centre_{n}", centre, -0.6, -0.02, of_link(link.name, "ipos", slice(2, 3))),
+            (f"inertia_{n}", inertia, 1e-5, 0.1, of_link(link.name, "inertia", slice(0, 2))),
+            (f"rotor_{n}", 0.0022, 1e-5, 0.03, of_joint(joint, "armature")),
+            (f"damping_{n}", 0.005, 0.0, 0.3, of_joint(joint, "damping")),
+            (f"friction_{n}", 0.02, 0.0, 0.6, of_joint(joint, "frictionloss")),
+        ]
+    return found
+
+
+def _set_mass(link: str) -> Any:
+    return lambda s, p: setattr(s.body(link), "mass", float(p.value[0]))
+
+
+def _as(joint: Any, attribute: str, parameter: Any) -> Any:
+    """A number, or an array of one where the joint has one."""
+    old, value = getattr(joint, attribute), float(parameter.value[0])
+    if np.ndim(old):
+        return np.array([value, *np.asarray(old)[1:]])
+    return value
+
+
+if __name__ == "__main__":
+    main()
