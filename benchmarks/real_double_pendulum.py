@@ -18,6 +18,8 @@ import argparse
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +75,7 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
         fitted, judged = halves
     diagnosis = diagnose(fitted, robot)
     if options.report is not None:
-        write_robot_diagnosis(options.report / DESIGNS[design], diagnosis)
+        write_robot_diagnosis(options.report / DESIGNS[design], diagnosis, {})
     verdict = diagnosis.verdict
     motion = prepared(judged, robot)
     return {
@@ -132,9 +134,7 @@ def _sizes(motion: Motion, torque: Array) -> list[float]:
 
 def _of_sysid(robot: Robot, fitted: RobotRecording, motion: Motion) -> dict[str, Any]:
     """All parameters free, by `mujoco.sysid` from the runs that were diagnosed."""
-    try:
-        import absl  # noqa: F401  (without it mujoco.sysid imports, and has nothing in it)
-    except ModuleNotFoundError:
+    if find_spec("absl") is None:  # mujoco.sysid then has nothing in it
         return {}
     spec = mujoco.MjSpec.from_file(str(robot.path))
     values = _identified(spec, fitted)
@@ -149,8 +149,7 @@ def _of_sysid(robot: Robot, fitted: RobotRecording, motion: Motion) -> dict[str,
 
 def _identified(spec: mujoco.MjSpec, fitted: RobotRecording) -> Mapping[str, float]:
     """Masses, centres, inertias, rotors, dampers and friction; leaves them in the spec."""
-    from mujoco import sysid
-
+    sysid: Any = import_module("mujoco.sysid")  # its types would hide those of mujoco
     spec.option.timestep = _STEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for joint in ("joint_1", "joint_2"):
