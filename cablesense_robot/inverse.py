@@ -46,6 +46,8 @@ class InverseDynamics:
             + (change.damping - nominal.damping) * speed
             + (change.stiffness - nominal.stiffness) * (position - self._robot.model.qpos_spring)
         )
+        # what drives a geared joint bears its torque, less what acts on it from outside
+        transmitted = transmitted + (transmitted - motion.load) @ self._robot.geared
         losses = np.exp(change.load_friction * motion.direction * np.sign(transmitted))
         at_drive = transmitted * losses + change.friction * motion.direction
         if change.coupling.any():

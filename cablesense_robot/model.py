@@ -38,6 +38,8 @@ class Robot:
         bodies: names of the B bodies that move and have mass.
         body_ids: (B,) their numbers in the model.
         actuators: names of its A actuators.
+        geared: (J, J) by how much joint i moves with joint d, where an equality of the model ties
+            it to that: a transmission, or a finger that mimics another.
         left_out: what of the model no comparison honours, as sentences.
     """
 
@@ -49,6 +51,7 @@ class Robot:
     bodies: tuple[str, ...]
     body_ids: NDArray[np.int64] = field(compare=False)
     actuators: tuple[str, ...]
+    geared: Array = field(compare=False)
     left_out: tuple[str, ...] = ()
 
     @property
@@ -182,7 +185,10 @@ def load_robot(path: str | Path) -> Robot:
     if not path.is_file():
         raise RobotError(f"{path}: no such file; give an MJCF or a URDF")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        for body in spec.bodies:
+            body.simple = False  # inertias compiled as simple ones could not be changed
+        model = spec.compile()
     except ValueError as error:
         line = " ".join(str(error).split())[:300]
         raise RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})") from error
@@ -202,10 +208,11 @@ def load_robot(path: str | Path) -> Robot:
     if not all(names):
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
     joints = _as_places(path, names)
+    geared, left_out = _geared(model)
     own = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0]
     bodies = _as_places(path, [model.body(b).name or f"body_{b}" for b in own])
     return Robot(
-        name=mujoco.MjSpec.from_file(str(path)).modelname or path.stem,
+        name=spec.modelname or path.stem,
         path=path,
         model=model,
         joints=joints,
@@ -213,8 +220,21 @@ def load_robot(path: str | Path) -> Robot:
         bodies=bodies,
         body_ids=np.array(own, dtype=np.int64),
         actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
-        left_out=("Equality constraints of the model are left out.",) if model.neq else (),
+        geared=geared,
+        left_out=left_out,
     )
+
+
+def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
+    """Ratios of joints that are tied to others, and what of the equalities is left out."""
+    geared, others = np.zeros((model.njnt, model.njnt)), 0
+    for e in range(model.neq):
+        joint, of, curve = model.eq_obj1id[e], model.eq_obj2id[e], model.eq_data[e, 1:5]
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and of >= 0 and not curve[1:].any():
+            geared[joint, of] = curve[0]
+        else:
+            others += 1
+    return geared, (f"{others} equality constraints of the model are left out.",) * bool(others)
 
 
 def _as_places(path: Path, names: list[str]) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ class Course:
     Attributes:
         position, speed, acceleration: (R, J).
         direction: (R, J) of each joint's motion, -1 to 1.
+        load: (R, J) torques that act on geared joints from outside, zero at the others.
     """
 
     time_s: Array
@@ -58,6 +59,7 @@ class Course:
     speed: Array
     acceleration: Array
     direction: Array
+    load: Array
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,8 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
         for f in fields(_Smoothed)
     }
     moving, torque = joined.pop("moving"), joined["torque"]
-    counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque)
+    tied = robot.geared.any(axis=1)
+    counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque) & ~tied
     rows_hz = rate_hz / step
     passes, kept = _passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
     trial = np.unique(joined["trial"], return_inverse=True)[1]
@@ -319,6 +322,7 @@ def _of_trial(
         speed=speed[inner],
         acceleration=acceleration[inner],
         direction=direction[inner],
+        load=np.where(robot.geared.any(axis=1), np.nan_to_num(torque), 0.0)[inner],
         torque=torque[inner],
         moving=np.abs(speed[inner]) >= slow,
     )

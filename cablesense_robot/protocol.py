@@ -112,6 +112,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
         speed=speed,
         acceleration=acceleration,
         direction=np.clip(speed / _SLOW_SPEED, -1.0, 1.0),
+        load=np.zeros_like(position),
     )
     dynamics = InverseDynamics(robot, course)
     weighed = rivals if len(rivals) > 1 else [{}, *rivals]

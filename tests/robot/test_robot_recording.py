@@ -10,8 +10,9 @@ from two_link import recorded, write_model
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.topics import CABLE_TENSIONS
+from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
-from cablesense_robot.motion import prepared
+from cablesense_robot.motion import Course, prepared
 from cablesense_robot.recording import read_recording
 
 BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
@@ -166,3 +167,24 @@ def test_a_urdf_is_a_model_too(tmp_path):
     assert robot.joints == ("turn",)
     assert robot.bodies == ("arm",)
     assert robot.nominal().mass_kg == pytest.approx([2.0])
+
+
+def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):
+    path = tmp_path / "geared.xml"
+    joint = "<body><joint name='{}' axis='0 0 1'/><geom size='0.1' mass='2'/></body>"
+    tied = "<equality><joint joint1='b' joint2='a' polycoef='0.1 -2 0 0 0'/></equality>"
+    both = joint.format("a") + joint.format("b")
+    path.write_text(f"<mujoco><worldbody>{both}</worldbody>{tied}</mujoco>")
+    robot = load_robot(path)
+    inertia = 0.4 * 2.0 * 0.1**2  # of a ball
+    course = Course(
+        time_s=np.arange(3.0),
+        trial=np.zeros(3, dtype=np.int64),
+        position=np.zeros((3, 2)),
+        speed=np.zeros((3, 2)),
+        acceleration=np.array([[1.0, -2.0]] * 3),
+        direction=np.ones((3, 2)),
+        load=np.array([[0.0, 0.3]] * 3),
+    )
+    torque = InverseDynamics(robot, course).torques(robot.nominal())[0, 0]
+    assert torque == pytest.approx(inertia * 1.0 - 2.0 * (inertia * -2.0 - 0.3))

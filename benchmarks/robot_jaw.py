@@ -1,0 +1,88 @@
+"""The da Vinci jaw of `real_jaw.py` through the door of any robot: an MJCF and recordings.
+
+    python benchmarks/robot_jaw.py --data DIR [--write]
+
+The nominal model (`config/robots/jaw.xml`) has no friction. Every other level of the brake is
+diagnosed, the levels between are predicted by the amended model.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import harness
+import numpy as np
+import pandas as pd
+from real_jaw_recordings import SAMPLE_S, JawRecording, read_recordings, split
+
+from cablesense_robot.amending import load_amended, write_amended
+from cablesense_robot.model import Robot, load_robot
+from cablesense_robot.pipeline import diagnose
+from cablesense_robot.prediction import predicted
+from cablesense_robot.recording import RobotRecording, read_recording
+
+MODEL = Path(__file__).parents[1] / "config" / "robots" / "jaw.xml"
+_TRIAL_GAP_S = 30.0
+
+
+def main() -> None:
+    """Diagnoses half of the reference tool's recordings and predicts the other half."""
+    parser = harness.parser(__doc__, "robot_jaw.json")
+    parser.add_argument("--data", required=True, help="folder of the jaw's recordings")
+    options = parser.parse_args()
+    train, parts = split(read_recordings(options.data), None, 0)
+    robot = load_robot(MODEL)
+    with tempfile.TemporaryDirectory() as folder:
+        one, other = (
+            _recording(Path(folder) / f"{name}.csv", recordings, robot)
+            for name, recordings in (("train", train), ("test", parts[0].test))
+        )
+        found = diagnose(one, robot)
+        write_amended(Path(folder), robot, found.amended, {})
+        amended = load_amended(folder)
+        gaps = [predicted(other, *model).gaps[0][2] for model in ((robot, {}), amended)]
+    verdict = found.verdict
+    result: dict[str, Any] = {
+        **harness.origin("mujoco"),
+        "effects": verdict.effects,
+        "probability": round(verdict.probability, 3),
+        "numbers": {
+            name: f"{e.value:.3g} ({e.ci95[0]:.3g} to {e.ci95[1]:.3g}) {e.unit}"
+            for name, e in verdict.parameters.items()
+        },
+        "levels not fitted, drive's torque before and after, mN·m": [
+            round(1e3 * gap, 2) for gap in gaps
+        ],
+        "removed": round(1.0 - gaps[1] / gaps[0], 3),
+        "trials": [len(train), len(parts[0].test)],
+        "seconds": round(verdict.seconds or 0.0, 1),
+    }
+    print(json.dumps(result, indent=1, ensure_ascii=False))
+    if options.write:
+        harness.write_result("robot_jaw.json", result)
+
+
+def _recording(path: Path, recordings: Sequence[JawRecording], robot: Robot) -> RobotRecording:
+    """As a stranger would write it; the drive's torque counts in the direction of its motion."""
+    tables = []
+    for trial, r in enumerate(recordings):
+        time_s = np.arange(len(r.drive_angle_rad)) * SAMPLE_S
+        columns = {
+            "time_s": time_s + _TRIAL_GAP_S * trial,
+            "trial": np.full(len(time_s), trial),
+            "position.drive": r.drive_angle_rad,
+            "position.jaw": r.jaw_angle_rad,
+            "torque.drive": -r.drive_torque_nm,
+            "torque.jaw": r.jaw_torque_nm,
+        }
+        tables.append(pd.DataFrame(columns))
+    pd.concat(tables).to_csv(path, index=False)
+    return read_recording(path, robot)
+
+
+if __name__ == "__main__":
+    main()
