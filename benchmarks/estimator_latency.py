@@ -31,7 +31,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
-from cablesense_ros.node_process import qos_profile, run_node
+from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.node_process import run_node
 from cablesense_ros.processes import node_command, wait_until
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of

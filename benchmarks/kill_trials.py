@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py.qos import Qos
-from cablesense_ros.node_process import qos_profile
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of

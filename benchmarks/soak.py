@@ -38,7 +38,7 @@ from soak_sequence import answers, delivery, line_limits, marked_sequence, memor
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.qos import Qos
 from cablesense_online.can.channel_map import open_channel_map
-from cablesense_ros.node_process import qos_profile
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import Arm, open_arm
 

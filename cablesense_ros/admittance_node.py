@@ -36,15 +36,8 @@ from cablesense_online.admittance.estimate_watch import (
 )
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.node_process import (
-    WARN_EVERY_S,
-    ConfiguredNode,
-    RefusalLog,
-    of_node,
-    overridable,
-    run_node,
-    steady_timer,
-)
+from cablesense_ros.endpoints import WARN_EVERY_S, RefusalLog, of_node, overridable
+from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command

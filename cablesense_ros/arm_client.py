@@ -18,7 +18,7 @@ from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.node_process import RefusalLog, of_node, overridable
+from cablesense_ros.endpoints import RefusalLog, of_node, overridable
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command
 

@@ -30,7 +30,8 @@ from cablesense_online.breathing import (
     breath_circle,
     offsets_m,
 )
-from cablesense_ros.node_process import RefusalLog, overridable, publish_diagnostics, run_node
+from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
 

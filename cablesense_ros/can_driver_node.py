@@ -31,13 +31,8 @@ from cablesense_online.can.calibration import (
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
-from cablesense_ros.node_process import (
-    ConfiguredNode,
-    RefusalLog,
-    overridable,
-    run_node,
-    steady_timer,
-)
+from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer
 from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion

@@ -21,13 +21,8 @@ from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import BusSink, Emulator, FrameSink, RecordingPlayer
 from cablesense_online.can.slcan import SlcanPort
-from cablesense_ros.node_process import (
-    RefusalLog,
-    publish_diagnostics,
-    qos_profile,
-    run_node,
-    steady_timer,
-)
+from cablesense_ros.endpoints import RefusalLog, qos_profile
+from cablesense_ros.node_process import publish_diagnostics, run_node, steady_timer
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_sim.arm import Arm, open_arm
 

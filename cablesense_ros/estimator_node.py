@@ -26,15 +26,9 @@ from cablesense_online.models import load_model
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings
 from cablesense_online.state_file import StateFile
 from cablesense_online.tare import Tare, TareError, tare_undone_line
+from cablesense_ros.endpoints import WARN_EVERY_S, RefusalLog, subscribe_to_one
 from cablesense_ros.estimator_outputs import EstimatorOutputs
-from cablesense_ros.node_process import (
-    WARN_EVERY_S,
-    ConfiguredNode,
-    RefusalLog,
-    run_node,
-    steady_timer,
-    subscribe_to_one,
-)
+from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer
 from cablesense_ros.parameters import parameter_values
 from cablesense_ros.trajectory_input import TrajectoryInput
 

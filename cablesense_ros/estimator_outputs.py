@@ -32,7 +32,8 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.state import put_state
-from cablesense_ros.node_process import diagnostic_array, overridable
+from cablesense_ros.endpoints import overridable
+from cablesense_ros.node_process import diagnostic_array
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""

@@ -23,12 +23,8 @@ from cablesense_online.admittance.wall import (
     compliance_m_n,
     wall_beside,
 )
-from cablesense_ros.node_process import (
-    RefusalLog,
-    overridable,
-    publish_diagnostics,
-    run_node,
-)
+from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm

@@ -19,7 +19,8 @@ from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page, exposure_warning
 from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.node_process import full_name, of_node, run_node, steady_timer
+from cablesense_ros.endpoints import of_node
+from cablesense_ros.node_process import full_name, run_node, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
 

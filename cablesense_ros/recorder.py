@@ -21,13 +21,8 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.node_process import (
-    RefusalLog,
-    message_class,
-    overridable,
-    spun_node,
-    subscribe_to_one,
-)
+from cablesense_ros.endpoints import RefusalLog, message_class, overridable, subscribe_to_one
+from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
 

@@ -23,7 +23,8 @@ from cablesense_msgs_py.serialized import restamped, stamp_ns
 from cablesense_online.recorded_run import RecordedRun, Step
 from cablesense_online.replay import Comparison, replayed_steps
 from cablesense_online.state import LIVE_SETTINGS, EstimatorState, EventKind
-from cablesense_ros.node_process import message_class, node_in_thread, qos_profile
+from cablesense_ros.endpoints import message_class, qos_profile
+from cablesense_ros.node_process import node_in_thread
 
 PATIENCE_S = 10.0
 LONGEST_AGE_NS = 10_000_000

@@ -27,12 +27,8 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.node_process import (
-    RefusalLog,
-    overridable,
-    publish_diagnostics,
-    run_node,
-)
+from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import open_arm

@@ -15,7 +15,8 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.commissioning.sensor_statistics import TensionSeries
 from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
 from cablesense_online.samples import FollowedPublisher, SampleError
-from cablesense_ros.node_process import spun_node, subscribe_to_one
+from cablesense_ros.endpoints import subscribe_to_one
+from cablesense_ros.node_process import spun_node
 
 _FIRST_SAMPLE_S = 5.0
 _JOINING_S = 0.5

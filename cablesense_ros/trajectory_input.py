@@ -15,7 +15,8 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.topics import ContractError
-from cablesense_ros.node_process import RefusalLog, steady_timer
+from cablesense_ros.endpoints import RefusalLog
+from cablesense_ros.node_process import steady_timer
 
 PERIOD_S = 0.02
 

@@ -33,7 +33,7 @@ from cablesense_online.admittance.estimate_watch import (
 from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_online.admittance.wall import Approach, compliance_m_n
 from cablesense_ros.arm_client import record
-from cablesense_ros.node_process import RefusalLog, of_node
+from cablesense_ros.endpoints import RefusalLog, of_node
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 

@@ -10,7 +10,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from ros_graph import NodeProcess, force
 
 from cablesense_msgs_py.qos import Qos
-from cablesense_ros.node_process import qos_profile
+from cablesense_ros.endpoints import qos_profile
 
 rclpy = pytest.importorskip("rclpy")
 

@@ -10,7 +10,7 @@ from rclpy.utilities import try_shutdown
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import LIVE_SETTINGS
-from cablesense_ros.node_process import RefusalLog
+from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.parameters import (
     NodeParameter,
     ParameterError,

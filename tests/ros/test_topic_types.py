@@ -30,7 +30,7 @@ def test_other_topics_are_none_of_it(name):
 
 def test_types_are_installed_or_left_out():
     pytest.importorskip("rclpy")
-    from cablesense_ros.node_process import message_class
+    from cablesense_ros.endpoints import message_class
 
     missing = {of.kind for of in CONTRACT.values() if message_class(of.kind) is None}
     assert missing <= {"tf2_msgs/msg/TFMessage"}
