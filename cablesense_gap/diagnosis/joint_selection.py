@@ -30,6 +30,7 @@ Spread = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 Fit = Callable[[Problem, Screened], Hypothesis | None]
 
 _MOST_EFFECTS = 7
+_SEVERAL = 3
 _MOST_CHANGES, _MOST_EXCHANGES = 10, 2
 _TRIED = 3
 _PROMISING = 2.0
@@ -75,7 +76,7 @@ class JointSelection:
     ) -> Iterator[Hypothesis]:
         """Every explanation on the way from `start`, the last one the best.
 
-        What is nearly enough is only added to, and no two effects at once are tried beside it.
+        What is nearly enough is only added to, and two effects at once are tried beside few.
         """
         best, exchanges = start, 0
         for _ in range(_MOST_CHANGES):
@@ -85,7 +86,7 @@ class JointSelection:
             better = self._best_of(self._grown(best, offered), best)
             if better is None and nearly(best):
                 break
-            if better is None:
+            if better is None and len(best.effects) < _SEVERAL:
                 better = self._best_of(self._added(best, offered), best)
             if better is None and exchanges < _MOST_EXCHANGES:
                 exchanges += 1
