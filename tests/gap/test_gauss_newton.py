@@ -93,6 +93,26 @@ def test_only_what_is_never_zero_is_sought_by_its_logarithm():
     assert to_scaled(RATE, np.e) == pytest.approx(1.0)
 
 
+STIFFNESS = Parameter("change", "1", -0.8, 3.0, 0.2, "change", relative=True)
+
+
+def test_a_quarter_is_as_far_from_nominal_as_four_times():
+    assert to_scaled(STIFFNESS, 0.2) == pytest.approx(1.0)
+    assert to_scaled(STIFFNESS, -0.75) == pytest.approx(-to_scaled(STIFFNESS, 3.0))
+    assert from_scaled(STIFFNESS, to_scaled(STIFFNESS, -0.6)) == pytest.approx(-0.6)
+
+
+@pytest.mark.parametrize("change", [-0.7, -0.59, 2.0])
+def test_a_gross_change_of_a_stiffness_is_reached_from_none(change):
+    candidate = Candidate("soft", ("x",), (STIFFNESS,))
+    (term,) = candidate.terms("x")
+    stretched = {candidate: lambda _, numbers: SIGNALS[0] / (1.0 + numbers["change"])}
+    problem = problem_of(Sums(stretched), {term: change})
+    found = refine(problem, {term: STIFFNESS}, [[0.0]])
+    assert found.values[term] == pytest.approx(change, abs=1.5 * found.deviations[term])
+    assert found.deviations[term] < 0.03 * (1.0 + change)
+
+
 def test_a_size_is_expected_to_be_of_some_typical_ones():
     deviation = prior_precision(SIZE) ** -0.5
     assert 1.0 <= deviation <= 10.0

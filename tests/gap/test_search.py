@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.fitting import fit, reselect_places
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
-from cablesense_gap.diagnosis.joint_selection import borne_out
+from cablesense_gap.diagnosis.joint_selection import JointSelection, borne_out
 from cablesense_gap.diagnosis.places import linear_effects
 from cablesense_gap.diagnosis.problem import sketched
 from cablesense_gap.diagnosis.screening import screen_pairs, screen_singles
@@ -371,6 +371,33 @@ def test_five_effects_at_once_are_found_with_their_sizes_and_nothing_else():
     without = {h.effects: h.held_out_rmse for h in found}
     for name in "defgh":
         assert without[tuple(e for e in "defgh" if e != name)] > 5.0 * best.held_out_rmse
+
+
+def test_of_four_alike_none_is_missed():
+    """The first of them takes away an eighth of what is left, less than it would cost alone."""
+    simulator = Sums(several(4) | PLAIN)
+    truth = {amount(name, "b"): 1.0 for name in "defg"}
+    problem = problem_of(simulator, truth)
+    start = refine(problem, {}, [[]])
+    selection = JointSelection(
+        problem, lambda f, each: (f(problem, x) for x in each), simulator.candidates, fit, {}
+    )
+    *_, found = selection.run(start, lambda h: h.held_out_rmse < 1.1 * FLOOR, lambda _: False)
+    assert found.values == pytest.approx(truth, abs=0.05)
+
+
+def test_a_size_that_cannot_be_is_no_place():
+    """The signal of "a" would need to be taken away, which it cannot be."""
+    candidate = Candidate("load", ("a", "b"), (replace(size("amount"), low=0.0),))
+    by_place = dict(zip("ab", SIGNALS, strict=False))
+    simulator = Sums({candidate: lambda place, numbers: numbers["amount"] * by_place[place]})
+    problem = problem_of(simulator, 2.0 * SIGNALS[1] - 3.0 * SIGNALS[0])
+    selection = JointSelection(
+        problem, lambda f, each: (f(problem, x) for x in each), simulator.candidates, fit, {}
+    )
+    start = refine(problem, {}, [[]])
+    *_, found = selection.run(start, lambda _: False, lambda _: False)
+    assert set(found.values) == {amount("load", "b")}
 
 
 def test_a_gain_in_one_trial_of_many_may_be_chance():

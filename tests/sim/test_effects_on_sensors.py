@@ -15,13 +15,18 @@ THIRD = np.arange(12) == 2
 
 
 def sensed(entries: list[EffectEntry], tensions_n: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """Readings (P, R, M) of tensions (R, M) by P sensors side by side."""
-    sensing = entries[0].effect.sensing(entries[0].place, side_by_side(entries))
+    """Readings (P, R, M) of tensions (R, M) by P sensors side by side, one by one and at once."""
+    sensing, again = (
+        entries[0].effect.sensing(entries[0].place, side_by_side(entries)) for _ in range(2)
+    )
     assert sensing is not None
+    assert again is not None
     rows = [np.broadcast_to(row, (len(entries), 12)).copy() for row in tensions_n]
-    return np.stack(
+    read = np.stack(
         [sensing.step(float(t), row) for t, row in zip(times_s, rows, strict=True)], axis=1
     )
+    np.testing.assert_allclose(again.along(times_s, np.stack(rows, axis=1)), read)
+    return read
 
 
 def some_tensions(rows: int = 40) -> tuple[np.ndarray, np.ndarray]:
