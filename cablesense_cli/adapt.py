@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from cablesense_gap.recorded_contacts import RecordedErrors
 
 ADAPTED_MODEL = "estimator.onnx"
+_FRICTION = (
+    "Friction of cables hides forces from any estimator at rest: let the arm breathe "
+    "(docs/breathing.md)."
+)
 
 
 def adapt(
@@ -108,6 +112,8 @@ def adapt(
     console.print(headline(found.diagnosis.verdict), soft_wrap=True)
     console.print(_outcome(found, first), soft_wrap=True, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    if "capstan_friction" in found.diagnosis.verdict.effects:
+        console.print(_FRICTION, soft_wrap=True)
     if found.better:
         run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={out / AMENDED_ARM}"
         console.print(f"Run it: {run} -p model:={adapted}", soft_wrap=True)

@@ -31,6 +31,7 @@ from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.effects.sensor_lag import SensorLag
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
+from cablesense_training.fit import EpochRecord, OnEpoch
 from cablesense_training.inference.estimator import NORMAL_95, Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
 from cablesense_training.model_training import contact_answer, draw_training_data, train_model
@@ -46,7 +47,7 @@ _LESS = 0.95
 """Of the first estimator's force error: so much must the second be below it."""
 _CONTACTS_GIVEN_UP = 0.01
 """Of the rows: a second estimator that names fewer is no better, however small its errors."""
-_DIAGNOSIS_SHARE = 0.7
+_DIAGNOSIS_SHARE, _TRAINING_SHARE = 0.7, 0.1
 """Of the time that all takes."""
 
 
@@ -98,8 +99,13 @@ def adapt(
         progress(doing, _DIAGNOSIS_SHARE * done)
 
     found = diagnose(recording, arm, show, workers, on_finding, unseen)
-    progress("training for the amended arm", _DIAGNOSIS_SHARE)
-    adapted = adapt_to(found, recording, unseen, first, second, command)
+
+    def show_training(record: EpochRecord) -> None:
+        share = record.epoch / _EPOCHS
+        progress("training for the amended arm", _DIAGNOSIS_SHARE + _TRAINING_SHARE * share)
+
+    progress("drawing samples of the amended arm", _DIAGNOSIS_SHARE)
+    adapted = adapt_to(found, recording, unseen, first, second, command, show_training)
     progress("done", 1.0)
     return adapted
 
@@ -111,13 +117,14 @@ def adapt_to(
     first: Path,
     second: Path,
     command: str,
+    on_epoch: OnEpoch = lambda _: None,
 ) -> Adaptation:
     """What follows in `adapt` from a diagnosis that has not seen some trials."""
     estimator = open_estimator(first)
     before, after, better = recorded_errors(recording, estimator, unseen), None, False
     if found.verdict.shares:
         seen = recording.rows(~np.isin(recording.trial, unseen))
-        train_for(found.amended, estimator, seen, second, command)
+        train_for(found.amended, estimator, seen, second, command, on_epoch)
         after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
         better = _is_better(before, after)
     errors = Errors(
@@ -173,6 +180,7 @@ def train_for(
     recording: Recording,
     path: Path,
     command: str,
+    on_epoch: OnEpoch = lambda _: None,
 ) -> None:
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
@@ -219,6 +227,7 @@ def train_for(
         settings,
         command=command,
         test_samples=_TEST_SAMPLES,
+        on_epoch=on_epoch,
         on_trained=widen,
     )
 

@@ -36,7 +36,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         every = np.ones(len(recording), dtype=bool)
         return Diagnosis(recording, arm, verdict, LAB, read, read, read, every)
 
-    def train(arm, first, recording, path, command) -> None:
+    def train(arm, first, recording, path, *_) -> None:
         shutil.copy(find_model("cdsm_lab"), path)
 
     monkeypatch.setattr(adaptation, "diagnose", diagnose)

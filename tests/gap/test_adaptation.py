@@ -111,7 +111,7 @@ def test_a_second_estimator_that_is_no_better_is_not_used(
     monkeypatch.setattr(
         adaptation,
         "train_for",
-        lambda arm, first, recording, path, command: shutil.copy(SHIPPED, path),
+        lambda arm, first, recording, path, *_: shutil.copy(SHIPPED, path),
     )
     found = adapt(recorded(LAB), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
     assert not found.better
