@@ -6,13 +6,12 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_robot.catalogue import changed, in_model, known_effects
-from cablesense_robot.model import Robot, RobotError, load_robot
+from cablesense_robot.model import Robot, RobotError, load_robot, read_spec
 
 AMENDED_MODEL, BESIDE_MODEL = "amended_model.xml", "amended_model.json"
 """In the folder of a diagnosis."""
@@ -43,23 +42,24 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
     """The model as MJCF with the changes that it can say."""
     change, nominal = changed(robot, [values]), robot.nominal()
     model = robot.varied(change)
-    spec = mujoco.MjSpec.from_file(str(robot.path))
+    spec = read_spec(robot.path)
     folder = robot.path.parent.resolve()
     if spec.meshes or spec.textures:  # the amended model lies in another folder
         spec.meshdir, spec.texturedir = (str(folder / d) for d in (spec.meshdir, spec.texturedir))
     spec.option.gravity = change.gravity_m_s2
-    bodies, joints = list(spec.bodies), list(spec.joints)
+    bodies = {body.name: body for body in spec.bodies}  # a URDF's fixed links have no number
     for k, b in enumerate(robot.body_ids):
         moved = any(
             not np.array_equal(getattr(change, name)[k], getattr(nominal, name)[k])
             for name in ("mass_kg", "centre_m", "inertia_kg_m2")
         )
         if moved:
-            body = bodies[int(b)]
-            body.explicitinertial = True
+            body = bodies[model.body(b).name]
+            body.explicitinertial, body.fullinertia = True, [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]
             body.mass, body.ipos = model.body_mass[b], model.body_ipos[b]
             body.iquat, body.inertia = model.body_iquat[b], model.body_inertia[b]
-    for j, joint in enumerate(joints):
+    for j in range(model.njnt):
+        joint = spec.joint(model.joint(j).name)
         joint.armature, joint.frictionloss = change.armature[j], change.friction[j]
         for name in ("damping", "stiffness"):
             own = np.array(getattr(joint, name), dtype=float)

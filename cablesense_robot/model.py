@@ -13,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError, some_of
+from cablesense_base.files import read_bounded_text
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _LEAST_KG = 1e-9
 _LEAST_REACH_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+_MAX_BYTES = 50_000_000
+_URDF = re.compile(r"<robot[\s>]")
+_SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
 
 
@@ -182,16 +186,11 @@ def load_robot(path: str | Path) -> Robot:
             joints that have no name or more than one coordinate.
     """
     path = Path(path)
-    if not path.is_file():
-        raise RobotError(f"{path}: no such file; give an MJCF or a URDF")
+    spec = read_spec(path)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        for body in spec.bodies:
-            body.simple = False  # inertias compiled as simple ones could not be changed
         model = spec.compile()
     except ValueError as error:
-        line = " ".join(str(error).split())[:300]
-        raise RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})") from error
+        raise _unreadable(path, error) from error
     names = [model.joint(j).name for j in range(model.njnt)]
     if not names:
         raise RobotError(f"{path}: has no joints; the model of a robot has at least one")
@@ -210,7 +209,7 @@ def load_robot(path: str | Path) -> Robot:
     joints = _as_places(path, names)
     geared, left_out = _geared(model)
     own = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0]
-    bodies = _as_places(path, [model.body(b).name or f"body_{b}" for b in own])
+    bodies = _as_places(path, [model.body(b).name for b in own])
     return Robot(
         name=spec.modelname or path.stem,
         path=path,
@@ -223,6 +222,31 @@ def load_robot(path: str | Path) -> Robot:
         geared=geared,
         left_out=left_out,
     )
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """The model to be compiled or amended; of a URDF without its shapes, whose files may be far.
+
+    Raises:
+        RobotError: no such file, or not a model.
+    """
+    text = read_bounded_text(path, _MAX_BYTES, "an MJCF or a URDF", RobotError)
+    try:
+        if _URDF.search(text):
+            spec = mujoco.MjSpec.from_string(_SHAPES.sub("", text))
+        else:
+            spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise _unreadable(path, error) from error
+    for number, body in enumerate(spec.bodies):
+        body.simple = False  # inertias compiled as simple ones could not be changed
+        body.name = body.name or f"body_{number}"
+    return spec
+
+
+def _unreadable(path: Path, error: ValueError) -> RobotError:
+    line = " ".join(str(error).split())[:300]
+    return RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})")
 
 
 def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:

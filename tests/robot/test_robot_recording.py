@@ -9,7 +9,9 @@ from two_link import recorded, write_model
 
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS
+from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
 from cablesense_robot.motion import Course, prepared
@@ -154,24 +156,40 @@ def test_models_that_cannot_be_used_are_refused(tmp_path, text, says):
         load_robot(path)
 
 
-def test_a_urdf_is_a_model_too(tmp_path):
+URDF = """<robot name="crank">
+<link name="base"/>
+<link name="flange"><visual><geometry><mesh filename="package://far/a.stl"/></geometry></visual>
+  <inertial><mass value="1"/><origin xyz="0 0 0.1"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="arm"><collision><geometry><mesh filename="package://far/b.stl"/></geometry></collision>
+  <inertial><mass value="2"/><origin xyz="0.1 0 0"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="fixed" type="fixed"><parent link="base"/><child link="flange"/></joint>
+<joint name="turn" type="revolute"><parent link="flange"/><child link="arm"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
     path = tmp_path / "robot.urdf"
-    path.write_text(
-        '<robot name="crank"><link name="base"/><link name="arm"><inertial><mass value="2"/>'
-        '<origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
-        '</inertial></link><joint name="turn" type="revolute"><parent link="base"/>'
-        '<child link="arm"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" '
-        'velocity="1"/></joint></robot>'
-    )
+    path.write_text(URDF)
     robot = load_robot(path)
-    assert robot.joints == ("turn",)
-    assert robot.bodies == ("arm",)
-    assert robot.nominal().mass_kg == pytest.approx([2.0])
+    assert (robot.joints, robot.bodies) == (("turn",), ("arm",))
+    found = {
+        Term("link_mass", "arm", "share"): 0.25,
+        Term("joint_friction", "turn", "torque_n_m"): 0.3,
+        Term("torque_scale", "turn", "share"): 0.1,
+    }
+    write_amended(tmp_path, robot, found, {})
+    amended, beside = load_amended(tmp_path)
+    assert amended.nominal().mass_kg == pytest.approx([2.5])
+    assert amended.nominal().friction == pytest.approx([0.3])
+    assert beside == {Term("torque_scale", "turn", "share"): 0.1}
 
 
 def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):
     path = tmp_path / "geared.xml"
-    joint = "<body><joint name='{}' axis='0 0 1'/><geom size='0.1' mass='2'/></body>"
+    joint = "<body name='{0}'><joint name='{0}' axis='0 0 1'/><geom size='0.1' mass='2'/></body>"
     tied = "<equality><joint joint1='b' joint2='a' polycoef='0.1 -2 0 0 0'/></equality>"
     both = joint.format("a") + joint.format("b")
     path.write_text(f"<mujoco><worldbody>{both}</worldbody>{tied}</mujoco>")
