@@ -30,6 +30,7 @@ from cablesense_robot.simulator import RobotSimulator
 
 UNIT = "floors"
 FOLDS = 5
+_FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 _FAR_OFF = 3.0
 """Standard deviations that one tolerance among many may be off."""
 
@@ -127,7 +128,12 @@ def diagnose(
         measured=problem.readings * unit,
         before=problem.nominal * unit,
         after=explained.held_out * unit,
-        findings=(*recording.notes, *robot.left_out, _compared(motion)),
+        findings=(
+            *recording.notes,
+            *robot.left_out,
+            *doubtful(simulator, problem.nominal),
+            _compared(motion),
+        ),
     )
 
 
@@ -149,6 +155,24 @@ def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
     least = len(tolerances) * (largest / _FAR_OFF) ** 4
     return replace(hypothesis, tolerance_chi2=max(hypothesis.tolerance_chi2, least))
+
+
+def doubtful(simulator: RobotSimulator, predicted: Array) -> list[str]:
+    """Torques that follow the model's (Q, C), but with another sign or in another unit."""
+    found = []
+    for c, j in enumerate(simulator.channels):
+        measured, nominal = simulator.readings[:, c], predicted[:, c]
+        own, theirs = float(np.linalg.norm(measured)), float(np.linalg.norm(nominal))
+        if own * theirs == 0.0:
+            continue
+        alike = float(measured @ nominal) / (own * theirs)
+        ratio = own / theirs * float(np.sign(alike))
+        if abs(alike) > _FOLLOWS and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+            found.append(
+                f"torque.{simulator.robot.joints[j]} is {ratio:.2g} times what the model says: "
+                "is its sign or unit another?"
+            )
+    return found
 
 
 def _compared(motion: Motion) -> str:

@@ -29,6 +29,7 @@ _STILL_SHARE = 0.01
 _MOST_STRETCH_S = 20.0
 _LEAST_STRETCH_S = 1.0
 _MOST_RAD = 4.0 * np.pi
+_OTHER_UNIT = 10.0
 _MOST_INTERVAL_S = 1.0
 
 
@@ -79,6 +80,8 @@ def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
     name = path.name if path.is_dir() else path.name.removesuffix(".gz").removesuffix(".csv")
     every = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     _check(path, robot, every, trials)
+    for file, table, part in zip(files, tables, parts, strict=True):
+        _check_speeds(file, robot, table, part["position"])
     return RobotRecording(name, trial=trials, notes=notes, **every)
 
 
@@ -147,6 +150,22 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
         "torque": stacked("torque", robot.joints),
         "command": stacked("command", robot.actuators) if robot.actuators else np.empty((rows, 0)),
     }
+
+
+def _check_speeds(path: Path, robot: Robot, table: dict[str, Array], position: Array) -> None:
+    """Speeds that are read must be those of the positions, in one unit of time and angle."""
+    for joint, own in zip(robot.joints, position.T, strict=True):
+        speed = table.get(f"velocity.{joint}")
+        if speed is None:
+            continue
+        way, moved = np.diff(own), 0.5 * (speed[1:] + speed[:-1]) * np.diff(table["time_s"])
+        far = np.abs(way) > 0.5 * np.quantile(np.abs(way), 0.95)
+        ratio = abs(float(np.median(moved[far] / way[far]))) if far.any() else 1.0
+        if ratio > _OTHER_UNIT or 0.0 < ratio < 1.0 / _OTHER_UNIT:
+            raise RecordingError(
+                f"{path}: velocity.{joint} is {ratio:.3g} times what position.{joint} and time_s "
+                "make; rad, rad/s and s are right (m and m/s of a slide)"
+            )
 
 
 def _refuse_strangers(path: Path, table: dict[str, Array], robot: Robot) -> None:

@@ -11,8 +11,10 @@ from cablesense_cli.app import app
 from cablesense_gap.verdict import read_verdict
 from cablesense_robot.amending import load_amended
 from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import diagnose
+from cablesense_robot.motion import prepared
+from cablesense_robot.pipeline import diagnose, doubtful
 from cablesense_robot.recording import read_recording
+from cablesense_robot.simulator import RobotSimulator
 
 
 @pytest.fixture
@@ -101,3 +103,12 @@ def test_a_mass_at_the_end_is_found_on_the_lower_link(tmp_path, model):
     verdict = found_in(tmp_path, model, seed=4, payload=0.3)
     assert "payload" in verdict.ambiguity_group
     assert verdict.where.bodies == ("lower",)
+
+
+def test_torques_of_the_other_sign_are_told(tmp_path, model):
+    path = recorded(tmp_path / "recording.csv", read=lambda torque: torque * [1.0, -1.0])
+    robot = load_robot(model)
+    simulator = RobotSimulator(robot, prepared(read_recording(path, robot), robot), {})
+    doubts = doubtful(simulator, simulator.predict([{}])[0])
+    assert len(doubts) == 1
+    assert doubts[0].startswith("torque.elbow is -")

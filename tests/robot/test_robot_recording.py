@@ -54,6 +54,10 @@ def read(tmp_path, table, robot, name="changed.csv"):
             lambda t: t.assign(**{"position.elbow": 60.0 * t["position.elbow"]}),
             "degrees given",
         ),
+        (
+            lambda t: t.assign(**{"velocity.elbow": np.rad2deg(t["velocity.elbow"])}),
+            "velocity.elbow is 57.* times what position.elbow and time_s make",
+        ),
         (lambda t: t.assign(**{"torque.elbow": "much"}), "'much' is no number"),
         (lambda t: t.assign(**{"position.elbow": np.nan}), "empty; every row needs one"),
         (
