@@ -27,11 +27,13 @@ from cablesense_base.installation import config_path
 from cablesense_gap.adaptation import adapt_to, kept_apart
 from cablesense_gap.pipeline import Diagnosis, diagnose
 from cablesense_gap.plant.body import read_nominal
-from cablesense_gap.plant.withhold import draw_several, withhold
+from cablesense_gap.plant.protocol import Schedule
+from cablesense_gap.plant.withhold import draw_several, make_case
 from cablesense_gap.recorded_contacts import tares_n
 from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.scoring import proportion, read_answers
+from cablesense_gap.scoring import proportion
 from cablesense_sim.arm import find_arm, open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.inference.estimator import Estimator
@@ -60,12 +62,14 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further arm")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    kinds = _kinds(np.random.default_rng([options.seed]))
+    kinds = draw_several(np.random.default_rng([options.seed]), _MOST_DRAWN, 2, 5)
     until = time.monotonic() + 60.0 * options.minutes
     cases: list[dict[str, Any]] = []
     for index, kind in enumerate(kinds, start=1):
         if sum("before" in case for case in cases) == options.count:
             break
+        if HURTING.isdisjoint(kind.split("+")):
+            continue
         kept = options.folder / f"arm_{index:03d}.json"
         if not kept.exists():
             if time.monotonic() > until:
@@ -76,23 +80,17 @@ def main() -> None:
     harness.publish(RESULT, {**harness.origin(), "arm": ARM, **_summary(cases)}, options)
 
 
-def _kinds(rng: np.random.Generator) -> list[str]:
-    """Names joined by +, of arms in the order in which they are drawn."""
-    drawn = draw_several(rng, _MOST_DRAWN, 2, 5)
-    return [kind for kind in drawn if not HURTING.isdisjoint(kind.split("+"))]
-
-
 def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     arm, shipped = open_arm(ARM), config_path(f"models/{ARM}.onnx")
     folder.mkdir(exist_ok=True)
-    answers, kept = folder / "answers.csv", folder / "diagnosis.pickle"
-    if not answers.exists():
-        nominal, seed = read_nominal(find_arm(ARM)), 1000 * options.seed + index
-        list(withhold(folder, answers, nominal, 1, seed, (kind,)))
-    (answer,) = read_answers(answers)
-    recording = read_recording(folder / f"{answer.recording}.csv", arm)
+    path, kept = folder / "recording.csv", folder / "diagnosis.pickle"
+    if not path.exists():
+        made = make_case(read_nominal(find_arm(ARM)), options.seed, index, kind)
+        columns = {name: getattr(made.schedule, name) for name in Schedule._fields}
+        write_csv(path, Recording(folder.name, tensions_n=made.tensions_n, **columns))
+    recording = read_recording(path, arm)
     misled_n = _error_at_peaks_n(recording, Estimator.load(shipped, arm))
-    case: dict[str, Any] = {"hidden": list(answer.effects), "misled_n": round(misled_n, 3)}
+    case: dict[str, Any] = {"hidden": kind.split("+"), "misled_n": round(misled_n, 3)}
     LOG.print(f"{folder.name}: {kind}, misled by {misled_n:.2f} N")
     if misled_n < options.least:
         return case
@@ -108,7 +106,7 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
         "named": list(found.verdict.effects),
         "unexplained_share": found.verdict.unexplained_share,
         "diagnosis_seconds": found.verdict.seconds,
-        "training_seconds": time.monotonic() - began,
+        "training_seconds": round(time.monotonic() - began, 1),
         **estimator.model_dump(mode="json"),
     }
     LOG.print(case)

@@ -1,32 +1,22 @@
-"""Pictures of one arm from its recording to its repaired estimator, for docs/diagnosis.md.
+"""Pictures of an arm from its recording to its repaired estimator, for docs/diagnosis.md.
 
-    python benchmarks/gap_case.py DIR/arm_002 [--write]
+    cablesense gap withhold --count 1 --seed 9401002 --out cases
+        --only contact_offset+joint_elasticity+sensor_lag
+    cablesense gap adapt cases/case_001.csv --arm cdsm_lab --out adapted
+    python benchmarks/gap_case.py adapted [--write]
 
-Takes an arm that `gap_adapt.py --folder DIR` has gone through, makes its report, and photographs
-parts of it in a headless Chromium.
+Photographs parts of the report in a headless Chromium.
 """
 
 from __future__ import annotations
 
-import json
-import pickle
 import re
 import subprocess
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import harness
-from gap_adapt import ARM
 from PIL import Image, ImageChops
-
-from cablesense_base.installation import config_path
-from cablesense_gap.pipeline import Diagnosis
-from cablesense_gap.recorded_contacts import recorded_errors
-from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.report.page import report_page
-from cablesense_gap.verdict import Estimator
-from cablesense_training.inference.temporal_estimator import open_estimator
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 PARTS = {
@@ -38,31 +28,15 @@ _WIDTH, _HEIGHT, _MARGIN = 900, 3000, 16
 
 
 def main() -> None:
-    """Makes the report and photographs it; with `--write` into docs/images/."""
+    """Photographs into the folder itself; with `--write` into docs/images/."""
     parser = harness.parser(__doc__, "docs/images/case_*.png")
-    parser.add_argument("folder", type=Path, help="of one arm")
+    parser.add_argument("folder", type=Path, help="of cablesense gap adapt")
     options = parser.parse_args()
-    page = _report(options.folder)
-    target = IMAGES if options.write else options.folder
-    (options.folder / "report.html").write_text(page, encoding="utf-8")
+    page = (options.folder / "report.html").read_text(encoding="utf-8")
     for name, headings in PARTS.items():
-        _photograph(_only(page, headings), target / name)
-        print(target / name)
-
-
-def _report(folder: Path) -> str:
-    found: Diagnosis = pickle.loads((folder / "diagnosis.pickle").read_bytes())
-    case = json.loads(folder.with_suffix(".json").read_text(encoding="utf-8"))
-    errors = Estimator.model_validate({key: case[key] for key in Estimator.model_fields})
-    (path,) = folder.glob("case_*.csv")
-    recording = read_recording(path, found.nominal)
-    files = {"before": config_path(f"models/{ARM}.onnx"), "after": folder / "estimator.onnx"}
-    models = {
-        name: recorded_errors(recording, open_estimator(file), errors.trials)
-        for name, file in files.items()
-    }
-    verdict = found.verdict.model_copy(update={"estimator": errors})
-    return report_page(replace(found, verdict=verdict), models)
+        path = (IMAGES if options.write else options.folder) / name
+        _photograph(_only(page, headings), path)
+        print(path)
 
 
 def _only(page: str, headings: tuple[str, ...]) -> str:
