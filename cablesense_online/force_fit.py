@@ -38,7 +38,7 @@ linear within 0.02 N over the first; where many cables are slack and it bends, o
 
 _MOST_POSES = 1024
 _MOST_SETS, _MOST_REFINED = 8, 8
-_REFINED_FROM = 4.0
+_REFINED_FROM = 20.0
 """Misfits of up to so many times the largest that passes may come from taking as linear."""
 _TAUT_SPREADS = 4.0
 """A reading of so many times its spread is that of a taut cable."""
