@@ -40,8 +40,8 @@ _MOST_POSES = 1024
 _MOST_SETS, _MOST_REFINED = 8, 8
 _REFINED_FROM = 20.0
 """Misfits of up to so many times the largest that passes may come from taking as linear."""
-_TAUT_SPREADS = 4.0
-"""A reading of so many times its spread is that of a taut cable."""
+_TAUT_SPREADS, _BARELY_SPREADS = 4.0, 3.5
+"""A reading of so many times its spread is that of a taut cable; one of so many less may be."""
 
 
 class _Response(NamedTuple):
@@ -197,16 +197,17 @@ class _Pose:
     def fit(self, difference_n: Array, y_n: float, z_n: float, largest: float) -> Fit | None:
         """What readings less unloaded tensions (M,) leave over; none where nothing holds the arm.
 
-        Which cables are taut is read first; else it follows from this pose, then by Newton's
-        method from the estimated force, and where that leads nowhere from the force that fits. It
-        ends where the misfit is `largest` at most and the set is that of its force, or where no
-        set is new.
+        Which cables are taut is read first, beyond noise, then whatever reads more than nothing;
+        else it follows from this pose, then by Newton's method from the estimated force, and where
+        that leads nowhere from the force that fits. It ends where the misfit is `largest` at most
+        and the set is that of its force, or where no set is new.
         """
         read = difference_n > self._fits.taut_from_n
         best = self.beside(difference_n, read, largest)
         if best is not None and best.holds:
             return best
-        tried, candidates = {read.tobytes()}, [self._taut]
+        barely = difference_n > self._fits.taut_from_n - _BARELY_SPREADS * self._fits.spread_n
+        tried, candidates = {read.tobytes()}, [barely, self._taut]
         if best is not None:
             candidates += self._estimated(best, y_n, z_n)
         while candidates and len(tried) < _MOST_SETS:

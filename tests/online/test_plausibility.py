@@ -126,8 +126,20 @@ def test_contacts_pass_slack_cables_or_not(name, command):
             4,
             [(-71.0, 47.3), (-71.1, 47.4), (-70.9, 47.2)],
         ),
+        (
+            "cdsm_lab",
+            [9.87, 2.35, -0.3, -0.66, -6.36, -5.3, -1.61, 0.45],
+            2,
+            [(-2.3, -96.1), (-2.2, -96.0)],
+        ),
+        (
+            "cdsm",
+            [8.01, -0.51, -6.39, 8.66, 0.55, 1.35, 3.33, 6.62],
+            3,
+            8 * [(-168.596, -82.5)],
+        ),
     ],
-    ids=["a fourth cable goes slack", "two positions of rest"],
+    ids=["a fourth goes slack", "two positions of rest", "far from rest", "one barely taut"],
 )
 def test_contacts_pass_where_rest_changes_at_once(name, command_deg, segment, forces_n):
     command = np.deg2rad(command_deg)
