@@ -27,7 +27,10 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
         RobotError: the place cannot be written to.
     """
     write_atomically(folder / AMENDED_MODEL, amended_xml(robot, in_model(values)), RobotError)
-    left = {**beside, **{t: v for t, v in values.items() if t not in in_model(values)}}
+    left = dict(beside)
+    for term, value in values.items():
+        if term not in in_model(values):  # what is found again comes on top
+            left[term] = left.get(term, 0.0) + value
     listed: dict[tuple[str, str], dict[str, float]] = {}
     for term, value in left.items():
         listed.setdefault(term[:2], {})[term.parameter] = float(value)

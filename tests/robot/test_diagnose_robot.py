@@ -8,8 +8,9 @@ from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
-from cablesense_robot.amending import load_amended
+from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.model import load_robot
 from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import diagnose, doubtful
@@ -112,3 +113,21 @@ def test_torques_of_the_other_sign_are_told(tmp_path, model):
     doubts = doubtful(simulator, simulator.predict([{}])[0])
     assert len(doubts) == 1
     assert doubts[0].startswith("torque.elbow is -")
+
+
+@pytest.mark.slow
+def test_with_the_amended_model_nothing_is_left_to_find(tmp_path, model):
+    path = recorded(
+        tmp_path / "recording.csv", friction=(0.1, 0.0), read=lambda torque: torque * [1.0, 1.2]
+    )
+    robot = load_robot(model)
+    first = diagnose(read_recording(path, robot), robot)
+    assert first.verdict.effects == ("joint_friction", "torque_scale")
+    write_amended(tmp_path, robot, first.amended, {})
+    amended, beside = load_amended(tmp_path)
+    second = diagnose(read_recording(path, amended), amended, beside)
+    assert second.verdict.effects == ("none",)
+    assert second.verdict.gap.before_n < 1.1 * first.verdict.gap.after_n
+    write_amended(tmp_path, amended, second.amended, beside)
+    again = load_amended(tmp_path)[1][Term("torque_scale", "elbow", "share")]
+    assert again == pytest.approx(0.2, abs=0.03)
