@@ -30,8 +30,8 @@ MOST_ROWS = 5000
 _ROWS_A_PERIOD = 3.0
 _LIGHTER = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
-_POWER_SHARE, _HARMONICS = 0.95, 2.0
-"""Below what frequency the torques have that share of their power; friction has harmonics."""
+_POWER_SHARE, _MOTION_SHARE, _HARMONICS = 0.95, 0.9, 2.0
+"""Shares of the power of torques and of speeds; friction has harmonics of the motion."""
 _LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
 _SLOW_SHARE = 0.02
@@ -113,7 +113,9 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
     most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
     drive = [t.command if by_command else t.torque for t in trials]
     if bandwidth_hz is None:
-        compared_hz = float(np.clip(_of_power(drive, rate_hz), smoothing.LEAST_HZ, most_hz))
+        compared_hz = float(
+            np.clip(_of_power(trials, drive, rate_hz), smoothing.LEAST_HZ, most_hz)
+        )
     elif 0.1 <= bandwidth_hz <= most_hz:
         compared_hz = bandwidth_hz
     else:
@@ -232,16 +234,24 @@ def _cleared(torque: Array) -> Array:
     return np.where(off > _GLITCH_DEVIATIONS * usual, middle, torque)
 
 
-def _of_power(signals: Sequence[Array], rate_hz: float) -> float:
-    """The frequency up to which torques are compared; their noise has no part in it."""
+def _of_power(trials: Sequence[_Trial], drive: Sequence[Array], rate_hz: float) -> float:
+    """The frequency up to which torques are compared: a multiple of that of the motion.
+
+    Where torques have their power below that, it is theirs; noise has no part in either. Above it
+    is what drives and controllers do against noise and resonances, which no motion shows.
+    """
+    moved = np.median(_reached([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
+    return _HARMONICS * float(min(moved, _reached(drive, rate_hz, _POWER_SHARE, 0).max()))
+
+
+def _reached(signals: Sequence[Array], rate_hz: float, share: float, derivative: int) -> Array:
+    """(J,) below which frequency a derivative of signals has a share of its power."""
     known = [np.nan_to_num(signal) for signal in signals]
     frequency, density = smoothing.mean_spectrum(known, rate_hz)
     noise = np.mean([smoothing.noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
-    power = np.cumsum(np.maximum(density - 2.0 * noise, 0.0), axis=0)
-    reached = [
-        frequency[np.searchsorted(own, _POWER_SHARE * own[-1])] for own in power.T if own[-1] > 0.0
-    ]
-    return _HARMONICS * max(reached, default=smoothing.LEAST_HZ)
+    beyond = np.maximum(density - 2.0 * noise, 0.0) * frequency[:, None] ** (2 * derivative)
+    power = np.cumsum(beyond, axis=0)
+    return frequency[(power < share * power[-1]).sum(0)]
 
 
 def _noise(trials: Sequence[_Trial], rate_hz: float) -> _Noise:

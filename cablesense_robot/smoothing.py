@@ -43,7 +43,7 @@ def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:
 
 def mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
     """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
-    count = min(max(len(s) for s in signals), int(_WINDOW_S * rate_hz))
+    count = min(int(np.median([len(s) for s in signals])), int(_WINDOW_S * rate_hz))
     every = [s for s in signals if len(s) >= count]
     found = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in every]
     return found[0][0], np.asarray(np.mean([density for _, density in found], axis=0))
