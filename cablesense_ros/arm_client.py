@@ -49,8 +49,17 @@ class ArmClient:
             (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR, live.on_probabilities),
             (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND, _timed(live.on_diagnostics)),
         )
+        of_segments = tuple(
+            (
+                WrenchStamped,
+                topics.SEGMENT_WRENCHES.format(number),
+                qos.SENSOR,
+                _timed(live.on_segment_wrench),
+            )
+            for number in range(1, arm.segment_count + 1)
+        )
         refuse = RefusalLog(node)
-        for kind, topic, quality, handle in inputs:
+        for kind, topic, quality, handle in (*inputs, *of_segments):
             publisher = live.tension_publisher if topic == topics.CABLE_TENSIONS else None
             if publisher is None and quality is qos.SENSOR:
                 publisher = FollowedPublisher()
@@ -80,13 +89,15 @@ class ArmClient:
         put_joint_angles(message, command)
         self._commands.publish(message)
 
-    def push(self, segment: int, angle_deg: float, magnitude_n: float) -> None:
-        """Put one load on the arm in place of any other; 0 N, or segment 0, releases.
+    def push(
+        self, segment: int, angle_deg: float, magnitude_n: float, beside: bool = False
+    ) -> None:
+        """Put one load on the arm, in place of others or `beside` them; 0 N or segment 0 releases.
 
         Raises:
             LoadError: no such segment, or numbers that are not finite.
         """
-        for load in self._live.loads_of(segment, angle_deg, magnitude_n):
+        for load in self._live.loads_of(segment, angle_deg, magnitude_n, beside=beside):
             message = WrenchStamped()
             message.header.stamp = self._node.get_clock().now().to_msg()
             message.header.frame_id = self._live.frames.segment(load.segment)

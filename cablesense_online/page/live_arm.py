@@ -34,6 +34,15 @@ from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import normal_components_n, normal_force_n
 
 
+def _force_n(message: Any) -> Array:
+    force = message.wrench.force
+    return np.array([force.x, force.y, force.z])
+
+
+def _angle_deg(local_n: Array) -> float:
+    return float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
+
+
 @dataclass(frozen=True)
 class Contact:
     """A single force on the arm, normal to its segment; true or estimated.
@@ -61,10 +70,14 @@ class Status:
 
 
 class ForceBounds(NamedTuple):
-    """Ends of the stated 95 % interval of the force, N."""
+    """Ends of the stated 95 % intervals of force and contact angle.
+
+    The angle is between the two, from the first on with a growing angle; None where any may be.
+    """
 
     low_n: float
     high_n: float
+    angles_deg: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,7 @@ class Snapshot:
         bounds: of the estimated force.
         probabilities: (N + 1,) of no contact and of each segment.
         status: of the estimator.
+        more_true, more_estimated: contacts beside these, on other segments, the strongest first.
     """
 
     time_s: float
@@ -92,6 +106,18 @@ class Snapshot:
     bounds: ForceBounds | None
     probabilities: Array | None
     status: Status
+    more_true: tuple[Contact, ...] = ()
+    more_estimated: tuple[Contact, ...] = ()
+
+    @property
+    def all_true(self) -> tuple[Contact, ...]:
+        """Every true contact, the strongest first."""
+        return () if self.true is None else (self.true, *self.more_true)
+
+    @property
+    def all_estimated(self) -> tuple[Contact, ...]:
+        """Every estimated contact, the strongest first."""
+        return () if self.estimate is None else (self.estimate, *self.more_estimated)
 
     @property
     def answered(self) -> bool:
@@ -155,8 +181,9 @@ class LiveArm:
         self._joint_angles_rad: Array | None = None
         self._loads: dict[int, Array] = {}
         self._estimate: tuple[int, Array] | None = None
+        self._of_segments: dict[int, tuple[float, Array]] = {}
         self._state, self._state_s = ForceState.SILENT, -np.inf
-        self._bounds_n = np.zeros(2)
+        self._bounds_n = np.zeros((2, 3))
         self._bounds_s = np.full(2, -np.inf)
         self._probabilities: Array | None = None
         self._health: dict[str, tuple[float, Level, str]] = {}
@@ -191,13 +218,18 @@ class LiveArm:
 
     def on_wrench(self, message: Any, now_s: float) -> None:
         """Takes the estimator's `wrench`: a force in the axes of its segment, else none."""
-        force = message.wrench.force
-        local_n = np.array([force.x, force.y, force.z])
+        local_n = _force_n(message)
         estimate = None
         if np.abs(local_n).max() > 0.0:  # not a number is no force
             estimate = (self.frames.segment_number(message.header.frame_id), local_n)
         with self._lock:
             self._estimate, self._estimate_s = estimate, now_s
+
+    def on_segment_wrench(self, message: Any, now_s: float) -> None:
+        """Takes one of the estimator's `wrenches`, of a model that tells several contacts."""
+        segment = self.frames.segment_number(message.header.frame_id)
+        with self._lock:
+            self._of_segments[segment] = now_s, _force_n(message)
 
     def on_status(self, message: Any, now_s: float) -> None:
         """Takes the estimator's `status`: what its wrench stands for."""
@@ -214,9 +246,8 @@ class LiveArm:
         self._bound(1, message, now_s)
 
     def _bound(self, end: int, message: Any, now_s: float) -> None:
-        force = message.wrench.force
         with self._lock:
-            self._bounds_n[end] = math.hypot(force.x, force.y, force.z)
+            self._bounds_n[end] = _force_n(message)
             self._bounds_s[end] = now_s
 
     def on_probabilities(self, message: Any) -> None:
@@ -239,15 +270,18 @@ class LiveArm:
         latest = self._health.get(part)
         return latest is not None and latest[1] is Level.OK
 
-    def loads_of(self, segment: int, angle_deg: float, magnitude_n: float) -> list[Load]:
-        """The loads that make this push, and no other, the only one on the arm.
+    def loads_of(
+        self, segment: int, angle_deg: float, magnitude_n: float, *, beside: bool = False
+    ) -> list[Load]:
+        """The loads that make this push the only one on the arm, or one `beside` the others.
 
         Raises:
             LoadError: no such segment, or numbers that are not finite.
         """
         with self._lock:
             command = self._motion.advance(0.0)
-            pushed = {number for number, force in self._loads.items() if force.any()}
+            others = {} if beside else self._loads
+            pushed = {number for number, force in others.items() if force.any()}
         forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
         return [*released, Load(segment, forces[segment - 1])] if segment else released
@@ -261,11 +295,15 @@ class LiveArm:
             fresh = now_s - self._state_s <= STALE_S
             state = self._state if fresh else ForceState.SILENT
             told = state in _TOLD and now_s - self._estimate_s <= STALE_S
-            estimate = self._estimated(command) if told else None
+            estimates = self._estimated(command, now_s) if told else ()
+            true = self._true(command)
             bounds = None
             if state in _STATED and (now_s - self._bounds_s <= STALE_S).all():
-                bounds = ForceBounds(*self._bounds_n.tolist())
-            status = self._status(state, estimate, bounds, now_s)
+                low, high = self._bounds_n
+                angles = (_angle_deg(low), _angle_deg(high)) if low.any() else None
+                low_n, high_n = np.linalg.norm(self._bounds_n, axis=1).tolist()
+                bounds = ForceBounds(low_n, high_n, angles)
+            status = self._status(state, estimates, bounds, now_s)
             if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
                 note = f"{CABLE_TENSIONS} has two publishers; those of one are shown"
                 status = Status(Level.ERROR, status.headline, (note, *status.notes))
@@ -274,40 +312,50 @@ class LiveArm:
                 time_s=self._tensions_s if self._tensions_n is not None else now_s,
                 joint_angles_rad=command if measured is None else measured,
                 tensions_n=self._tensions_n,
-                true=self._true(command),
+                true=next(iter(true), None),
                 state=state,
-                estimate=estimate,
+                estimate=next(iter(estimates), None),
                 bounds=bounds,
                 probabilities=self._probabilities if state.known else None,
                 status=status,
+                more_true=true[1:],
+                more_estimated=estimates[1:],
             )
 
-    def _true(self, command_rad: Array) -> Contact | None:
-        """Of the load that presses most; the only one as long as the page alone pushes."""
+    def _true(self, command_rad: Array) -> tuple[Contact, ...]:
+        """Of the loads what can be felt of them."""
         felt = [
-            (math.hypot(y, z), n, float(y), float(z))
+            (n, np.array([0.0, float(y), float(z)]))
             for n, force in self._loads.items()
             for y, z in [normal_components_n(self.mechanism, command_rad, n, force)]
+            if math.hypot(y, z) >= _LEAST_FELT_N
         ]
-        magnitude, segment, y, z = max(felt, default=(0.0, 0, 0.0, 0.0))
-        if magnitude < _LEAST_FELT_N:
-            return None
-        return self._contact(command_rad, segment, np.array([0.0, y, z]))
+        return self._contacts(command_rad, felt)
 
-    def _estimated(self, command_rad: Array) -> Contact | None:
-        if self._estimate is None:
-            return None
-        return self._contact(command_rad, *self._estimate)
+    def _estimated(self, command_rad: Array, now_s: float) -> tuple[Contact, ...]:
+        """Of each segment, from a model that tells several; else the one contact."""
+        several = [
+            (n, local_n)
+            for n, (since_s, local_n) in self._of_segments.items()
+            if now_s - since_s <= STALE_S and np.abs(local_n).max() > 0.0
+        ]
+        one = [] if self._estimate is None else [self._estimate]
+        return self._contacts(command_rad, several or one)
+
+    def _contacts(
+        self, command_rad: Array, forces: list[tuple[int, Array]]
+    ) -> tuple[Contact, ...]:
+        found = (self._contact(command_rad, *each) for each in forces)
+        return tuple(sorted(found, key=lambda contact: -contact.magnitude_n))
 
     def _contact(self, command_rad: Array, segment: int, local_n: Array) -> Contact:
         force = segment_rotations(self.mechanism, command_rad)[segment - 1] @ local_n
-        angle = float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
-        return Contact(segment, angle, float(np.linalg.norm(local_n)), force)
+        return Contact(segment, _angle_deg(local_n), float(np.linalg.norm(local_n)), force)
 
     def _status(
         self,
         state: ForceState,
-        estimate: Contact | None,
+        estimates: tuple[Contact, ...],
         bounds: ForceBounds | None,
         now_s: float,
     ) -> Status:
@@ -327,8 +375,9 @@ class LiveArm:
         warnings = tuple(text for level, _, text in present if level is not Level.OK)
         notes = warnings[:3] or tuple(text for _, _, text in present[:1])
         headline = _HEADLINES[state]
-        if estimate is not None:
-            headline = f"{headline} on segment {estimate.segment}"
+        if estimates:
+            numbers = " and ".join(str(n) for n in sorted(each.segment for each in estimates))
+            headline = f"{headline} on segment{'s' if len(estimates) > 1 else ''} {numbers}"
         if state is ForceState.HIDDEN and bounds is not None:
             headline = f"{headline}; up to {bounds.high_n:.1f} N may act"
         level = _LEVELS.get(state, state.level)

@@ -12,6 +12,7 @@ import secrets
 import socket
 import threading
 import time
+from collections.abc import Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -124,7 +125,7 @@ class Page:
             self._scene.pose(snapshot.joint_angles_rad)
             if snapshot.tensions_n is not None:
                 self._scene.tensions(snapshot.tensions_n, scale_n)
-            self._scene.forces(snapshot.true, snapshot.estimate)
+            self._scene.forces(snapshot.all_true, snapshot.all_estimated)
         if time.monotonic() >= self._numbers_due_s:
             self._numbers_due_s = time.monotonic() + _NUMBERS_EVERY_S
             self._show_numbers(snapshot, scale_n)
@@ -270,8 +271,8 @@ class _ArmScene:
         self._cables = scene.add_line_segments(
             "/cables", ends_m, self._colours, thickness=_CABLE_WIDTH_M
         )
-        self._true = _ForceArrow(scene, "/forces/true", TRUE_RGB, "bottom-right")
-        self._estimate = _ForceArrow(scene, "/forces/estimate", ESTIMATE_RGB, "bottom-left")
+        self._true = _ForceArrows(scene, "/forces/true", TRUE_RGB, "bottom-right")
+        self._estimated = _ForceArrows(scene, "/forces/estimate", ESTIMATE_RGB, "bottom-left")
         self.pose(straight)
 
     def pose(self, joint_angles_rad: Array) -> None:
@@ -298,22 +299,21 @@ class _ArmScene:
             self._colours = colours
             self._cables.colors = colours
 
-    def forces(self, true: Contact | None, estimate: Contact | None) -> None:
-        """Shows the true and the estimated force, or hides what is None."""
-        for arrow, contact, label, aside_m in (
+    def forces(self, true: Sequence[Contact], estimated: Sequence[Contact]) -> None:
+        """Shows these true and estimated forces, and no others."""
+        for arrows, contacts, label, aside_m in (
             (self._true, true, "true", -drawing.ARROWS_APART_M / 2),
-            (self._estimate, estimate, "est.", drawing.ARROWS_APART_M / 2),
+            (self._estimated, estimated, "est.", drawing.ARROWS_APART_M / 2),
         ):
-            if contact is None or contact.magnitude_n <= 0.0:
-                arrow.hide()
-                continue
-            along = self._rotations[contact.segment - 1][:, 0]
-            arrow.show(
-                self._contacts_m[contact.segment - 1] + aside_m * along,
-                contact.force_base_n,
-                self._clearance_m,
-                f"{label} {panel.force_text(contact.magnitude_n)}",
-            )
+            arrows.hide_but({contact.segment for contact in contacts})
+            for contact in contacts:
+                along = self._rotations[contact.segment - 1][:, 0]
+                arrows[contact.segment].show(
+                    self._contacts_m[contact.segment - 1] + aside_m * along,
+                    contact.force_base_n,
+                    self._clearance_m,
+                    f"{label} {panel.force_text(contact.magnitude_n)}",
+                )
 
     def _add_ground_and_base(self) -> None:
         self._scene.add_grid(
@@ -365,6 +365,23 @@ class _ArmScene:
         self, name: str, text: str, place_m: tuple[float, float, float], anchor: _Anchor
     ) -> None:
         self._scene.add_label(name, text, position=place_m, anchor=anchor, font_screen_scale=0.75)
+
+
+class _ForceArrows(dict[int, "_ForceArrow"]):
+    """The arrows of one colour by segment, each made when it is first needed."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, rgb: Rgb, label: _Anchor) -> None:
+        super().__init__()
+        self._scene, self._name, self._look = scene, name, (rgb, label)
+
+    def __missing__(self, segment: int) -> _ForceArrow:
+        self[segment] = _ForceArrow(self._scene, f"{self._name}/{segment}", *self._look)
+        return self[segment]
+
+    def hide_but(self, segments: Collection[int]) -> None:
+        for segment, arrow in self.items():
+            if segment not in segments:
+                arrow.hide()
 
 
 class _ForceArrow:

@@ -35,14 +35,14 @@ class Actions:
 
     Attributes:
         push: takes segment 1 … N, contact angle in degrees from the segment's +z towards its +y
-            at the commanded pose, and force in N; 0 N lets go.
+            at the commanded pose, force in N, 0 N lets go, and whether other pushes stay.
         command: takes joint angles (2N,), rad.
         tare: takes a tare.
         undo_tare: goes back to the tare before.
         breathe: asks for a breath.
     """
 
-    push: Callable[[int, float, float], None]
+    push: Callable[[int, float, float, bool], None]
     command: Callable[[Array], None]
     tare: Callable[[], None]
     undo_tare: Callable[[], None]
@@ -80,6 +80,9 @@ class Controls:
             )
             self._newtons = gui.add_slider(
                 "force, N", 0.0, force_limit_n, force_limit_n / 200.0, 0.3 * force_limit_n
+            )
+            self._beside = gui.add_checkbox(
+                "keep other pushes", False, hint="on other segments: several contacts at once"
             )
             self._button = gui.add_button("Push", color="orange", icon=viser.Icon.HAND_FINGER)
         limit_deg = joint_limit_deg(mechanism)
@@ -121,7 +124,7 @@ class Controls:
         with self._lock:
             self._closed = True
             if self._pushing:
-                self._actions.push(1, 0.0, 0.0)
+                self._actions.push(1, 0.0, 0.0, False)
 
     def _act(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
         """One at a time, as viser calls from many threads, and none after `close`."""
@@ -144,7 +147,8 @@ class Controls:
         if self._segment.value not in self._segment.options:
             return
         force_n = _within(self._newtons) if self._pushing else 0.0
-        self._actions.push(int(self._segment.value), _within(self._angle), force_n)
+        beside = self._pushing and bool(self._beside.value)
+        self._actions.push(int(self._segment.value), _within(self._angle), force_n, beside)
 
     def _send_command(self) -> None:
         self.joints_deg = [_within(joint) for joint in self._joints]
@@ -216,22 +220,34 @@ def forces_html(snapshot: Snapshot) -> str:
     rows = "<tr class='small'><td></td><td>segment</td><td>angle</td><td>force</td></tr>"
     none = "<td>none</td><td class='dim'>–</td><td class='dim'>0.0 N</td>"
     unknown = "<td>no answer</td><td class='dim'>–</td><td class='dim'>–</td>"
-    for name, rgb, contact, otherwise in (
-        ("true", TRUE_RGB, snapshot.true, none),
-        ("estimated", ESTIMATE_RGB, snapshot.estimate, none if snapshot.state.known else unknown),
+    for name, rgb, contacts, otherwise in (
+        ("true", TRUE_RGB, snapshot.all_true, none),
+        (
+            "estimated",
+            ESTIMATE_RGB,
+            snapshot.all_estimated,
+            none if snapshot.state.known else unknown,
+        ),
     ):
-        cells = otherwise
-        if contact is not None:
-            cells = (
-                f"<td>{contact.segment}</td><td>{contact.angle_deg:.1f}°</td>"
-                f"<td>{force_text(contact.magnitude_n)}</td>"
-            )
+        cells = [
+            f"<td>{contact.segment}</td><td>{contact.angle_deg:.1f}°</td>"
+            f"<td>{force_text(contact.magnitude_n)}</td>"
+            for contact in contacts
+        ]
+        first, *more = cells or [otherwise]
         title = f"<td class='force' style='color:{css(rgb)}'>▶ {name}</td>"
-        rows += f"<tr id='cablesense-{name}'>{title}{cells}</tr>"
-    interval = "–"
+        rows += f"<tr id='cablesense-{name}'>{title}{first}</tr>"
+        rows += "".join(f"<tr class='more'><td></td>{cells}</tr>" for cells in more)
+    angles = forces = "–"
     if (bounds := snapshot.bounds) is not None:
-        interval = f"{bounds.low_n:.2f} to {force_text(bounds.high_n, 2)}"
-    rows += f"<tr class='small'><td colspan='3'>95 % of the force</td><td>{interval}</td></tr>"
+        forces = f"{bounds.low_n:.2f} to {force_text(bounds.high_n, 2)}"
+        if bounds.angles_deg is not None:
+            angles = "{:.1f} to {:.1f}°".format(*bounds.angles_deg)
+        elif snapshot.estimate is not None:
+            angles = "any"
+    for what, ends in (("direction", angles), ("force", forces)):
+        interval = f"<td colspan='2'>95 % of the {what}</td><td colspan='2'>{ends}</td>"
+        rows += f"<tr class='small'>{interval}</tr>"
     return _panel(f"<table>{rows}</table>")
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
 from cablesense_msgs_py.messages import ForceState
-from cablesense_online.page.live_arm import Snapshot
+from cablesense_online.page.live_arm import Contact, Snapshot
 
 SETTLING_S = 1.0
 """A comparison waits this long after a change: the arm swings and the estimate follows."""
@@ -30,10 +31,10 @@ class Errors:
     Attributes:
         count: of moments that were compared.
         unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
-        segment_right: share, 0 … 1, of moments with the right segment, or rightly none.
-        angle_mae_deg: over moments that something touched; `GUESS_DEG` for a miss.
-        magnitude_mae_n: over moments that something touched, or was said to. Where that was not
-            on one segment, all of the greater force is wrong.
+        segment_right: share, 0 … 1, of moments with the right segments, or rightly none.
+        angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
+        magnitude_mae_n: over contacts, true ones or told. Where a true one and one that was told
+            are not on one segment, all of the greater force is wrong.
     """
 
     count: int
@@ -41,6 +42,14 @@ class Errors:
     segment_right: float | None
     angle_mae_deg: float | None
     magnitude_mae_n: float | None
+
+
+def _by_segment(snapshot: Snapshot) -> list[Contact]:
+    return sorted(snapshot.all_true, key=lambda contact: contact.segment)
+
+
+def _segments(snapshot: Snapshot) -> list[int]:
+    return [contact.segment for contact in _by_segment(snapshot)]
 
 
 class Score:
@@ -69,30 +78,33 @@ class Score:
         if not snapshot.state.known and snapshot.estimate is None:
             self._unanswered += 1
             return True
-        true, estimate = snapshot.true, snapshot.estimate
+        true = {each.segment: each for each in snapshot.all_true}
+        told = {each.segment: each for each in snapshot.all_estimated}
         self._count += 1
-        if true is None and estimate is None:
-            self._right += 1
-            return True
-        self._pressed += 1
-        self._touched += true is not None
-        if true is not None and estimate is not None and true.segment == estimate.segment:
-            self._right += 1
-            self._turned_deg += angle_error_deg(true.angle_deg, estimate.angle_deg)
-            self._off_n += abs(true.magnitude_n - estimate.magnitude_n)
-        else:
-            self._turned_deg += GUESS_DEG * (true is not None)
-            self._off_n += max(each.magnitude_n for each in (true, estimate) if each is not None)
+        self._right += true.keys() == told.keys()
+        self._touched += len(true)
+        for segment in true.keys() & told.keys():
+            right, answer = true.pop(segment), told.pop(segment)
+            self._pressed += 1
+            self._turned_deg += angle_error_deg(right.angle_deg, answer.angle_deg)
+            self._off_n += abs(right.magnitude_n - answer.magnitude_n)
+        self._turned_deg += GUESS_DEG * len(true)
+        for pair in zip_longest(true.values(), told.values()):
+            self._pressed += 1
+            self._off_n += max(each.magnitude_n for each in pair if each is not None)
         return True
 
     def _changed(self, snapshot: Snapshot) -> bool:
         """Whether load or pose differ from those since which the arm has stood still."""
         still = self._still
-        if still is not None and (still.true is None) == (snapshot.true is None):
-            force_moved = 0.0
-            if still.true is not None and snapshot.true is not None:
-                difference = still.true.force_base_n - snapshot.true.force_base_n
-                force_moved = float(np.abs(difference).max())
+        if still is not None and _segments(still) == _segments(snapshot):
+            force_moved = max(
+                (
+                    float(np.abs(before.force_base_n - now.force_base_n).max())
+                    for before, now in zip(_by_segment(still), _by_segment(snapshot), strict=True)
+                ),
+                default=0.0,
+            )
             pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
             if force_moved < STILL_N and pose_moved < STILL_RAD:
                 return False

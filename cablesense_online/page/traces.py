@@ -117,7 +117,7 @@ class ForcePlot(_Plot):
         estimate = 0.0 if snapshot.state.known else _UNKNOWN_N
         if snapshot.estimate is not None:
             estimate = snapshot.estimate.magnitude_n
-        ends = snapshot.bounds or (0.0, 0.0)
+        ends = (0.0, 0.0) if snapshot.bounds is None else snapshot.bounds[:2]
         self.buffer.add(snapshot.time_s, np.array([*ends, true, estimate]))
 
 

@@ -223,11 +223,11 @@ def test_values_are_brought_into_range_whatever_a_browser_sends(
     eventually(lambda: asked, "the first push")
     for label in ("force, N", "angle, °", "joint 3 yaw, °"):
         commander.put(label, value)
-    eventually(lambda: ("push", 4, angle_deg, force_n) in asked, "the push")
+    eventually(lambda: ("push", 4, angle_deg, force_n, False) in asked, "the push")
     eventually(lambda: [one for one in asked if one[0] == "command"], "the command")
     (command,) = (one for one in asked if one[0] == "command")
     np.testing.assert_allclose(command[1:], [0.0] * 5 + [joint_deg] + [0.0] * 2)
-    pushes = np.array([one[2:] for one in asked if one[0] == "push"])
+    pushes = np.array([one[2:4] for one in asked if one[0] == "push"])
     assert ((pushes >= 0.0) & (pushes <= [355.0, FORCE_LIMIT_N])).all()
 
 
@@ -240,7 +240,7 @@ def test_what_is_no_number_does_nothing(asked, commander, value):
     commander.read(0.2)
     commander.put("Tare", True)
     eventually(lambda: ("tare",) in asked, "the tare")
-    assert asked == [("push", 4, 215.0, 60.0), ("tare",)]
+    assert asked == [("push", 4, 215.0, 60.0, False), ("tare",)]
 
 
 def test_a_browser_changes_values_and_nothing_else_of_a_control(asked, commander):
@@ -268,12 +268,12 @@ def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, comm
     commander.put("joint 1 pitch, °", 5.0)
     commander.put("Push", True)
     eventually(lambda: len(asked) == 2, "what the first asked for")
-    assert sorted(asked) == [("command", 5.0, *[0.0] * 7), ("push", 4, 215.0, 60.0)]
+    assert sorted(asked) == [("command", 5.0, *[0.0] * 7), ("push", 4, 215.0, 60.0, False)]
     watcher.controls.clear()
     asked.clear()
     commander.close()
     eventually(lambda: "Tare" in watcher.read().controls, "the controls")
-    assert asked == [("push", 1, 0.0, 0.0)]
+    assert asked == [("push", 1, 0.0, 0.0, False)]
     assert watcher.reads("You command the arm</b>, nobody else watches")
     watcher.put("joint 2 yaw, °", 12.0)
     eventually(lambda: len(asked) == 2, "what the second asked for")

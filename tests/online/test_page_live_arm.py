@@ -53,6 +53,27 @@ def test_a_push_makes_the_true_contact_that_was_asked_for(live):
     assert true.angle_deg == pytest.approx(120.0)
 
 
+def test_a_push_beside_another_leaves_that_where_it_is(live):
+    live.on_load(wrench("segment_2", (0.0, 0.0, 10.0)))
+    (pushed,) = live.loads_of(4, 0.0, 15.0, beside=True)
+    live.on_load(wrench("segment_4", pushed.force_base_n))
+    assert [each.segment for each in live.snapshot(0.0).all_true] == [4, 2]
+
+
+def test_contacts_of_several_segments_are_shown_and_old_ones_are_not(live):
+    live.on_tensions(tensions(), 1.0)
+    live.on_status(told(ForceState.CONTACT), 1.0)
+    live.on_wrench(wrench("segment_4", (0.0, 0.0, 30.0)), 1.0)
+    live.on_segment_wrench(wrench("segment_1", (0.0, 9.0, 0.0)), 1.0 - 2 * STALE_S)
+    live.on_segment_wrench(wrench("segment_2", (0.0, 10.0, 0.0)), 1.0)
+    live.on_segment_wrench(wrench("segment_3"), 1.0)
+    live.on_segment_wrench(wrench("segment_4", (0.0, 0.0, 30.0)), 1.0)
+    shown = live.snapshot(1.0)
+    assert [each.segment for each in shown.all_estimated] == [4, 2]
+    assert shown.estimate.magnitude_n == pytest.approx(30.0)
+    assert shown.status.headline == "Contact on segments 2 and 4"
+
+
 def test_a_push_elsewhere_releases_the_one_before(live):
     live.on_load(wrench("segment_2", (0.0, 0.0, 10.0)))
     released, pushed = live.loads_of(4, 0.0, 5.0)
@@ -111,7 +132,12 @@ def test_the_stated_interval_is_that_between_two_wrenches(live):
     live.on_lower(wrench("base_link"), 1.0)
     live.on_upper(wrench("segment_2", (0.0, 3.0, -4.0)), 1.0)
     shown = live.snapshot(1.0)
-    assert shown.bounds == ForceBounds(0.0, 5.0)
+    assert shown.bounds == ForceBounds(0.0, 5.0)  # of any direction
+    live.on_lower(wrench("segment_3", (0.0, 3.0, 3.0)), 1.0)
+    live.on_upper(wrench("segment_3", (0.0, 4.0, 0.0)), 1.0)
+    bounds = live.snapshot(1.0).bounds
+    assert bounds.angles_deg == pytest.approx((45.0, 90.0))
+    assert bounds.high_n == pytest.approx(4.0)
     assert "up to 5.0 N" in shown.status.headline
 
 

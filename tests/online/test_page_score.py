@@ -40,6 +40,22 @@ def test_errors_are_means_over_steady_moments():
     assert errors.count == 20
 
 
+def test_several_contacts_are_compared_segment_by_segment():
+    score = Score(settling_s=0.0)
+    whole = dataclasses.replace(
+        moment(0.0, contact(4, newtons=30.0), contact(4, newtons=31.0)),
+        more_true=(contact(2, newtons=10.0),),
+        more_estimated=(contact(2, newtons=12.0),),
+    )
+    score.add(whole)
+    assert score.errors.segment_right == 1.0
+    assert score.errors.magnitude_mae_n == pytest.approx(1.5)
+    score.add(dataclasses.replace(whole, more_estimated=()))
+    assert score.errors.segment_right == 0.5
+    assert score.errors.magnitude_mae_n == pytest.approx((1.0 + 2.0 + 1.0 + 10.0) / 4)
+    assert score.errors.angle_mae_deg == pytest.approx(GUESS_DEG / 4)
+
+
 @pytest.mark.parametrize(
     ("true", "estimate", "angle_deg", "force_n"),
     [
