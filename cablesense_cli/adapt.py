@@ -17,6 +17,7 @@ from cablesense_cli.options import (
     NominalArmOption,
     OptionError,
     RecordingArgument,
+    WorkersOption,
     print_json,
     task_bars,
 )
@@ -46,7 +47,7 @@ def adapt(
             show_default="the bundled one of the arm's name",
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
+    workers: WorkersOption = 2,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:

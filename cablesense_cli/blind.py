@@ -17,6 +17,7 @@ from cablesense_cli.options import (
     ForceOption,
     JsonOption,
     NominalArmOption,
+    WorkersOption,
     print_json,
     refuse_given,
     titled_table,
@@ -177,7 +178,7 @@ def withhold(
         bool,
         typer.Option("--second", help="Record every arm twice, the second time in OUT/second/."),
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
+    workers: WorkersOption = 1,
     force: ForceOption = False,
 ) -> None:
     """Make recordings of arms in which something is hidden, or nothing, and a file of answers.

@@ -16,6 +16,7 @@ from cablesense_cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
+    WorkersOption,
     error_cells,
     print_json,
     refuse_given,
@@ -35,7 +36,7 @@ def evaluate(
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the samples; none of it was trained on.")
     ] = 20_260_001,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")] = 1,
+    workers: WorkersOption = 1,
     model: Annotated[
         list[str] | None,
         typer.Option(

@@ -26,6 +26,7 @@ from cablesense_cli.options import (
     NominalArmOption,
     RecordingArgument,
     RecordingFile,
+    WorkersOption,
     print_json,
     refuse_given,
     task_bars,
@@ -42,7 +43,7 @@ def diagnose(
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes to use.")] = 2,
+    workers: WorkersOption = 2,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:

@@ -33,6 +33,7 @@ RecordingFile = Annotated[Path, typer.Option(help="The .mcap file to write.")]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace files of the same names that exist already.")
 ]
+WorkersOption = Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")]
 PoseOption = Annotated[
     str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
 ]

@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
@@ -11,7 +12,8 @@ from typer.testing import CliRunner
 from cablesense_cli.app import app
 from cablesense_cli.options import OptionError
 from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_sim.replay import replay_arm
+from cablesense_sim.arm import open_arm
+from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
 from cablesense_training.inference.metadata import find_model
 
@@ -109,6 +111,22 @@ def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path
     for words in ("segment 4", "10 to 50", "released"):
         assert words in shown
     assert picture.exists()
+
+
+@pytest.mark.slow  # ONNX Runtime steps through a whole recording
+def test_a_model_with_memory_is_judged_along_the_recording_and_one_of_several_contacts_is_refused(
+    tmp_path,
+):
+    recorded, arm = small_recording(), open_arm("cdsm")
+    ideal_n = replay_arm(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
+    read_n = read_tensions_n(ideal_n, arm.sensors, np.random.default_rng(0))
+    write_csv(tmp_path / "loads.csv", replace(recorded, tensions_n=read_n))
+    arguments = ("--recording", tmp_path / "loads.csv", "--model")
+    whole = json.loads(_run(*arguments, "cdsm_moving", "--json"))["cdsm_moving"]["all"]
+    assert whole["contact_accuracy"] == 1.0
+    assert whole["errors"]["magnitude_mae_n"] < 0.2
+    refused = CliRunner().invoke(app, ["evaluate", *map(str, arguments), "cdsm_multi"])
+    assert "multi-contact" in str(refused.exception)
 
 
 @pytest.mark.parametrize(
