@@ -219,7 +219,7 @@ def test_the_same_rows_count_in_the_head_and_in_what_remains(text_of):
     counted = np.arange(len(SMALL)) % 10 > 0
     off_n = NOISE + np.where(counted, 0.0, 50.0)[:, None]
     text = text_of(PAYLOAD, before_n=off_n - 3.0, after_n=off_n, counted=counted)
-    assert f"All sizes are over {counted.sum()} rows" in text
+    assert f"All sizes are over {counted.sum()} rows: in the others as many cables" in text
     assert "What remains 0.10 N RMS" in text
 
 
