@@ -284,6 +284,10 @@ class ContactMarkers:
             tail.y, tail.z = -length * y, -length * z
 
 
+_OFF_LINE_M = 0.03
+"""An arm under load is elsewhere than where it is commanded, by less than this."""
+
+
 @dataclass(frozen=True)
 class Load:
     """A force (3,) in N, base axes, at the contact point of segment `segment` (counted from 1)."""
@@ -292,13 +296,17 @@ class Load:
     force_base_n: Array
 
 
-def read_load(message: Any, frames: Frames) -> Load:
+def read_load(message: Any, frames: Frames, contacts_m: Callable[[], Array] | None = None) -> Load:
     """The load that a `WrenchStamped` describes.
 
+    In the base frame it is a wrench as tf2 understands one, whose torque about the frame's origin
+    states where the force acts; `contacts_m` gives the contact points (N, 3) of the present pose.
+    In the frame of a segment the force acts at its contact point, in base axes all the same.
+
     Raises:
-        ContractError: an unknown frame, a force that is not finite or too large, or a torque.
+        ContractError: an unknown frame, a force that is not finite or too large, a torque that
+            the force does not have at the contact point of one segment.
     """
-    segment = frames.segment_number(message.header.frame_id)
     force, torque = (
         (vector.x, vector.y, vector.z) for vector in (message.wrench.force, message.wrench.torque)
     )
@@ -306,12 +314,34 @@ def read_load(message: Any, frames: Frames) -> Load:
         raise ContractError(
             f"wrench.force is {_shown(force)} N; it must be finite, at most {MAX_LOAD_N:g} N"
         )
+    if contacts_m is not None and message.header.frame_id == frames.base:
+        segment = _segment_on_line(np.array(force), np.array(torque), contacts_m())
+        return Load(segment, np.array(force, dtype=np.float64))
+    segment = frames.segment_number(message.header.frame_id)
     if any(component != 0.0 for component in torque):
         raise ContractError(
             f"wrench.torque is {_shown(torque)} N·m; it must be zero: "
             "a load is a force at the contact point of the segment"
         )
     return Load(segment, np.array(force, dtype=np.float64))
+
+
+def _segment_on_line(force_n: Array, torque_n_m: Array, contacts_m: Array) -> int:
+    """The segment, from 1, through whose contact point a force acts, by its torque."""
+    size_n = float(np.linalg.norm(force_n))
+    if size_n == 0.0:
+        raise ContractError(
+            "wrench.force is zero in the base frame; a zero force in a segment's frame releases it"
+        )
+    off_m = np.linalg.norm(torque_n_m - np.cross(contacts_m, force_n), axis=-1) / size_n
+    nearest, *others = np.sort(off_m)
+    if not nearest <= min([_OFF_LINE_M, *(each / 3.0 for each in others[:1])]):
+        raise ContractError(
+            f"wrench.torque is {_shown(tuple(torque_n_m))} N·m: the force acts "
+            f"{', '.join(f'{1e3 * each:.0f}' for each in off_m)} mm beside the contact points of "
+            "the segments; it must act at one, with its torque about the frame's origin"
+        )
+    return int(np.argmin(off_m)) + 1
 
 
 def _shown(vector: tuple[float, ...]) -> str:

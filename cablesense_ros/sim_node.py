@@ -13,6 +13,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from cablesense_base import Array
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,
@@ -32,9 +33,10 @@ from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import open_arm
-from cablesense_sim.build import entries_of
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import sensings
+from cablesense_sim.kinematics import contact_points_m
 from cablesense_sim.model import urdf_xml
 
 TIMESTEP_S = 1e-3
@@ -90,8 +92,14 @@ class SimNode(Node):
         def on_offsets(message: JointState) -> None:
             self._simulated.offset(cable_offsets_m(message, cables))
 
+        mechanism = mechanism_of(arm)
+
+        def contacts_m() -> Array:
+            return np.asarray(contact_points_m(mechanism, self._simulated.joint_angles_rad))
+
         def on_load(message: WrenchStamped) -> None:
-            self._simulated.push(read_load(message, frames), time.monotonic())
+            load = read_load(message, frames, contacts_m)
+            self._simulated.push(load, time.monotonic())
 
         self._refuse = RefusalLog(
             self, "message refused, commands, offsets and loads stay as they were"

@@ -29,6 +29,8 @@ from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.kinematics import contact_points_m
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
@@ -120,11 +122,19 @@ class BagRows:
         return Recording(path.stem, time_s, trial, command, segment, load_n, tensions_n)
 
     def _take_load(self, message: Any) -> None:
-        prefix = message.header.frame_id.rpartition("segment_")[0]
-        load = read_load(message, Frames(self._arm.segment_count, prefix))
+        name = message.header.frame_id
+        prefix = name.removesuffix("base_link")
+        if prefix == name:
+            prefix = name.rpartition("segment_")[0]
+        load = read_load(message, Frames(self._arm.segment_count, prefix), self._contacts_m)
         before = self._loads.pop(load.segment, None)
         if load.force_base_n.any():
             self._loads[load.segment] = _same(before, load.force_base_n)
+
+    def _contacts_m(self) -> Array:
+        """(N, 3) at the present command."""
+        command = np.zeros(self._arm.joint_count) if self._command is None else self._command
+        return np.asarray(contact_points_m(mechanism_of(self._arm), command))
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:

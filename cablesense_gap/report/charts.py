@@ -49,7 +49,10 @@ def steps(verdict: Verdict) -> list[Bar]:
     ends: list[tuple[str, float, Kind]] = [
         (candidate_name((name,)), share.left_n, "after") for name, share in verdict.shares.items()
     ]
-    ends += [("tolerances", gap.after_n, "other"), ("unexplained", gap.floor_n, "other")]
+    ends += [
+        ("tolerances", gap.after_n, "other"),
+        ("unexplained", min(gap.floor_n, gap.after_n), "other"),
+    ]
     for name, left, kind in ends:
         low, high = sorted((level, left))
         bars.append(Bar(name, low, high, kind, _signed(left - level, unit)))

@@ -30,7 +30,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_sim.kinematics import segment_rotations
+from cablesense_sim.kinematics import contact_points_m, segment_rotations
 from cablesense_sim.loads import normal_components_n, normal_force_n
 
 
@@ -212,7 +212,9 @@ class LiveArm:
 
     def on_load(self, message: Any) -> None:
         """Takes an `applied_wrench` message; it replaces the load on its segment."""
-        load = read_load(message, self.frames)
+        with self._lock:
+            command = self._motion.advance(0.0)
+        load = read_load(message, self.frames, lambda: contact_points_m(self.mechanism, command))
         with self._lock:
             self._loads[load.segment] = load.force_base_n
 

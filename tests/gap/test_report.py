@@ -235,6 +235,10 @@ def test_steps_of_several_effects_end_at_the_floor(text_of):
     for words in ("payload−1.75 N", "base tilt−0.75 N", "tolerances−0.30 N", "unexplained−0.10 N"):
         assert words.replace("−", "\N{MINUS SIGN}") in steps
 
+    within = gap.model_copy(update={"after_n": 0.09})
+    text = text_of(verdict_of("base_tilt+payload", gap=within, shares=shares, **rest))
+    assert "unexplained0.00 N" in text[text.index("The budget") :]
+
 
 @pytest.mark.parametrize(
     ("value", "ci95", "words"),

@@ -218,6 +218,36 @@ def test_reads_segment_and_force():
     np.testing.assert_array_equal(load.force_base_n, [1.0, -2.0, 3.0])
 
 
+def contact_points_of_a_bent_arm_m():
+    return np.array([[0.1, 0.0, 0.0], [0.2, 0.0, 0.02], [0.3, 0.01, 0.05], [0.38, 0.02, 0.1]])
+
+
+@pytest.mark.parametrize("segment", [1, 2, 3, 4])
+def test_a_wrench_about_the_base_says_by_its_torque_where_it_acts(segment):
+    force, points = np.array([3.0, 20.0, -35.0]), contact_points_of_a_bent_arm_m()
+    sagged = points[segment - 1] - [0.0, 0.0, 0.008]
+    wrench = message_wrenches(force, np.cross(sagged, force), "base_link")
+    load = read_load(wrench, FRAMES, contact_points_of_a_bent_arm_m)
+    assert load.segment == segment
+    np.testing.assert_array_equal(load.force_base_n, force)
+
+
+@pytest.mark.parametrize(
+    ("force", "torque"),
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 20.0, 0.0), (0.0, 0.0, 3.0)),  # between the first two
+        ((0.0, 20.0, 0.0), (0.0, 0.0, 12.0)),  # beyond the tip
+        ((0.0, 20.0, 0.0), (0.0, 0.0, math.nan)),
+    ],
+)
+def test_a_wrench_about_the_base_that_acts_on_no_one_segment_is_refused(force, torque):
+    with pytest.raises(ContractError):
+        read_load(
+            message_wrenches(force, torque, "base_link"), FRAMES, contact_points_of_a_bent_arm_m
+        )
+
+
 @pytest.mark.parametrize(
     ("wrong", "complaint"),
     [

@@ -11,6 +11,7 @@ from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.page.live_arm import STALE_S, ForceBounds, LiveArm
 from cablesense_online.page.page import PageError, free_port
 from cablesense_sim.arm import open_arm
+from cablesense_sim.kinematics import contact_points_m
 
 ARM = open_arm("cdsm")
 
@@ -51,6 +52,18 @@ def test_a_push_makes_the_true_contact_that_was_asked_for(live):
     true = live.snapshot(0.0).true
     assert (true.segment, true.magnitude_n) == (3, pytest.approx(40.0))
     assert true.angle_deg == pytest.approx(120.0)
+
+
+def test_a_load_about_the_base_is_that_of_its_segment(live):
+    live.on_load(wrench("segment_3", (0.0, 0.0, 20.0)))
+    usual = live.snapshot(0.0).true
+    live.on_load(wrench("segment_3"))
+    message = wrench("base_link", (0.0, 0.0, 20.0))
+    torque = np.cross(contact_points_m(live.mechanism, np.zeros(8))[2], [0.0, 0.0, 20.0])
+    message.wrench.torque = Message(x=torque[0], y=torque[1], z=torque[2])
+    live.on_load(message)
+    assert live.snapshot(0.0).true.segment == usual.segment == 3
+    assert live.snapshot(0.0).true.magnitude_n == pytest.approx(usual.magnitude_n)
 
 
 def test_a_push_beside_another_leaves_that_where_it_is(live):
@@ -167,7 +180,7 @@ def test_of_a_load_along_the_segment_nothing_can_be_felt(live):
     assert live.snapshot(0.0).true is None
 
 
-@pytest.mark.parametrize("frame", ["segment_5", "segment_0", "base_link", ""])
+@pytest.mark.parametrize("frame", ["segment_5", "segment_0", "world", ""])
 def test_a_load_in_an_unknown_frame_is_refused(live, frame):
     with pytest.raises(CableSenseError, match="frame_id"):
         live.on_load(wrench(frame, (0.0, 0.0, 1.0)))
