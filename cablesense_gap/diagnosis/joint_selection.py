@@ -38,7 +38,7 @@ _STEPS_AGAIN = 3
 _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
 _FURTHER_WORTH = 1.03
-_HELPS, _BETTER = 1.02, 0.98
+_HELPS, _BETTER = 1.02, 0.95
 _MOST_ADDED = 14
 _ELSEWHERE = 0.04
 """Power of the number of places among which one is chosen."""
