@@ -73,7 +73,7 @@ def main() -> None:
         kept = options.folder / f"arm_{index:03d}.json"
         if not kept.exists():
             if time.monotonic() > until:
-                break
+                continue
             case = _case(options.folder / f"arm_{index:03d}", kind, index, options)
             kept.write_text(json.dumps(case))
         cases.append(json.loads(kept.read_text()))
