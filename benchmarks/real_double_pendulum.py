@@ -77,7 +77,7 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
     if options.report is not None:
         write_robot_diagnosis(options.report / DESIGNS[design], diagnosis, {})
     verdict = diagnosis.verdict
-    motion = prepared(judged, robot)
+    motion = prepared(judged, robot, diagnosis.motion.compared_hz)
     return {
         "diagnosed": runs[::2],
         "judged": runs[1::2],
