@@ -180,7 +180,13 @@ def _identified(spec: mujoco.MjSpec, fitted: RobotRecording) -> Mapping[str, flo
         parameters.add(sysid.Parameter(name, value, least, most, modifier=change))
     residual = sysid.build_residual_fn(models_sequences=[windows], n_threads=1)
     best, _ = sysid.optimize(
-        parameters, residual, optimizer="scipy", verbose=False, diff_step=1e-3, max_iters=40
+        parameters,
+        residual,
+        optimizer="scipy",
+        verbose=False,
+        diff_step=1e-3,
+        max_iters=20,
+        ftol=1e-5,
     )
     for parameter in best.parameters.values():
         parameter.apply_modifier(spec)
@@ -206,7 +212,7 @@ def _free(spec: mujoco.MjSpec) -> list[tuple[str, float, float, float, Any]]:
         found += [
             (f"mass_{n}", mass, 0.1 * mass, 4.0 * mass, _set_mass(link.name)),
             (f"centre_{n}", centre, -0.6, -0.02, of_link(link.name, "ipos", slice(2, 3))),
-            (f"inertia_{n}", inertia, 1e-5, 0.1, of_link(link.name, "inertia", slice(0, 2))),
+            (f"inertia_{n}", inertia, 1e-4, 0.1, of_link(link.name, "inertia", slice(0, 2))),
             (f"rotor_{n}", 0.0022, 1e-5, 0.03, of_joint(joint, "armature")),
             (f"damping_{n}", 0.005, 0.0, 0.3, of_joint(joint, "damping")),
             (f"friction_{n}", 0.02, 0.0, 0.6, of_joint(joint, "frictionloss")),
