@@ -43,7 +43,7 @@ from cablesense_robot.report import write_robot_diagnosis
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
 DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
-_WINDOW_S, _STEP_S, _STATES_HZ = 0.5, 0.0025, 10.0
+_WINDOW_S, _STEP_S, _STATES_HZ = 0.5, 0.005, 10.0
 _FRICTION = "joint_friction.joint_{}.torque_n_m"
 
 
