@@ -6,8 +6,8 @@ Three nominal models of `config/robots` (an arm of six joints, a double pendulum
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of `robot_plant`,
 which shares nothing with what is tested. Every robot is recorded twice: the amended model of the
 first recording predicts the second. Seeds below 8100 were used while the diagnosis was made. With
-`--folder` it goes on where it was stopped; after `--minutes` of diagnosing it begins no further
-case, and scores those that are done.
+`--folder` it goes on where it was stopped; after `--minutes` it begins no further case, and scores
+those that are done.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ def main() -> None:
     folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
     cases = drawn(options.count, options.seed)
     write_answers(cases, folder / "answers" / "answers.csv")
-    _record(cases, folder)
-    began, done = time.monotonic(), {}
+    until, done = time.monotonic() + 60.0 * options.minutes, {}
+    _record(cases, folder, until)
     for case in cases:
         if not _place(folder, case, "second.json").exists():
-            if time.monotonic() - began > 60.0 * options.minutes:
+            if time.monotonic() > until or not _second(folder, case).exists():
                 continue
             _diagnose(case, folder)
         verdict = read_verdict(_place(folder, case, "verdict.json"))
@@ -149,10 +149,12 @@ def _kind(hidden: Hidden) -> str:
     return "several" if "+" in hidden.effects else "one"
 
 
-def _record(cases: Sequence[Case], folder: Path) -> None:
+def _record(cases: Sequence[Case], folder: Path, until: float) -> None:
     for kind in KINDS:
         own = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
         for begin in range(0, len(own), _TOGETHER):
+            if time.monotonic() > until:
+                return
             record(own[begin : begin + _TOGETHER], folder)
 
 
