@@ -81,8 +81,9 @@ def main() -> None:
     if options.write:
         lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
         harness.write_result("../robot_blind/score.json", result)
-        answers = (folder / "answers" / "answers.csv").read_text()
-        harness.write_result("../robot_blind/answers.csv", answers)
+        answers = (folder / "answers" / "answers.csv").read_text().splitlines()
+        kept = [row for row in answers if row.partition(",")[0] in {"recording", *done}]
+        harness.write_result("../robot_blind/answers.csv", "\n".join(kept) + "\n")
         harness.write_result("../robot_blind/verdicts.jsonl", "\n".join(lines) + "\n")
 
 
@@ -113,6 +114,8 @@ def scored(
         if h.where
     ]
     budgets = score(verdicts, [truth[h.recording] for h in several]).budgets if several else None
+    whole = as_json(score(verdicts, list(truth.values())))
+    del whole["budgets"]["shares"]  # of the verdict's floors, while answers count samples' noise
     held_out = {name: verdict.gap.removed_fraction for name, verdict in verdicts.items()}
     return {
         "none": exact(of(NONE)),
@@ -127,7 +130,7 @@ def scored(
         "median gap removed, one effect, held-out trials": removed(single, held_out),
         "median gap removed, one effect, second recording": removed(single, second),
         "by model": {name: exact([h for h in hidden if h.robot == name]) for name in KINDS},
-        "score": as_json(score(verdicts, list(truth.values()))),
+        "score": whole,
         "second recording": dict(second),
     }
 
