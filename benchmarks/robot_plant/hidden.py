@@ -16,7 +16,7 @@ _T = TypeVar("_T")
 _RIGID = 1e9
 """Stiffness of a base that does not give, N·m/rad."""
 _BASE_INERTIA = 1e6
-SETTLE_SHARE = 0.3
+_SETTLE_SHARE = 0.3
 """Of a base's critical damping."""
 
 
@@ -71,7 +71,6 @@ class Kind:
             cogging_waves=np.full(count, 20.0),
             tie=none,
             tie_rad=none,
-            drag=none,
             push=none,
             push_trial=np.array(-1.0),
             zero=none,
@@ -99,7 +98,6 @@ class Hidden:
         presliding_rad: how far a stuck joint gives until it slips.
         cogging, cogging_phase, cogging_waves: a ripple of torque over a turn.
         tie, tie_rad: stiffness of what catches a joint beyond an angle; its sign has the side.
-        drag: quadratic in speed.
         push, push_trial: torque by someone in the second half of one trial; () its number.
         zero, encoder_scale: encoders read (1 + scale) times the motor's angle, and zero.
         moved: (N, N) joints' angles by motors' angles.
@@ -123,7 +121,6 @@ class Hidden:
     cogging_waves: Array
     tie: Array
     tie_rad: Array
-    drag: Array
     push: Array
     push_trial: Array
     zero: Array
@@ -149,7 +146,6 @@ class Hidden:
         return (
             self.damping * speed
             + self.stiffness * angle
-            + self.drag * speed * np.abs(speed)
             + np.abs(self.tie) * beyond * np.sign(self.tie)
             + ripple
         )
@@ -171,7 +167,7 @@ class Hidden:
         """Own inertia and damping (B,) of the base that carries `inertia`."""
         rigid = self.base_stiffness >= _RIGID
         own = np.where(rigid, _BASE_INERTIA, inertia)
-        damping = 2.0 * SETTLE_SHARE * np.sqrt(self.base_stiffness * (own + inertia))
+        damping = 2.0 * _SETTLE_SHARE * np.sqrt(self.base_stiffness * (own + inertia))
         return own, damping
 
     def read_n_m(self, torque_n_m: Array, time_s: Array) -> Array:
