@@ -188,14 +188,11 @@ class _Search:
             self._select_jointly(expensive)
 
     def _may_help(self, offered: Offered) -> bool:
-        """Whether the best explanation has one of these among others, or leaves what one may do.
-
-        Where it is one of these alone, pairs have been tried.
-        """
+        """Whether the best explanation has one of these, or leaves what one may do."""
         problem = self._problem
         best = self._best()
         if set(offered) & set(best.effects):
-            return len(best.effects) > 1
+            return True
         beside = screen_singles(problem, offered, best)[:1]
         left = [problem.cost(s.placed.mean_square, s.placed.tolerance_chi2) for s in beside]
         return min(left, default=np.inf) < _WORTH_PAIRING * problem.cost_of(best)

@@ -410,9 +410,10 @@ def test_a_gain_in_one_trial_of_many_may_be_chance():
 
 @pytest.mark.slow  # the whole search, twice as deep
 @pytest.mark.parametrize("sketch", [False, True])
-def test_what_depends_on_history_is_found_beside_several_others(sketch):
+@pytest.mark.parametrize("others", [(3, -2, 1.5), (1.2, -1, 1.1)], ids=["larger", "smaller"])
+def test_what_depends_on_history_is_found_beside_several_others(sketch, others):
     library = several(3) | {FADING: FADES}
-    linear_truth = {amount(n, "b"): size for n, size in zip("def", (3, -2, 1.5), strict=True)}
+    linear_truth = {amount(n, "b"): size for n, size in zip("def", others, strict=True)}
     truth = {**linear_truth, AMOUNT: 4.0, RATE: 3.0}
     problem = problem_of(Sums(library), truth)
     if sketch:
