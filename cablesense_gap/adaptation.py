@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
@@ -208,7 +207,7 @@ def train_for(
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
             difference_n = taken.tensions_n - tare_n
             if isinstance(trained, UnlaggedClosedForm):
-                difference_n = _undone_n(trained, difference_n, tare_n)
+                difference_n = trained.undone_n(difference_n, tare_n)
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)
@@ -230,18 +229,6 @@ def train_for(
         on_epoch=on_epoch,
         on_trained=widen,
     )
-
-
-def _undone_n(network: UnlaggedClosedForm, differences_n: Array, tare_n: Array) -> Array:
-    """(R, M) differences as the network undoes their lags, from each tare on; NaN without one."""
-    settled = torch.zeros(1, network.own_state, dtype=torch.float64)
-    state, found = settled, differences_n.copy()
-    for row, difference_n in enumerate(differences_n):
-        if not np.isfinite(difference_n).all() or (tare_n[row] != tare_n[row - 1]).any():
-            state = settled
-        tension_n, state = network.undo(torch.as_tensor(difference_n)[None], state)
-        found[row] = tension_n[0].numpy()
-    return found
 
 
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:

@@ -81,6 +81,17 @@ class UnlaggedClosedForm(CorrectedClosedForm):
         tension = (reading_n - kept) / (1.0 - self.second - self.across)
         return tension, torch.cat([reading_n, tension + self.first * (through - tension)], dim=-1)
 
+    def undone_n(self, differences_n: Array, tare_n: Array) -> Array:
+        """(R, M) tensions of a recording's differences, from each tare (R, M) on; NaN without."""
+        settled = torch.zeros(1, self.own_state, dtype=torch.float64)
+        state, found = settled, differences_n.copy()
+        for row, difference_n in enumerate(differences_n):
+            if not np.isfinite(difference_n).all() or (tare_n[row] != tare_n[row - 1]).any():
+                state = settled
+            tension_n, state = self.undo(torch.as_tensor(difference_n)[None], state)
+            found[row] = tension_n[0].numpy()
+        return found
+
     def tick(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor]:
         """Answers for B rows with states (B, memory), and the next states."""
         before, others = state.split([self.own_state, self.memory - self.own_state], dim=-1)
