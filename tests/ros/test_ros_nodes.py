@@ -88,6 +88,21 @@ def test_a_push_of_40_n_is_estimated_and_its_end_as_well(tared):
     assert tared.state_of(tared.wrenches[-2]) is ForceState.FREE
 
 
+def test_a_load_about_the_base_is_stated_as_the_estimator_states_it(tared):
+    stated = tared.listen(WrenchStamped, "/estimator/wrench_base")
+    load = WrenchStamped()
+    load.header.frame_id = "base_link"
+    load.wrench.force.y, load.wrench.torque.z = 40.0, 40.0 * (0.015 + 2 * 0.13 + 0.065)
+    tared.load.publish(load)
+    tared.until(touched(tared), "a contact on segment 3")
+    tared.spin(0.5)
+    assert stated[-1].header.frame_id == "base_link"
+    assert stated[-1].wrench.force.y == pytest.approx(load.wrench.force.y, abs=0.5)
+    assert stated[-1].wrench.torque.z == pytest.approx(load.wrench.torque.z, abs=0.2)
+    tared.push(3, (0.0, 0.0, 0.0))
+    tared.until(touched(tared, 0), "the contact to end")
+
+
 def test_every_wrench_lies_within_its_published_bounds(tared):
     ends = [tared.listen(WrenchStamped, f"/estimator/wrench_{end}") for end in ("lower", "upper")]
     tared.push(3, (0.0, 40.0, 0.0))
