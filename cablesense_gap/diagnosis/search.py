@@ -44,6 +44,8 @@ _OUTDOES = 0.25
 _SLIGHTLY = 0.95
 """What leaves more than this share of the gap, as screened, is not the cause by itself."""
 _ALIKE = 1.02
+_LEAST_SHOWN = 0.5
+"""Floors, of the part of an effect beside others."""
 _BORNE_OUT = 1.6
 """Effects without which so much more is left are certain to be needed."""
 
@@ -297,7 +299,7 @@ class _Search:
             for rest in rests:
                 self._keep(rest)
             least = min((self._found[rest.effects] for rest in rests), key=cost_of)
-            if cost_of(least) > _BORNE_OUT * cost_of(best):
+            if cost_of(least) > _BORNE_OUT * cost_of(best) and self._shows(best, least):
                 break
             best = least
 
@@ -305,7 +307,18 @@ class _Search:
         """Whether fewer of its effects do about as well: the others have nothing to do."""
         fewer = [h for h in self._found.values() if set(h.effects) < set(hypothesis.effects)]
         cost = self._problem.cost_of(hypothesis)
-        return any(self._problem.cost_of(h) < WORTH * cost for h in fewer)
+        return any(
+            self._problem.cost_of(h) < WORTH * cost or not self._shows(hypothesis, h)
+            for h in fewer
+        )
+
+    def _shows(self, hypothesis: Hypothesis, rest: Hypothesis) -> bool:
+        """Whether what a hypothesis has beside the rest of it is more than readings can show.
+
+        Near the floor ratios of what is left grow large over nothing.
+        """
+        more = rest.held_out_rmse**2 - hypothesis.held_out_rmse**2
+        return more > (_LEAST_SHOWN * self._problem.floor) ** 2
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""
