@@ -17,7 +17,12 @@ from cablesense_training.networks.single_contact import TwoStageNetwork
 from cablesense_training.recipes import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
-SAMPLE_NETWORKS = [n for n, recipe in RECIPES.items() if recipe.learns_from != "motion"]
+OTHERS = ("unlagged",)  # which is for arms that list lag
+SAMPLE_NETWORKS = [
+    name
+    for name, recipe in RECIPES.items()
+    if recipe.learns_from != "motion" and name not in OTHERS
+]
 
 
 def _inputs(rows):
