@@ -53,6 +53,10 @@ known, by
 
     python benchmarks/gap_withheld.py --second FOLDER
 
+All eight were diagnosed by one and the same code. Before that an earlier one had diagnosed rec_15
+alone; that joint selection goes on beside a single effect which dominates and depends on history
+was changed after it, for that result among other reasons. Nothing was fitted to these recordings.
+
 Shares and gaps are RMS over all cables; gaps and what is unexplained are on trials that were not
 fitted; the sensors' floor is 0.072 N.
 
