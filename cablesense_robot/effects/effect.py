@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -47,7 +48,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-class Effect:
+class Effect(ABC):
     """Base of all effects of a robot.
 
     Attributes:
@@ -72,13 +73,13 @@ class Effect:
         """Where it can sit: joints, bodies, or `arm` for the whole robot."""
         return robot.joints
 
+    @abstractmethod
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         """Its numbers, with ranges and typical sizes on this robot and recording."""
-        raise NotImplementedError
 
+    @abstractmethod
     def act(self, change: Change, at: int, values: Values) -> None:
         """Change the robot; `at` is the number of the place among `places`."""
-        raise NotImplementedError
 
 
 def torque_unit(robot: Robot) -> str:
