@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py import topics
@@ -53,16 +52,10 @@ class CanDriverNode(ConfiguredNode):
         self._calibration: Calibration | None = None
         self._refuse = RefusalLog(self)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def _begin(self) -> None:
         """Read the bus; an interface that is not there is waited for."""
-        result = super().on_activate(state)
+        self._while_active.callback(self._driver.stop)
         self._driver.start()
-        return result
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the interface."""
-        self._driver.stop()
-        return super().on_deactivate(state)
 
     def _configure(self, given: dict[str, Any]) -> None:
         arm = open_arm(given["arm"])
@@ -84,7 +77,6 @@ class CanDriverNode(ConfiguredNode):
         )
         self._entities.callback(self.destroy_publisher, self._tensions_out)
         self._driver = CanDriver(channel_map, database, interface, self._publish)
-        self._entities.callback(self._driver.stop)
         self._identity = arm.identity
         self.get_logger().info(
             f"arm {arm.identity}: map {channel_map.name} with {len(channel_map.channels)} "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -41,17 +40,16 @@ class EstimatorNode(ConfiguredNode):
 
     def __init__(self) -> None:
         super().__init__("estimator")
-        self._inputs = ExitStack()
         self._simulated_time = self.get_clock().ros_time_is_active
         self._lost = 0
         self._refuse_sample = RefusalLog(self, "sample refused")
         self._refuse_command = RefusalLog(self)
         self.add_post_set_parameters_callback(self._on_parameters)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def _begin(self) -> None:
         """Subscribe to tensions and commands."""
-        result = super().on_activate(state)
         self._estimation.start(time.monotonic())
+        at_end = self._while_active.callback
         samples = subscribe_to_one(
             self,
             JointState,
@@ -63,12 +61,13 @@ class EstimatorNode(ConfiguredNode):
             self._estimation.follow,
             message_lost=self._on_lost,
         )
-        commands = self._refuse_command.subscribe(
-            JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command
-        )
-        offsets = self._refuse_command.subscribe(
-            JointState, topics.CABLE_OFFSETS, COMMAND, self._on_offsets
-        )
+        at_end(self.destroy_subscription, samples)
+        for topic, take in (
+            (topics.JOINT_COMMANDS, self._on_command),
+            (topics.CABLE_OFFSETS, self._on_offsets),
+        ):
+            commands = self._refuse_command.subscribe(JointState, topic, COMMAND, take)
+            at_end(self.destroy_subscription, commands)
         trajectories = TrajectoryInput(
             self,
             self._refuse_command,
@@ -76,18 +75,9 @@ class EstimatorNode(ConfiguredNode):
             lambda: self._estimation.gate.command_rad,
             self._on_command,
         )
-        self._inputs.callback(trajectories.destroy)
-        for subscription in (samples, commands, offsets):
-            self._inputs.callback(self.destroy_subscription, subscription)
-        timer = steady_timer(self, STALE_CHECK_S, self._check_stale)
-        self._inputs.callback(self.destroy_timer, timer)
-        return result
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave a zero wrench behind and unsubscribe."""
-        self._publish_zero()
-        self._inputs.close()
-        return super().on_deactivate(state)
+        at_end(trajectories.destroy)
+        at_end(self.destroy_timer, steady_timer(self, STALE_CHECK_S, self._check_stale))
+        at_end(self._publish_zero)  # none is left standing
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget model and tare, and say so."""
@@ -147,10 +137,6 @@ class EstimatorNode(ConfiguredNode):
             f"goes on with the tare and the command of {given['state_file']}; if the arm was "
             "changed since, call ~/tare with nothing touching it"
         )
-
-    def _release(self) -> None:
-        self._inputs.close()
-        super()._release()
 
     def _on_sample(self, raw: bytes) -> None:
         now_ns, now_s = self._now_ns(), time.monotonic()

@@ -156,13 +156,14 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 class ConfiguredNode(LifecycleNode, ABC):
     """A lifecycle node with the parameters of its name in `parameters.yaml`, and diagnostics.
 
-    `_entities` undoes on release what configuring made; `_identity` is that of the arm, while one
-    is loaded.
+    `_entities` undoes on release what configuring made, `_while_active` on deactivation what
+    activating made; `_identity` is that of the arm, while one is loaded.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._entities = ExitStack()
+        self._while_active = ExitStack()
         self._active = False
         self._identity = ""
         self._ended = False
@@ -171,25 +172,24 @@ class ConfiguredNode(LifecycleNode, ABC):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read files and create what the node has; on failure log why and stay unconfigured."""
-        try:
-            self._configure(parameter_values(self))
-        except Exception as error:  # rclpy would drop it in silence
+        if not self._done("configure", lambda: self._configure(parameter_values(self))):
             self._release()
-            expected = isinstance(error, CableSenseError)
-            reason = f" {error}" if expected else f"\n{traceback.format_exc()}"
-            self.get_logger().error(f"cannot configure:{reason}")
             return FAILURE
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin what the node is for."""
+        """Begin what the node is for; on failure log why and stay inactive."""
         result = super().on_activate(state)
+        if not self._done("activate", self._begin):
+            self.on_deactivate(state)
+            return FAILURE
         self._active = True
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop; what was configured stays."""
         self._active = False
+        self._while_active.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -222,11 +222,25 @@ class ConfiguredNode(LifecycleNode, ABC):
             CableSenseError: a file is missing or invalid.
         """
 
+    def _begin(self) -> None:
+        """Make what the node has while it is active."""
+
+    def _done(self, what: str, act: Callable[[], None]) -> bool:
+        """Whether an act succeeded; rclpy would drop the reason in silence."""
+        try:
+            act()
+        except Exception as error:
+            expected = isinstance(error, CableSenseError)
+            reason = f" {error}" if expected else f"\n{traceback.format_exc()}"
+            self.get_logger().error(f"cannot {what}:{reason}")
+            return False
+        return True
+
     def _release(self) -> None:
         """Stop, and undo whatever of `_configure` has been done; harmless when repeated."""
         self._active = False
-        self._entities.close()
-        self._identity = ""
+        with self._entities, self._while_active:
+            self._identity = ""
 
     def _report(self) -> list[Status]:
         if self._ended:

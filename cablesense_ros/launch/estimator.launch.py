@@ -14,7 +14,9 @@ from launch.actions import (
     OpaqueFunction,
     RegisterEventHandler,
 )
-from launch.events import Shutdown, matches_action
+from launch.event_handlers import OnProcessExit
+from launch.events import matches_action
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
@@ -103,24 +105,27 @@ def start(context: LaunchContext) -> list:
         )
 
     def lifecycle(name: str, parameters: dict) -> list:
-        """Configured, then activated; one that cannot be ends the launch."""
+        """Configured, then activated; one that cannot be ends the launch with an error."""
         if respawn:
             return [node(name, parameters | {"autostart": True})]
         one = node(name, parameters | {"autostart": False}, LifecycleNode)
         activate = change(one, Transition.TRANSITION_ACTIVATE)
-        end = EmitEvent(event=Shutdown(reason=f"{name} cannot be configured; see its log above"))
         # the handlers stand before the event that sets them off
         return [
             *(
                 RegisterEventHandler(
                     OnStateTransition(
                         target_lifecycle_node=one,
-                        start_state="configuring",
-                        goal_state=state,
-                        entities=entities,
+                        start_state=start,
+                        goal_state=goal,
+                        entities=[action],
                     )
                 )
-                for state, entities in (("inactive", [activate]), ("unconfigured", [end]))
+                for start, goal, action in (
+                    ("configuring", "inactive", activate),
+                    ("configuring", "unconfigured", failure(f"{name} cannot be configured")),
+                    ("activating", "inactive", failure(f"{name} cannot be activated")),
+                )
             ),
             one,
             change(one, Transition.TRANSITION_CONFIGURE),
@@ -130,7 +135,7 @@ def start(context: LaunchContext) -> list:
         return {name: changed[name] for name in names if name in changed}
 
     source, breathe = given["source"], given["breathe"]
-    started: list = []
+    started: list = [] if respawn else [RegisterEventHandler(OnProcessExit(on_exit=on_exit))]
     if source != "can":
         remappings = [("cable_tensions", "simulated_tensions")] * (source != "sim")
         described = {"description": "description" not in wanted}
@@ -201,6 +206,20 @@ def refuse_what_has_no_effect(given: dict[str, str]) -> None:
         raise RuntimeError(f"bitrate_bit_s is {given['bitrate_bit_s']!r}; it is a whole number")
     if given["rviz"] == "true" and given["frame_prefix"]:
         raise RuntimeError("rviz shows one arm whose frames have no prefix; set TF Prefix in it")
+
+
+def on_exit(event: ProcessExited, _: LaunchContext) -> list[OpaqueFunction]:
+    """End the launch where a node cannot start; one that ends later leaves the others."""
+    return [failure(f"{event.process_name} cannot start")] if event.returncode == 2 else []
+
+
+def failure(reason: str) -> OpaqueFunction:
+    """Ends the launch with an error, as no event of its own does."""
+
+    def fail(_: LaunchContext) -> None:
+        raise RuntimeError(f"{reason}; see its log above")
+
+    return OpaqueFunction(function=fail)
 
 
 def as_text(value: str) -> ParameterValue:

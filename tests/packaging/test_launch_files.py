@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -16,7 +16,9 @@ MODULES = {
         "OpaqueFunction",
         "RegisterEventHandler",
     ],
-    "launch.events": ["Shutdown", "matches_action"],
+    "launch.event_handlers": ["OnProcessExit"],
+    "launch.events": ["matches_action"],
+    "launch.events.process": ["ProcessExited"],
     "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
     "launch.substitutions": ["LaunchConfiguration"],
     "launch_ros": [],
@@ -101,11 +103,22 @@ def test_the_estimator_is_configured_then_activated_or_the_launch_ends(start):
     (node,) = of_kind(entities, "LifecycleNode")
     assert node.given["executable"] == "estimator"
     assert node.parameter("autostart") is False
-    handlers = [handler.args[0].given for handler in of_kind(entities, "RegisterEventHandler")]
-    assert all(handler["target_lifecycle_node"] is node for handler in handlers)
-    then = {handler["goal_state"]: handler["entities"][0].given["event"] for handler in handlers}
-    assert then["inactive"].given["transition_id"] == transitions.TRANSITION_ACTIVATE
-    assert then["unconfigured"].kind == "Shutdown"
+    handlers = [handler.args[0] for handler in of_kind(entities, "RegisterEventHandler")]
+    (at_exit,) = of_kind(handlers, "OnProcessExit")
+    steps = [handler.given for handler in of_kind(handlers, "OnStateTransition")]
+    assert all(step["target_lifecycle_node"] is node for step in steps)
+    then = {(step["start_state"], step["goal_state"]): step["entities"][0] for step in steps}
+    activate = then.pop(("configuring", "inactive")).given["event"]
+    assert activate.given["transition_id"] == transitions.TRANSITION_ACTIVATE
+    killed, cannot_start = (
+        at_exit.given["on_exit"](SimpleNamespace(returncode=code, process_name="sim-1"), None)
+        for code in (-9, 2)
+    )
+    assert not killed
+    assert set(then) == {("configuring", "unconfigured"), ("activating", "inactive")}
+    for end in (*then.values(), *cannot_start):
+        with pytest.raises(RuntimeError, match="cannot"):
+            end.given["function"](None)
     (configure,) = of_kind(entities, "EmitEvent")
     assert configure.given["event"].given["transition_id"] == transitions.TRANSITION_CONFIGURE
     assert entities.index(configure) == len(entities) - 2  # before robot_state_publisher

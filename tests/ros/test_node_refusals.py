@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.estimator_node import EstimatorNode
+from cablesense_ros.node_process import FAILURE
 from cablesense_ros.processes import node_command
 from cablesense_sim.arm import open_arm
 
@@ -79,6 +80,31 @@ def test_a_wrong_file_leaves_a_lifecycle_node_unconfigured(make, parameters, rea
     assert "cannot configure" in printed
     assert reason in printed
     assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize(
+    ("step", "parameters"),
+    [
+        ("activate", {"qos_overrides./cable_tensions.subscription.depth": -5}),
+        ("configure", {"qos_overrides./estimator/wrench.publisher.depth": -5}),
+    ],
+)
+def test_what_no_one_foresaw_is_told_and_the_step_can_be_tried_again(step, parameters, capfd):
+    rclpy.init(args=node_command("any", parameters)[3:])
+    node = EstimatorNode()
+    try:
+        configured = node.trigger_configure()
+        if step == "configure":
+            assert configured == FAILURE
+        for _ in range(2 * (step == "activate")):
+            assert node.trigger_activate() == FAILURE
+        assert not node._active
+        assert not [one for one in node.subscriptions if one.topic_name == "/cable_tensions"]
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    printed = capfd.readouterr().err
+    assert f"cannot {step}:\nTraceback" in printed
 
 
 @pytest.mark.parametrize("name", ["sim", "admittance"])
