@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -38,6 +39,7 @@ JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
 """The estimator's journal: a recorder that comes late gets the latest entries too."""
 _RECORDED: Final = Qos(depth=2000, reliable=True)
 _ESTIMATOR: Final = "estimator"
+_ON_SEGMENT: Final = re.compile(rf"/{_ESTIMATOR}/wrenches/segment_([1-9][0-9]{{0,3}})$")
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER_TYPE: Final = "std_msgs/msg/Int32"
@@ -74,6 +76,7 @@ CONTRACT: Final = {
     topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.WRENCH_BASE: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.JOINT_TORQUES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
+    topics.SEGMENT_WRENCHES: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
@@ -93,11 +96,20 @@ def resolved(topic: str, namespace: str = "/") -> str:
     return f"/{namespace.strip('/')}/{inside}".replace("//", "/")
 
 
+def segment_of(name: str) -> int:
+    """The segment that a full name of `SEGMENT_WRENCHES` is of; 0 for other topics."""
+    match = _ON_SEGMENT.search(name)
+    return int(match.group(1)) if match else 0
+
+
 def of_contract(name: str) -> str | None:
     """The topic of the contract that a full name stands for, in whatever namespace; or none.
 
-    `/arm/cable_tensions` is `cable_tensions`, and `/arm/estimator/wrench` is `~/wrench`.
+    `/arm/cable_tensions` is `cable_tensions`, `/arm/estimator/wrench` is `~/wrench`, and that of
+    any segment `SEGMENT_WRENCHES`.
     """
+    if segment_of(name):
+        return topics.SEGMENT_WRENCHES
     *_, node, last = ["", "", *name.split("/")]
     for topic in (name, f"~/{last}" if node == _ESTIMATOR else "", last):
         if topic in CONTRACT:

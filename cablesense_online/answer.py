@@ -47,6 +47,13 @@ class Answer(NamedTuple):
             return None
         return force_bounds(self.estimate, self.contact, self.contact_m)
 
+    def on_segment(self, number: int, unknown_force: str) -> Sequence[float] | None:
+        """As `wrench`, of segment `number` alone, from 1 on."""
+        for contact in self.all:
+            if contact.segment == number:
+                return contact.wrench
+        return NO_CONTACT.wrench if self.all else self.wrench(unknown_force)
+
     def wrench(self, unknown_force: str) -> Sequence[float] | None:
         """Force, N, and torque, N·m, to be published (6,); none where none is.
 

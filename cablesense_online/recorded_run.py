@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract
+from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract, segment_of
 from cablesense_msgs_py.serialized import require_bounded, stamp_ns
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import EstimatorState, EventKind, state_of
@@ -31,14 +31,15 @@ _IN_JOURNAL = (topics.JOINT_COMMANDS, topics.CABLE_OFFSETS)
 
 
 class Step(NamedTuple):
-    """One sample, its answer, and the states that take effect with it.
+    """One sample, its answers, and the states that take effect with it.
 
     Attributes:
         stamp_ns: of sample and answer.
         log_ns: when the sample was recorded.
         sample: serialized `JointState`.
-        answer: serialized `WrenchStamped`; none where the estimator was not running, did not
-            receive the sample, or refused its stamp.
+        answers: serialized `WrenchStamped`, that of `~/wrench` at 0 and those of segments at their
+            numbers; none where the estimator was not running, did not receive the sample, or
+            refused its stamp.
         states: in their order.
         taken: whether the estimator took the sample: its answer was recorded, or its state, where
             no wrench of an unknown force is published, or the sample came after the estimator's
@@ -49,9 +50,14 @@ class Step(NamedTuple):
     stamp_ns: int
     log_ns: int
     sample: bytes
-    answer: bytes | None
+    answers: Mapping[int, bytes]
     states: tuple[EstimatorState, ...] = ()
     taken: bool = False
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is a wrench."""
+        return 0 in self.answers
 
 
 class RecordedRun:
@@ -63,6 +69,8 @@ class RecordedRun:
         other_inputs: loads and trials, and commands and offsets where no journal has their place;
             the topic is the contract's.
         has_answers: whether an estimator's answers are in it.
+        segments: numbers of those that have wrenches of their own, from a model of several
+            contacts.
         cut: where the file breaks off, as text; empty if it is whole.
         unstamped: samples without a stamp, or that are no messages: no answer can be assigned.
             This and the two below were counted by the last `steps`.
@@ -84,11 +92,15 @@ class RecordedRun:
         messages, types = McapMessages(self.path), BagTypes()
         self._logged: list[tuple[int, EstimatorState]] = []
         names: dict[str, str] = {}
+        segments: set[int] = set()
         others: list[RawMessage] = []
         kept_bytes = 0
         for raw in messages:
             topic = of_contract(raw.topic)
             if topic is None:
+                continue
+            if number := segment_of(raw.topic):
+                segments.add(number)
                 continue
             self._check(topic, raw, names)
             if topic == topics.JOURNAL:
@@ -114,6 +126,7 @@ class RecordedRun:
             raw for raw in others if not (self.states and raw.topic in _IN_JOURNAL)
         ]
         self.has_answers = topics.WRENCH in names
+        self.segments = tuple(sorted(segments))
         self.cut = messages.cut
 
     @property
@@ -140,28 +153,30 @@ class RecordedRun:
             before_first_answer |= any(
                 event.kind is EventKind.START for state in states for event in state.events
             )
-            before_first_answer &= step.answer is None
+            before_first_answer &= not step.answered
             yield step._replace(
                 states=states,
-                taken=step.taken or before_first_answer or step.answer is not None,
+                taken=step.taken or before_first_answer or step.answered,
             )
 
     def _answered_samples(self) -> Iterator[Step]:
         """Samples and answers paired by their stamps, in the order of the samples."""
         self.unstamped = self.lone_contacts = self.lone_zeros = 0
         samples: deque[Step] = deque()
-        answers: dict[int, tuple[int, bytes]] = {}
+        answers: dict[int, tuple[int, dict[int, bytes]]] = {}
         stated: dict[int, None] = {}
         for message in McapMessages(self.path):
             topic = of_contract(message.topic)
             if topic == topics.CABLE_TENSIONS:
                 stamp = _stamp(message.data)
                 if stamp:
-                    samples.append(Step(stamp, message.log_ns, message.data, None))
+                    samples.append(Step(stamp, message.log_ns, message.data, {}))
                 else:
                     self.unstamped += 1
-            elif topic == topics.WRENCH:
-                answers[_stamp(message.data)] = (message.log_ns, message.data)
+            elif topic in (topics.WRENCH, topics.SEGMENT_WRENCHES):
+                beginning: tuple[int, dict[int, bytes]] = (message.log_ns, {})
+                _, given = answers.setdefault(_stamp(message.data), beginning)
+                given[segment_of(message.topic)] = message.data
             elif topic == topics.STATUS:
                 stated[_stamp(message.data)] = None
                 if len(stated) > _MOST_OPEN:
@@ -175,25 +190,29 @@ class RecordedRun:
             yield step._replace(taken=step.stamp_ns in stated)
 
     def _settled(
-        self, samples: deque[Step], answers: dict[int, tuple[int, bytes]], before_ns: int
+        self,
+        samples: deque[Step],
+        answers: dict[int, tuple[int, dict[int, bytes]]],
+        before_ns: int,
     ) -> Iterator[Step]:
-        """Take out the samples whose answer is there, or that were recorded before a time."""
+        """Take out the samples whose answers are there, or that were recorded before a time."""
         while samples and (
-            samples[0].stamp_ns in answers
+            len(answers.get(samples[0].stamp_ns, (0, {}))[1]) > len(self.segments)
             or samples[0].log_ns < before_ns
             or len(samples) > _MOST_OPEN
         ):
             sample = samples.popleft()
-            _, answer = answers.pop(sample.stamp_ns, (0, None))
-            yield sample._replace(answer=answer)
+            _, given = answers.pop(sample.stamp_ns, (0, {}))
+            yield sample._replace(answers=given)
         while answers:
-            stamp, (log_ns, answer) = next(iter(answers.items()))
+            stamp, (log_ns, given) = next(iter(answers.items()))
             if log_ns >= before_ns - _WINDOW_NS and len(answers) <= _MOST_OPEN:
                 break
             del answers[stamp]
-            contact = shows_contact(answer)
-            self.lone_contacts += contact
-            self.lone_zeros += not contact
+            if 0 in given:
+                contact = shows_contact(given[0])
+                self.lone_contacts += contact
+                self.lone_zeros += not contact
 
     def _check(self, topic: str, raw: RawMessage, names: dict[str, str]) -> None:
         first = names.setdefault(topic, raw.topic)

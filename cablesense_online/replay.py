@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -55,19 +55,23 @@ class Comparison:
     lone_zeros: int = 0
     first_difference: str = ""
 
-    def compare(self, number: int, recorded: bytes, replayed: bytes | None) -> None:
-        """Compare the answers, serialized `WrenchStamped`, to the sample `number`, from 1.
+    def compare(
+        self, number: int, recorded: Mapping[int, bytes], replayed: Mapping[int, bytes]
+    ) -> None:
+        """Compare the answers to the sample `number`, from 1, as `Step.answers` has them.
 
-        `replayed` is none where the replay gave none.
+        All that was recorded must have been replayed.
         """
         self.compared += 1
-        self.contacts += shows_contact(recorded)
-        if recorded == replayed:
+        self.contacts += shows_contact(recorded[0])
+        other = [of for of, raw in recorded.items() if replayed.get(of) != raw]
+        if not other:
             self.identical += 1
         elif not self.first_difference:
-            there = "nothing" if replayed is None else _wrench_text(replayed)
+            raw, again = recorded[other[0]], replayed.get(other[0])
+            there = "nothing" if again is None else _wrench_text(again)
             self.first_difference = (
-                f"sample {number}, stamp {stamp_ns(recorded)}: {_wrench_text(recorded)} recorded, "
+                f"sample {number}, stamp {stamp_ns(raw)}: {_wrench_text(raw)} recorded, "
                 f"{there} replayed"
             )
 
@@ -98,7 +102,7 @@ def replayed_steps(
     states: list[EstimatorState] = []
     for step in run.steps():
         comparison.samples += 1
-        comparison.unanswered += step.answer is None
+        comparison.unanswered += not step.answered
         states += step.states
         if step.taken or not run.has_answers:
             yield states, step
@@ -153,14 +157,19 @@ class RebuiltEstimation:
         self._estimation.adjust(**{name: getattr(state.settings, name) for name in LIVE_SETTINGS})
         self._estimation.restore(state)
 
-    def wrench(self, sample: bytes, stamp_ns: int) -> bytes | None:
-        """The wrench that answers a sample with this stamp; none where none is published."""
+    def wrenches(self, step: Step) -> dict[int, bytes]:
+        """The wrenches that answer a sample, as `Step.answers` has those that were recorded."""
         assert self._estimation is not None
-        self.answer = self._estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
-        wrench = self.answer.wrench(self._unknown_force)
-        if wrench is None:
-            return None
-        return self._writers[self.answer.contact.segment].write(stamp_ns, wrench)
+        stamp_ns = step.stamp_ns
+        self.answer = answer = self._estimation.sample(step.sample, stamp_ns, stamp_ns * 1e-9)
+        wrench, answers = answer.wrench(self._unknown_force), {}
+        if wrench is not None:
+            answers[0] = self._writers[answer.contact.segment].write(stamp_ns, wrench)
+        for number in step.answers:
+            wrench = answer.on_segment(number, self._unknown_force) if number else None
+            if wrench is not None:
+                answers[number] = self._writers[number].write(stamp_ns, wrench)
+        return answers
 
     def _load(self, origin: dict[str, str]) -> LoadedModel:
         recorded = {key: origin.get(key, "") for key in ("model", "model SHA-256")}
@@ -236,15 +245,15 @@ def _compared(
         for state in states:
             rebuilt.restore(state)
         if rebuilt.loaded is None:
-            comparison.before_journal += step.answer is not None
+            comparison.before_journal += step.answered
             continue
-        wrench = rebuilt.wrench(step.sample, step.stamp_ns)
-        if step.answer is None:
+        wrenches = rebuilt.wrenches(step)
+        if not step.answered:
             continue  # a history-dependent model has received it
         if not rebuilt.reproducible:
             comparison.before_journal += 1
             continue
-        comparison.compare(comparison.samples, step.answer, wrench)
+        comparison.compare(comparison.samples, step.answers, wrenches)
         yield step.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count
 
 

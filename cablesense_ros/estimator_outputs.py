@@ -16,7 +16,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
-    NO_CONTACT,
     Contact,
     ContactMarkers,
     ForceState,
@@ -151,12 +150,9 @@ class EstimatorOutputs:
                 else [wrench[0]] * len(self._torques.name)  # zero, or not known
             )
             self._torques_out.publish(self._torques)
-        if not self._segments_out:
-            return
-        told = {contact.segment: contact.wrench for contact in contacts}
         for number, out in enumerate(self._segments_out, start=1):
-            if out.subscribed:
-                on_it = told.get(number, NO_CONTACT.wrench if contacts else wrench)
+            on_it = answer.on_segment(number, self._unknown_force) if out.subscribed else None
+            if on_it is not None:
                 out.publish(self._wrench_in[number].write(stamp_ns, on_it))
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:

@@ -19,7 +19,7 @@ from cablesense_gap.recordings.mcap_file import BagRows
 from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import INPUTS, TopicType, resolved
+from cablesense_msgs_py.qos import INPUTS, TopicType, resolved, segment_of
 from cablesense_online.samples import FollowedPublisher
 from cablesense_ros.endpoints import RefusalLog, message_class, overridable, subscribe_to_one
 from cablesense_ros.node_process import spun_node
@@ -77,26 +77,16 @@ class Recorder:
         self._say = say
         self._contract = None if arm is None else BagRows(arm, keep=False)
         self._channels: dict[str, Any] = {}
+        self._names: set[str] = set()
         self._started_s = self._flushed_s = time.monotonic()
         self._failure: RecordingError | None = None
         self._hinted: set[str] = set()
         self.counts: Counter[str] = Counter()
         self._left_out: Counter[str] = Counter()
         self._log = RefusalLog(node, "left out")
-        for topic, of in wanted.items():
-            if kind := message_class(of.kind):
-                name, take = (
-                    resolved(topic, node.get_namespace()),
-                    partial(self._take, topic, kind),
-                )
-                if topic == topics.CABLE_TENSIONS:
-                    refuse = partial(self._leave_out, topic)
-                    publisher = FollowedPublisher()
-                    subscribe_to_one(node, kind, name, of.requested, publisher, take, refuse)
-                else:
-                    node.create_subscription(
-                        kind, name, take, **overridable(of.requested), raw=True
-                    )
+        for topic in wanted:
+            if topic != topics.SEGMENT_WRENCHES:  # only an estimator that is there says how many
+                self._subscribe(topic, resolved(topic, node.get_namespace()))
 
     @property
     def status(self) -> str:
@@ -129,6 +119,28 @@ class Recorder:
         if time.monotonic() - self._flushed_s >= CHUNK_S:
             self._file.flush()
             self._flushed_s = time.monotonic()
+            if topics.SEGMENT_WRENCHES in self._wanted:
+                self._subscribe_to_segments()
+
+    def _subscribe_to_segments(self) -> None:
+        of_this_arm = resolved(topics.SEGMENT_WRENCHES, self._node.get_namespace())
+        for name, _ in self._node.get_topic_names_and_types():
+            if name == of_this_arm.format(segment_of(name)) and name not in self._names:
+                self._subscribe(topics.SEGMENT_WRENCHES, name)
+
+    def _subscribe(self, topic: str, name: str) -> None:
+        """To a topic of the contract by its full name, where its message type is installed."""
+        of, node = self._wanted[topic], self._node
+        kind = message_class(of.kind)
+        self._names.add(name)
+        if kind is None:
+            return
+        take = partial(self._take, topic, name, kind)
+        if topic == topics.CABLE_TENSIONS:
+            refuse = partial(self._leave_out, topic)
+            subscribe_to_one(node, kind, name, of.requested, FollowedPublisher(), take, refuse)
+        else:
+            node.create_subscription(kind, name, take, **overridable(of.requested), raw=True)
 
     def close(self) -> None:
         """Finish the file.
@@ -146,7 +158,7 @@ class Recorder:
             f"{_HINTS[topics.CABLE_TENSIONS]}"
         )
 
-    def _take(self, topic: str, kind: type, raw: bytes) -> None:
+    def _take(self, topic: str, name: str, kind: type, raw: bytes) -> None:
         if self._failure is not None:
             return
         now_ns = time.time_ns()
@@ -157,10 +169,10 @@ class Recorder:
             self._leave_out(topic, error)
             return
         try:
-            if topic not in self._channels:
-                of, name = self._wanted[topic], resolved(topic, self._node.get_namespace())
-                self._channels[topic] = self._file.add(name, of.kind, of.offered)
-            self._file.write(self._channels[topic], now_ns, raw)
+            if name not in self._channels:
+                of = self._wanted[topic]
+                self._channels[name] = self._file.add(name, of.kind, of.offered)
+            self._file.write(self._channels[name], now_ns, raw)
         except RecordingError as error:  # an executor would print where it comes from
             self._failure = error
         self.counts[topic] += 1

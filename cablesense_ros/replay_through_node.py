@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -64,7 +64,7 @@ def replay_through_node(
         RecordingError: no estimator listens, or it refuses a tare that is in the recording.
     """
     with node_in_thread("replay") as node:
-        live = LiveEstimator(node, namespace)
+        live = LiveEstimator(node, namespace, run.segments)
         live.wait_until_there()
         time.sleep(_SETTLE_S)  # until the estimator has discovered this node as well
         return _Player(run, rate, live, report).play()
@@ -74,26 +74,30 @@ class LiveEstimator:
     """A running estimator, as a replay uses it; another thread spins the node.
 
     Attributes:
-        answers: serialized wrenches by their stamps, until the player removes them.
+        answers: by their stamps, as `Step.answers`, until the player removes them.
     """
 
-    def __init__(self, node: Node, namespace: str) -> None:
+    def __init__(self, node: Node, namespace: str, segments: Sequence[int]) -> None:
+        """`segments` are those whose own wrenches are wanted too."""
         self._node = node
         self._namespace = namespace
-        self.answers: dict[int, bytes] = {}
+        self.answers: defaultdict[int, dict[int, bytes]] = defaultdict(dict)
+        self._count = 1 + len(segments)
         self._out = {
             topic: node.create_publisher(
                 message_class(INPUTS[topic].kind), self._name(topic), qos_profile(qos.offered)
             )
             for topic, qos in INPUTS.items()
         }
-        node.create_subscription(
-            WrenchStamped,
-            self._name(topics.WRENCH),
-            lambda raw: self.answers.update({stamp_ns(raw): raw}),
-            qos_profile(CONTRACT[topics.WRENCH].requested),
-            raw=True,
-        )
+        for number in (0, *segments):
+            topic = topics.SEGMENT_WRENCHES.format(number) if number else topics.WRENCH
+            node.create_subscription(
+                WrenchStamped,
+                self._name(topic),
+                lambda raw, number=number: self.answers[stamp_ns(raw)].update({number: raw}),
+                qos_profile(CONTRACT[topics.WRENCH].requested),
+                raw=True,
+            )
         self._clients: dict[str, Client] = {
             name: node.create_client(kind, self._name(name))
             for name, kind in (
@@ -167,8 +171,12 @@ class LiveEstimator:
             raise RecordingError(f"{self._name('~/set_parameters')}: {'; '.join(refused)}")
 
     def wait_for(self, stamp: int) -> None:
-        """Until the answer with a stamp is here, or is late."""
-        _until(lambda: stamp in self.answers, _ANSWER_S)
+        """Until the answers with a stamp are here, or are late."""
+        _until(lambda: self.whole(stamp), _ANSWER_S)
+
+    def whole(self, stamp: int) -> bool:
+        """Whether the answers with a stamp are here."""
+        return stamp in self.answers and len(self.answers[stamp]) == self._count
 
     def _answer(self, service: str, request: Any) -> Any:
         future = self._clients[service].call_async(request)
@@ -192,7 +200,7 @@ def _until(condition: Callable[[], bool], patience_s: float) -> bool:
 class _Player:
     """Walks through the recording once.
 
-    `_open` are samples that were sent and are not compared yet: number, sample, recorded answer.
+    `_open` are samples that were sent and are not compared yet, with their numbers.
     """
 
     _first: Step
@@ -203,7 +211,7 @@ class _Player:
         self._run, self._rate, self._live, self._report = run, rate, live, report
         self._comparison = Comparison()
         self._others = deque(run.other_inputs)
-        self._open: deque[tuple[int, Step, bytes]] = deque()
+        self._open: deque[tuple[int, Step]] = deque()
         self._start_s, self._start_ns = 0.0, 0
 
     def play(self) -> Comparison:
@@ -216,8 +224,8 @@ class _Player:
                 self._repeat(state, begun=sent > 0)
             stamp = self._shifted(sample.stamp_ns)
             self._live.publish(topics.CABLE_TENSIONS, restamped(sample.sample, stamp))
-            if sample.answer is not None:
-                self._open.append((self._comparison.samples, sample, sample.answer))
+            if sample.answered:
+                self._open.append((self._comparison.samples, sample))
             if len(self._open) > MOST_OPEN:
                 self._live.wait_for(self._shifted(self._open[0][1].stamp_ns))
             self._compare()
@@ -297,11 +305,12 @@ class _Player:
     def _compare(self, to_the_end: bool = False) -> None:
         answers = self._live.answers
         while self._open:
-            number, sample, recorded = self._open[0]
-            answer = answers.pop(self._shifted(sample.stamp_ns), None)
+            number, sample = self._open[0]
+            stamp = self._shifted(sample.stamp_ns)
             # with more than MOST_OPEN the first was waited for in vain
-            if answer is None and not to_the_end and len(self._open) <= MOST_OPEN:
+            if not (self._live.whole(stamp) or to_the_end or len(self._open) > MOST_OPEN):
                 break
             self._open.popleft()
-            replayed = None if answer is None else restamped(answer, sample.stamp_ns)
-            self._comparison.compare(number, recorded, replayed)
+            answered = answers.pop(stamp, {})
+            replayed = {of: restamped(raw, sample.stamp_ns) for of, raw in answered.items()}
+            self._comparison.compare(number, sample.answers, replayed)

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import BREATH_END, breath_frame
-from cablesense_msgs_py.qos import CONTRACT, resolved
+from cablesense_msgs_py.qos import CONTRACT, of_contract, resolved
 from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
@@ -85,10 +85,14 @@ class MadeRun:
             raw = serialize_message(message)
             answer = live.sample(raw, now, i * STEP_NS * 1e-9)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
-            wrench = answer.wrench(unknown_force)
-            if wrench is not None:
-                written = writers[answer.contact.segment].write(now, wrench)
-                self.records.append((topics.WRENCH, now + 400_000, written))
+            answers = [(topics.WRENCH, answer.contact.segment, answer.wrench(unknown_force))]
+            for n in range(1, 5 if live.several else 1):
+                on_it = answer.on_segment(n, unknown_force)
+                answers.append((topics.SEGMENT_WRENCHES.format(n), n, on_it))
+            for topic, segment, wrench in answers:
+                if wrench is not None:
+                    written = writers[segment].write(now, wrench)
+                    self.records.append((topic, now + 400_000, written))
             status = DiagnosticArray(status=[DiagnosticStatus(message=answer.force.value)])
             status.header.stamp = message.header.stamp
             self.records.append((topics.STATUS, now + 450_000, serialize_message(status)))
@@ -102,7 +106,7 @@ class MadeRun:
         file, channels = TopicFile(path, growing=False), {}
         for topic, log_ns, raw in self.records if records is None else records:
             if topic not in channels:
-                of = CONTRACT[topic]
+                of = CONTRACT[of_contract(resolved(topic))]
                 kind = dict(kinds).get(topic, of.kind)
                 channels[topic] = file.add(resolved(topic, namespace), kind, of.offered)
             file.write(channels[topic], log_ns, raw)

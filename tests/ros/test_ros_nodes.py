@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
@@ -22,6 +23,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py.messages import ForceState
+from cablesense_msgs_py.qos import CONTRACT
+from cablesense_online.recorded_run import RecordedRun
+from cablesense_online.replay import replay_in_process
+from cablesense_ros.recorder import Recorder
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -138,8 +143,12 @@ def test_the_force_comes_in_base_axes_and_at_the_joints_as_well(tared):
     tared.until(lambda: not any(torques[-1].effort), "the torques to end")
 
 
-def test_several_contacts_at_once_have_a_wrench_each(tared):
+def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(tared, tmp_path):
     remaps = {name: f"/{name}" for name in ("cable_tensions", "joint_commands")}
+    args = [word for name, to in remaps.items() for word in ("-r", f"{name}:={to}")]
+    listener = Node("recorder", namespace="/several", cli_args=["--ros-args", *args])
+    tared.executor.add_node(listener)
+    recorder = Recorder(listener, tmp_path / "several.mcap", CONTRACT, None, print)
     several = NodeProcess(ESTIMATOR, "/several", remaps, model="cdsm_multi")
     told = {
         number: tared.listen(WrenchStamped, f"/several/estimator/wrenches/segment_{number}")
@@ -160,8 +169,22 @@ def test_several_contacts_at_once_have_a_wrench_each(tared):
         lambda: shown and [m.action for m in shown[-1].markers].count(Marker.ADD) == 4,
         "two arrows with their spheres",
     )
-    for segment in (2, 4):
-        tared.push(segment, (0.0, 0.0, 0.0))
+    for force_n in (30.0, 0.0):  # recorded from here on, with its journal from the start
+        recorder.flush()
+        tared.push(2, (0.0, 0.0, force_n))
+        tared.spin(1.0)
+    recorder.close()
+    tared.executor.remove_node(listener)
+    listener.destroy_node()
+    run = RecordedRun(tmp_path / "several.mcap")
+    assert run.segments == (1, 2, 3, 4)
+    whole = [len(step.answers) == 5 for step in run.steps()]
+    assert 50 < sum(whole) < len(whole)  # the recorder had to find the segments
+    got = replay_in_process(run)
+    assert got.same, got.first_difference
+    other = replay_in_process(run, model="cdsm")
+    assert "segment_" in other.first_difference
+    tared.push(4, (0.0, 0.0, 0.0))
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         assert tared.change_state("/several/estimator", transition)
     assert "UTC is forgotten; a state_file would keep it" in several.log

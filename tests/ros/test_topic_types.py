@@ -13,7 +13,7 @@ def test_a_name_is_resolved_and_told_again(topic, namespace):
     assert name.startswith("/")
     assert "//" not in name
     assert "~" not in name
-    assert of_contract(name) == topic
+    assert of_contract(name.format(2)) == topic
 
 
 def test_names_as_ros_resolves_them():
