@@ -14,6 +14,7 @@ REQUIRES = [
     "array-api-compat",  # one kinematics for numpy and torch
     "lazy-loader",  # public names of a package, imported when first used
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
+    "numba",  # arms with friction go from rest to rest, row by row, in compiled code
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnx",  # checks a model file before it is run, and splits its graph
     "onnxruntime",  # runs the trained model

@@ -241,7 +241,7 @@ class _Pose:
 
     def linear_over(self, turn_rad: Array) -> bool:
         """Whether the tensions of taut cables are, within their spread, over a turn (2N,)."""
-        size = float(turn_rad @ turn_rad)
+        size = float(turn_rad.dot(turn_rad))
         if size * self._most_curved <= 1.0:
             return True
         pitch, yaw = turn_rad[0::2], turn_rad[1::2]

@@ -29,7 +29,6 @@ from cablesense_sim.equilibrium import (
 )
 from cablesense_sim.loads import LoadError
 from cablesense_sim.model import build_spec
-from cablesense_sim.quasi_static import QuasiStaticArm
 
 LEAST_PERIOD_S = 0.01
 """A rest takes some milliseconds to find; fast sensors read the same one several times."""
@@ -254,6 +253,8 @@ class RestToRestArm(_CommandedArm):
         Raises:
             EquilibriumError: as `command`, or the arm finds no rest there.
         """
+        from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
         command = self.checked_command(command_rad)
         self._offset_m = np.zeros(self.arm.cable_count)
         actuating = actuations([self._entries])

@@ -20,7 +20,6 @@ from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended
 from cablesense_sim.equilibrium import checked_command, held_lengths_m
 from cablesense_sim.loads import LoadError, normal_force_n
-from cablesense_sim.quasi_static import QuasiStaticArm
 from cablesense_sim.replay import reading_variance_n2
 
 SHOWS_AT_STD = 5.0
@@ -74,6 +73,8 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
     angles_deg = np.broadcast_to(np.arange(DIRECTIONS) * (360.0 / DIRECTIONS), shape)
     pushes = normal_force_n(nominal, poses[-1], segments, angles_deg, 1.0)
     pushes = pushes.reshape(-1, *pushes.shape[-2:])
+    from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
     arms = QuasiStaticArm([amended(nominal, entries)] * len(pushes), [entries] * len(pushes))
     actuators = actuations([entries])
     for time_s, pose in enumerate(poses):

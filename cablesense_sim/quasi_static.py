@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim import kinematics
-from cablesense_sim.cable_chain import Pull
-from cablesense_sim.effects.effect import Rest
+from cablesense_sim import kinematics, rest_pose
+from cablesense_sim.effects.effect import Pull, Rest
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
-from cablesense_sim.rest_search import descent_step, load_hessian
+from cablesense_sim.rest_search import descent_step
 
 _ENOUGH_N_M = 1e-6
 _TOLERATED_N_M = 1e-4
@@ -40,15 +39,10 @@ _WHOLE_STEPS = 6
 
 class _Pose(NamedTuple):
     angles_rad: Array
-    span: kinematics.Spans
-    chain: kinematics.Chain
-    bends_rad: Array
+    shape: Any  # a `rest_pose.Pose`
     tensions_n: Array
     tensions_by_run_n_m: Array
-    torque_n_m: Array
-    slope_n_m: Array
-    uncabled_n_m: Array
-    held_slope_n_m: Array
+    balance: Any  # a `rest_pose.Balance`
 
 
 class QuasiStaticArm:
@@ -64,6 +58,9 @@ class QuasiStaticArm:
         """
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
+        self._plates = rest_pose.plates_of(self._mechanism, len(self._each))
+        spring = self._mechanism.joint_stiffness_n_m_rad
+        self._spring_n_m_rad = np.repeat(spring, 2, axis=-1)
         self._transmissions = transmissions(variants)
         self._angles_rad = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, self._angles_rad).length_m.sum(-1)
@@ -82,7 +79,7 @@ class QuasiStaticArm:
         """(P,) largest joint torque left unbalanced at the last rest; zero before the first."""
         if self._last is None:
             return np.zeros(len(self._each))
-        return np.asarray(np.abs(self._last[2].torque_n_m).max(-1))
+        return np.asarray(np.abs(self._last[2].balance.torque_n_m).max(-1))
 
     def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
@@ -118,7 +115,8 @@ class QuasiStaticArm:
             except EquilibriumError as error:
                 self._lose(error)
         self._angles_rad = pose.angles_rad
-        rest = Rest(time_s, pose.angles_rad, pose.span.length_m, pose.bends_rad, pose.tensions_n)
+        shape = pose.shape
+        rest = Rest(time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n)
         for transmission in self._transmissions:
             transmission.settle(rest)
         return np.where(self._lost[:, None], np.nan, pose.tensions_n)
@@ -158,7 +156,7 @@ class QuasiStaticArm:
         stiffness = self._mechanism.stiffness_n_m
         if (stiffness * np.abs(rest_m - last_m)).max() < _FOLLOWED_FROM_N:
             return angles
-        wanted = self._last[2].span.length_m.sum(-1) - last_m + rest_m
+        wanted = self._last[2].shape.span_m.sum(-1) - last_m + rest_m
         for _ in range(_FOLLOWING_STEPS):
             span = kinematics.spans(self._mechanism, angles)
             jacobian = kinematics.interleave(span)
@@ -173,20 +171,25 @@ class QuasiStaticArm:
         if self._last is None or start is not self._angles_rad:
             return start
         last_m, last_arms, pose = self._last
-        loads = kinematics.axis_torques_n_m(pose.chain, arms - last_arms)
-        turn = self._balancing_turn_rad(pose._replace(uncabled_n_m=pose.uncabled_n_m - loads))
+        loads = rest_pose.load_torques_n_m(pose.shape, arms - last_arms)
+        turn = self._balancing_turn_rad(pose, pose.balance.uncabled_n_m - loads)
         if turn is None:
             along = pose.tensions_by_run_n_m * (last_m - rest_m)[..., None]
-            torque = _cable_torques_n_m(pose.span, along) - loads
-            turn = _step_rad(pose._replace(torque_n_m=torque))
+            torque = rest_pose.cable_torques_n_m(pose.shape, along) - loads
+            turn = _step_rad(torque, pose.balance.slope_n_m)
         return pose.angles_rad + turn
 
-    def _balancing_turn_rad(self, pose: _Pose) -> Array | None:
+    def _balancing_turn_rad(self, pose: _Pose, uncabled_n_m: Array) -> Array | None:
         """The turn from a pose to rest as transmissions tell it, (P, 2N), if they do."""
-        by_turn = np.stack([pose.span.by_pitch, pose.span.by_yaw], axis=-1)
-        given = pose.span.length_m, pose.bends_rad, by_turn, pose.uncabled_n_m, pose.held_slope_n_m
+        shape = pose.shape
         for transmission in self._transmissions:
-            turn = transmission.balancing_turn_rad(*given)
+            turn = transmission.balancing_turn_rad(
+                shape.span_m,
+                shape.bend_rad,
+                shape.by_turn_m,
+                uncabled_n_m,
+                pose.balance.held_slope_n_m,
+            )
             if turn is not None:
                 return _shortened(np.where(np.isfinite(turn), turn, 0.0))
         return None
@@ -216,9 +219,8 @@ class QuasiStaticArm:
                 self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
                 continue
             self._angles_rad[arms], tensions[arms] = rest.joint_angles_rad, rest.tensions_n
-        span = kinematics.spans(self._mechanism, self._angles_rad)
-        bends = _bends_rad(self._mechanism, self._angles_rad, span.length_m)
-        begun = Rest(time_s, self._angles_rad, span.length_m, bends, tensions)
+        shape = rest_pose.posed(self._plates, self._angles_rad)
+        begun = Rest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
             transmission.begin(self._mechanism, begun)
         self._begun = True
@@ -226,14 +228,14 @@ class QuasiStaticArm:
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
         pose = self._pose(start, rest_m, arms)
         for _ in range(_WHOLE_STEPS):
-            if np.abs(pose.torque_n_m).max() <= _ENOUGH_N_M:
+            torque = pose.balance.torque_n_m
+            if np.abs(torque).max() <= _ENOUGH_N_M:
                 return pose
-            turn = self._balancing_turn_rad(pose)
+            turn = self._balancing_turn_rad(pose, pose.balance.uncabled_n_m)
             if turn is None:
                 break
             ahead = self._pose(pose.angles_rad + turn, rest_m, arms)
-            left = np.abs(ahead.torque_n_m).max(-1)
-            better = left < np.abs(pose.torque_n_m).max(-1)
+            better = np.abs(ahead.balance.torque_n_m).max(-1) < np.abs(torque).max(-1)
             if not better.any():
                 break
             pose = _chosen(better, ahead, pose)
@@ -244,26 +246,27 @@ class QuasiStaticArm:
             np.full_like(driven, np.inf),
         )
         for _ in range(_MOST_STEPS):
-            if np.abs(pose.torque_n_m).max() <= _ENOUGH_N_M:
+            torque = pose.balance.torque_n_m
+            if np.abs(torque).max() <= _ENOUGH_N_M:
                 return pose
             # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
             # step is cut while the torques at its end drive the arm back as hard as it was driven,
             # and where a cut step falls short of the kink, the kink is sought between
-            back = (pose.torque_n_m * step).sum(-1)
+            back = (torque * step).sum(-1)
             over = back > 0.3 * driven
             short = (back < -0.7 * driven) & np.isfinite(far)
             far, near = np.where(over, fraction, far), np.where(short, fraction, near)
             again = (over | short) & (far - near > _SHORTEST * far) & (far > _LEAST_FRACTION)
-            newton = _step_rad(pose)
+            newton = _step_rad(torque, pose.balance.slope_n_m)
             shorter = np.clip(driven / np.maximum(driven + back, 1e-300), 0.05, 0.8)
             between = np.where(near > 0.0, 0.5 * (near + far), shorter * fraction)
             start = np.where(again[:, None], start, pose.angles_rad)
             step = np.where(again[:, None], step, newton)
-            driven = np.where(again, driven, -(pose.torque_n_m * newton).sum(-1))
+            driven = np.where(again, driven, -(torque * newton).sum(-1))
             fraction = np.where(again, between, 1.0)
             near, far = np.where(again, near, 0.0), np.where(again, far, np.inf)
             pose = self._pose(start + fraction[:, None] * step, rest_m, arms)
-        unbalanced = np.abs(pose.torque_n_m).max(-1)
+        unbalanced = np.abs(pose.balance.torque_n_m).max(-1)
         if unbalanced.max() <= _TOLERATED_N_M:
             return pose
         raise EquilibriumError(
@@ -288,28 +291,20 @@ class QuasiStaticArm:
         )
 
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:
-        mechanism = self._mechanism
-        span, chain = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
-        bends = _bends_rad(mechanism, angles, span.length_m)
-        pull = self._pull(span.length_m, bends, rest_m)
-        tension, along = pull.tensions_n[..., 0], pull.tensions_n[..., 1:]
-        held_slope = _held_slopes_n_m(span, along) - load_hessian(chain, arms)
-        spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1)
-        uncabled = spring * angles - kinematics.axis_torques_n_m(chain, arms)
-        diagonal = np.arange(angles.shape[-1])
-        held_slope[..., diagonal, diagonal] += spring
+        shape = rest_pose.posed(self._plates, angles)
+        pull = self._pull(shape.span_m, shape.bend_rad, rest_m)
+        resisted, stiffer = self._spring_n_m_rad * angles, self._spring_n_m_rad
         for transmission in self._transmissions:
-            resisted = transmission.joint_torque_n_m(angles)
-            if resisted is not None:
-                uncabled += resisted[0]
-                held_slope[..., diagonal, diagonal] += resisted[1]
-        torque = _cable_torques_n_m(span, along) + uncabled
-        slope = held_slope + _elastic_slopes_n_m(span, pull.by_length_n_m[..., 1:, 1:])
-        torque[self._lost], slope[self._lost] = 0.0, np.eye(angles.shape[-1])
-        by_run = pull.by_length_n_m[..., 1:, 0]
-        return _Pose(
-            angles, span, chain, bends, tension, by_run, torque, slope, uncabled, held_slope
-        )
+            own = transmission.joint_torque_n_m(angles)
+            if own is not None:
+                resisted, stiffer = resisted + own[0], stiffer + own[1]
+        # copies, so that the compiled code is of one kind of array
+        along, by_length = pull.tensions_n[..., 1:].copy(), pull.by_length_n_m[..., 1:, :]
+        by_span = by_length[..., 1:].copy()
+        balance = rest_pose.balanced(shape, along, by_span, arms, resisted, stiffer)
+        balance.torque_n_m[self._lost] = 0.0
+        balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
+        return _Pose(angles, shape, pull.tensions_n[..., 0], by_length[..., 0], balance)
 
     def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> Pull:
         for transmission in self._transmissions:
@@ -323,32 +318,6 @@ class QuasiStaticArm:
             np.broadcast_to((stiffness * stretch)[..., None], (*stretch.shape, count)),
             np.broadcast_to(stiffness[..., None, None], (*stretch.shape, count, count)),
         )
-
-
-def _cable_torques_n_m(span: kinematics.Spans, along_n: Array) -> Array:
-    """(P, 2N) joint torques of the spans' tensions (P, M, N)."""
-    both = [(along_n * by).sum(-2) for by in (span.by_pitch, span.by_yaw)]
-    return np.stack(both, axis=-1).reshape(len(along_n), -1)
-
-
-def _elastic_slopes_n_m(span: kinematics.Spans, by_span: Array) -> Array:
-    """Derivative (P, 2N, 2N) of their torques by the joint angles, by what they stretch."""
-    joints = by_span.shape[-1]
-    slope = np.empty((len(by_span), 2 * joints, 2 * joints))
-    for column, right in enumerate((span.by_pitch, span.by_yaw)):
-        pulled = by_span * right[..., None, :]
-        for row, left in enumerate((span.by_pitch, span.by_yaw)):
-            slope[..., row::2, column::2] = (left[..., :, None] * pulled).sum(-3)
-    return slope
-
-
-def _held_slopes_n_m(span: kinematics.Spans, along_n: Array) -> Array:
-    """The same (P, 2N, 2N) of cables that keep their tensions."""
-    joints = np.arange(along_n.shape[-1])
-    slope = np.zeros((len(along_n), 2 * len(joints), 2 * len(joints)))
-    for row, column, second in span.second_derivatives:
-        slope[..., 2 * joints + row, 2 * joints + column] = (along_n * second).sum(-2)
-    return slope
 
 
 def _chosen(which: NDArray[np.bool_], one: Any, other: Any) -> Any:
@@ -365,32 +334,18 @@ def _chosen(which: NDArray[np.bool_], one: Any, other: Any) -> Any:
     )
 
 
-def _step_rad(pose: _Pose) -> Array:
+def _step_rad(torque_n_m: Array, slope_n_m: Array) -> Array:
     """Newton's step; where that leads uphill, with too many cables slack, a step that descends."""
-    step = -np.linalg.solve(pose.slope_n_m, pose.torque_n_m[..., None])[..., 0]
-    uphill = (pose.torque_n_m * step).sum(-1) > 0.0
+    step = -np.linalg.solve(slope_n_m, torque_n_m[..., None])[..., 0]
+    uphill = (torque_n_m * step).sum(-1) > 0.0
     if uphill.any():
-        slope = pose.slope_n_m[uphill]
+        slope = slope_n_m[uphill]
         symmetric = 0.5 * (slope + np.swapaxes(slope, -1, -2))
         none = np.zeros(len(symmetric), dtype=bool)
-        step[uphill] = descent_step(symmetric, pose.torque_n_m[uphill], stable=none)
+        step[uphill] = descent_step(symmetric, torque_n_m[uphill], stable=none)
     return _shortened(np.asarray(step))
 
 
 def _shortened(step: Array) -> Array:
     longest = np.abs(step).max(-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
-
-
-def _bends_rad(mechanism: Mechanism, angles_rad: Array, spans_m: Array) -> Array:
-    """(P, M, N, 2) by how much each cable turns at the guides before and after each joint."""
-    pitch, yaw = angles_rad[..., None, 0::2], angles_rad[..., None, 1::2]
-    (y, z), (v, w) = mechanism.plate_holes_m
-    o = mechanism.plate_offset_m
-    cos_b, sin_b = np.cos(yaw), np.sin(yaw)
-    before = o + (o * cos_b - v * sin_b) * np.cos(pitch) + w * np.sin(pitch)
-    after = o + (o * np.cos(pitch) + z * np.sin(pitch)) * cos_b - y * sin_b
-    length = np.where(spans_m > 0.0, spans_m, np.inf)
-    passes = spans_m > 0.0
-    cosine = np.stack([before / length, after / length], axis=-1)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)) * passes[..., None])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,6 @@ from cablesense_sim.effects.registry import (
 )
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.quasi_static import QuasiStaticArm
 
 _HARMONICS = 100
 """Of the series of rounding; what the others would add is below 1 % of step² / 12."""
@@ -65,6 +65,8 @@ class Replay:
         """
         if not transmissions(variants):
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
+        from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
         mechanisms, held = self._moved(variants)
         arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
         rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
@@ -159,6 +161,7 @@ def reading_variance_n2(sensors: Sensors) -> float:
     return sensors.noise_std_n**2 + sensors.step_n**2 / 12.0
 
 
+@cache
 def mean_variance_n2(sensors: Sensors, count: int) -> float:
     """Variance of the mean of `count` readings of one tension, N².
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_sim.cable_chain import CableChains, Pull
 from cablesense_sim.effects.effect import (
     Effect,
     Parameter,
+    Pull,
     Rest,
     Transmission,
     Values,
@@ -83,6 +83,8 @@ class _Guides(Transmission):
         limit = self._limit(rest.bends_rad)
         compliance_m_n = self._pieces_m_n(mechanism)
         self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
+        from cablesense_sim.cable_chain import CableChains  # compiled: none without friction waits
+
         self._chains = CableChains(
             compliance_m_n,
             self._lengths_m(rest.spans_m),

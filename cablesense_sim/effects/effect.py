@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim.cable_chain import Pull
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
@@ -214,6 +213,18 @@ class Rest(NamedTuple):
     spans_m: Array
     bends_rad: Array
     tensions_n: Array
+
+
+class Pull(NamedTuple):
+    """Tensions of cables of K pieces.
+
+    Attributes:
+        tensions_n: (..., K) of each piece, the actuator's first; zero in a slack cable.
+        by_length_n_m: (..., K, K) derivative by the pieces' lengths.
+    """
+
+    tensions_n: Array
+    by_length_n_m: Array
 
 
 class Transmission:

@@ -1,5 +1,6 @@
 """Closed-form kinematics against MuJoCo's, finite differences, and NumPy against torch."""
 
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -9,11 +10,12 @@ import torch
 from arm_variants import variant
 from joint_torques import gravity_torques_n_m, load_torques_n_m
 
-from cablesense_sim import kinematics
+from cablesense_sim import kinematics, rest_pose
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.model import build_spec
+from cablesense_sim.rest_search import load_hessian
 
 TAPERED = {
     "segments.count": 3,
@@ -201,3 +203,27 @@ def test_torch_can_differentiate_through_it() -> None:
     np.testing.assert_allclose(
         by_torch.numpy(), kinematics.cable_jacobian_m(mechanism, q.numpy()), atol=1e-12
     )
+
+
+def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
+    mechanism = mechanism_of(arm)
+    rng = np.random.default_rng(3)
+    angles = rng.uniform(-0.2, 0.2, (4, mechanism.joint_count))
+    loads = rng.normal(size=(4, mechanism.segment_count, 3))
+    stacked = stack([mechanism] * 4)
+    span, chain = kinematics.spans(stacked, angles), kinematics.chain(stacked, angles)
+    pose = rest_pose.posed(rest_pose.plates_of(stacked, 4), angles)
+    by_turn = np.stack([span.by_pitch, span.by_yaw], axis=-1)
+    by_turns = np.stack([span.by_pitch_pitch, span.by_pitch_yaw, span.by_yaw_yaw], axis=-1)
+    same = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
+    same(pose.span_m, span.length_m)
+    same(pose.by_turn_m, by_turn)
+    same(pose.by_turns_m, by_turns)
+    same(pose.axis, chain.rotation[..., 0])
+    same(pose.joint_axis, chain.joint_axis)
+    same(rest_pose.load_torques_n_m(pose, loads), kinematics.axis_torques_n_m(chain, loads))
+    none = np.zeros_like(pose.span_m)
+    still = np.zeros_like(angles)
+    by_span = np.zeros((*none.shape, none.shape[-1]))
+    balance = rest_pose.balanced(pose, none, by_span, loads, still, still)
+    same(balance.held_slope_n_m, -load_hessian(chain, loads))

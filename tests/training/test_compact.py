@@ -35,7 +35,8 @@ def mechanisms(draw):
         "routing_radius_m": rng.uniform(0.02, 0.08, count).tolist(),
         "angle_deg": {
             "first": rng.uniform(-90, 90),
-            "per_segment": rng.uniform(-90, 90),
+            # no two cables through one hole
+            "per_segment": rng.choice([-1.0, 1.0]) * rng.uniform(4, 13),
             "per_cable": 360.0 / each,
         },
     }

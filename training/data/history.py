@@ -18,7 +18,6 @@ from cablesense_sim.effects.registry import (
 )
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.quasi_static import QuasiStaticArm
 
 _ON_THE_WAY = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Shares of the way to the command, at which the arm comes to rest."""
@@ -125,6 +124,8 @@ def tensions_along_n(
         held = actuation.along(time_s, held.swapaxes(0, 1)).swapaxes(0, 1)
     mechanism = amended(nominal, entries)
     if transmissions(arms):
+        from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
         arm = QuasiStaticArm([mechanism] * len(arms), arms)
         return np.stack([arm.step(t, held[r], loads_n[r]) for r, t in enumerate(time_s)])
     tensions = np.zeros_like(held)

@@ -1,0 +1,448 @@
+"""One cable after another with friction, compiled; `cablesense_sim.cable_chain` says the law.
+
+Where it is known which nodes slip, the lengths that pass them follow from linear equations:
+
+    T_k = s_k (stretch_k + passed_(k-1) - passed_k),    at a node that slips    T_k = r T_(k+1).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.compiled import compiled
+
+_MOST_STEPS = 40
+_CIRCLES_AFTER = 10
+_SWEEPS = 30
+_HALVINGS = 40
+_ROUNDING = 1e-12
+_TURNS, _CUT_AFTER = 30, 8
+_CLOSE_RAD = 1e-8
+
+
+class Cables(NamedTuple):
+    """C cables of K pieces and K - 1 nodes, or one of them without the first axis.
+
+    Attributes:
+        stiffness_n_m: (C, K) of the pieces, zero beyond the end of a cable.
+        give_m: (C, K - 1) of bristles, zero where a node sticks rigidly.
+        rounding: (C, K - 1) Dahl's exponent of bristles.
+        natural_m: (C, K) material that lay in the pieces at the last rest, unstretched.
+        share: (C, K - 1) of the limit that bristles carried there.
+        slips: (C, K - 1) which way a node slipped when last looked at, where a search begins.
+    """
+
+    stiffness_n_m: Array
+    give_m: Array
+    rounding: Array
+    natural_m: Array
+    share: Array
+    slips: Array
+
+
+class _Rows(NamedTuple):
+    """Equations (K - 1,) of the passed lengths.
+
+    Where a node moves T_k = ratio T_(k+1), else nothing passes. Bristles make an equation steeper,
+    N/m, by what they stiffen with the cable passed, about an offset, N. The diagonal is what
+    elimination makes of it, N/m.
+    """
+
+    moves: Array
+    ratio: Array
+    steeper_n_m: Array
+    offset_n: Array
+    diagonal_n_m: Array
+
+
+@compiled
+def pull(cables: Cables, lengths_m: Array, limit: Array) -> tuple[Array, Array]:
+    """Tensions (C, K), N, at lengths (C, K), and their derivative (C, K, K) by these, N/m."""
+    count, pieces = lengths_m.shape
+    tensions, slope = np.zeros((count, pieces)), np.zeros((count, pieces, pieces))
+    passed, rows, held = np.empty(pieces - 1), _empty_rows(pieces - 1), np.empty(pieces)
+    right = np.empty((pieces - 1, pieces))
+    for c in range(count):
+        cable = _one(cables, c)
+        if not _hold(cable, lengths_m[c], held):
+            continue
+        _pass(cable, held, limit[c], passed, rows)
+        _by_stretch(cable, rows, right)
+        _eliminate(cable, rows, right)
+        for k in range(pieces):
+            stiffness = cable.stiffness_n_m[k]
+            tensions[c, k] = held[k] + stiffness * _gained(passed, k)
+            for column in range(pieces):
+                slope[c, k, column] = stiffness * _gained(right[:, column], k)
+            slope[c, k, k] += stiffness
+    return tensions, slope
+
+
+@compiled
+def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
+    """Stay at lengths (C, K). In a slack cable the material comes to lie evenly."""
+    count, pieces = lengths_m.shape
+    passed, rows, held = np.empty(pieces - 1), _empty_rows(pieces - 1), np.empty(pieces)
+    for c in range(count):
+        cable = _one(cables, c)
+        if _hold(cable, lengths_m[c], held):
+            _pass(cable, held, limit[c], passed, rows)
+            for k in range(pieces):
+                cable.natural_m[k] -= _gained(passed, k)
+            for k in range(pieces - 1):
+                bent = _bent(cable, k, passed[k])[0] if cable.give_m[k] > 0.0 else 0.0
+                cable.share[k] = min(max(bent, -1.0), 1.0)
+        else:
+            stretch = (lengths_m[c] - cable.natural_m).sum()
+            cable.natural_m[:] = lengths_m[c] - _evenly(cable) * stretch
+            cable.share[:] = 0.0
+
+
+@compiled
+def balancing_turn(
+    cables: Cables,
+    lengths_m: Array,
+    limit: Array,
+    by_turn_m: Array,
+    torque_n_m: Array,
+    slope_n_m: Array,
+) -> Array:
+    """The turn (P, 2N) after which P arms' joints are balanced, as `CableChains` says.
+
+    Takes lengths (P, M, 1 + N), limits (P, M, N), the derivative (P, M, N, 2) of each piece by the
+    two angles of its own joint, torques (P, 2N) and slopes (P, 2N, 2N).
+    """
+    turn = np.zeros(torque_n_m.shape)
+    each = lengths_m.shape[1]
+    for p in range(len(turn)):
+        first = p * each
+        own = Cables(
+            cables.stiffness_n_m[first : first + each],
+            cables.give_m[first : first + each],
+            cables.rounding[first : first + each],
+            cables.natural_m[first : first + each],
+            cables.share[first : first + each],
+            cables.slips[first : first + each],
+        )
+        _balance(own, lengths_m[p], limit[p], by_turn_m[p], torque_n_m[p], slope_n_m[p], turn[p])
+    return turn
+
+
+@compiled
+def _balance(
+    cables: Cables,
+    lengths_m: Array,
+    limit: Array,
+    by_turn_m: Array,
+    torque_n_m: Array,
+    slope_n_m: Array,
+    turn: Array,
+) -> None:
+    """The turn (2N,) of one arm, in place; NaN where its torques are."""
+    count, pieces = lengths_m.shape
+    nodes = pieces - 1
+    rigid = not (cables.give_m > 0.0).any()
+    stretch = lengths_m - cables.natural_m
+    tensions = cables.stiffness_n_m * stretch
+    passed, room, taut = np.zeros((count, nodes)), np.empty(count), np.empty(count)
+    rows, right = _empty_rows(nodes), np.empty((nodes, pieces + 1))
+    passed_by = np.empty((count, nodes, 2 * nodes))
+    tensions_by = np.empty((count, pieces, 2 * nodes))
+    for c in range(count):
+        room[c] = _ROUNDING * np.abs(tensions[c]).max()
+    changed = False
+    for turns in range(_TURNS):
+        missing = torque_n_m + slope_n_m @ turn
+        whole = slope_n_m.copy()
+        for c in range(count):
+            cable = _one(cables, c)
+            taut[c] = 1.0 if stretch[c].sum() > 0.0 else 0.0
+            held = cable.stiffness_n_m * stretch[c] * taut[c]
+            if not taut[c]:
+                cable.slips[:] = 0.0
+            _set_rows(cable, taut[c] > 0.0, passed[c], tensions[c], limit[c], rows)
+            _by_stretch(cable, rows, right)
+            for k in range(nodes):
+                right[k, pieces] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
+            _eliminate(cable, rows, right)
+            passed[c] = right[:, pieces]
+            for k in range(pieces):
+                tensions[c, k] = held[k] + cable.stiffness_n_m[k] * _gained(passed[c], k)
+            for j in range(2 * nodes):
+                own = by_turn_m[c, j // 2, j % 2]
+                for k in range(nodes):
+                    passed_by[c, k, j] = right[k, j // 2 + 1] * own
+                for k in range(pieces):
+                    longer = _gained(passed_by[c, :, j], k) + (own if k == j // 2 + 1 else 0.0)
+                    tensions_by[c, k, j] = cable.stiffness_n_m[k] * taut[c] * longer
+            for i in range(2 * nodes):
+                lever = by_turn_m[c, i // 2, i % 2]
+                missing[i] += lever * tensions[c, i // 2 + 1]
+                for j in range(2 * nodes):
+                    whole[i, j] += lever * tensions_by[c, i // 2 + 1, j]
+        if not (np.isfinite(whole).all() and np.isfinite(missing).all()):
+            turn[:] = np.nan
+            return
+        step = -np.linalg.solve(whole, missing)
+        cut = changed and turns > _CUT_AFTER  # or it may go in circles
+        if cut:
+            step *= 0.5
+        turn += step
+        changed = False
+        for c in range(count):
+            for j in range(2 * nodes):
+                stretch[c, j // 2 + 1] += by_turn_m[c, j // 2, j % 2] * step[j]
+            passed[c] += passed_by[c] @ step
+            tensions[c] += tensions_by[c] @ step
+            changed |= (stretch[c].sum() > 0.0) != (taut[c] > 0.0)
+            if taut[c]:
+                changed |= _slip(_one(cables, c), passed[c], tensions[c], limit[c], room[c])
+        if not (changed or cut) and (rigid or np.abs(step).max() < _CLOSE_RAD):
+            return
+
+
+@compiled
+def _one(cables: Cables, c: int) -> Cables:
+    return Cables(
+        cables.stiffness_n_m[c],
+        cables.give_m[c],
+        cables.rounding[c],
+        cables.natural_m[c],
+        cables.share[c],
+        cables.slips[c],
+    )
+
+
+@compiled
+def _empty_rows(nodes: int) -> _Rows:
+    every = np.empty((5, nodes))
+    return _Rows(every[0], every[1], every[2], every[3], every[4])
+
+
+@compiled
+def _gained(passed: Array, k: int) -> float:
+    """What the stretch of piece k gains by what passes the nodes beside it."""
+    before = passed[k - 1] if k > 0 else 0.0
+    return before - passed[k] if k < len(passed) else before
+
+
+@compiled
+def _tensions(cable: Cables, held: Array, passed: Array, tensions: Array) -> None:
+    for k in range(len(held)):
+        tensions[k] = held[k] + cable.stiffness_n_m[k] * _gained(passed, k)
+
+
+@compiled
+def _bent(cable: Cables, k: int, passed: float) -> tuple[float, float]:
+    """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
+
+    What is left to the limit, u, falls as du/dx = -u^rounding / give (Dahl, A solid friction
+    model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as it is on
+    its way back.
+    """
+    give, share = cable.give_m[k], cable.share[k]
+    if cable.rounding[k] == 0.0:
+        return share + passed / give, 1.0 / give
+    if passed == 0.0:
+        return share, (1.0 + abs(share)) ** cable.rounding[k] / give
+    way, evenly = np.sign(passed), 1.0 - cable.rounding[k]
+    far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / give, -1.0)
+    left = np.sign(far) * abs(far) ** (1.0 / evenly)
+    return way * (1.0 - left), max(left, 0.0) ** cable.rounding[k] / give
+
+
+@compiled
+def _slip_m(cable: Cables, k: int, way: float) -> float:
+    """Cable that passes a node until its bristles slip a way; none where it sticks rigidly."""
+    evenly = 1.0 - cable.rounding[k]
+    return way * cable.give_m[k] * max(1.0 - way * cable.share[k], 0.0) ** evenly / evenly
+
+
+@compiled
+def _pass(cable: Cables, held: Array, limit: Array, passed: Array, rows: _Rows) -> None:
+    """Cable (K - 1,) that passes each node of a taut cable, and the rows that hold, in place.
+
+    Newton's method on the rows: where a node slips the tensions are apart by the bound, where
+    bristles hold by the share that they carry, and else nothing passes. A node sticks before it
+    slips the other way. One cable in some thousands goes in circles; it is relaxed before it goes
+    on.
+    """
+    tensions, last = held.copy(), np.zeros(len(passed))
+    passed[:] = 0.0
+    room = 0.0
+    for tension in held:
+        room = max(room, _ROUNDING * abs(tension))
+    for step in range(1, _MOST_STEPS + 1):
+        if step % _CIRCLES_AFTER == 0:
+            _relax(cable, held, limit, passed)
+            _tensions(cable, held, passed, tensions)
+            _slip_as_passed(cable, passed)
+        last[:] = passed
+        _set_rows(cable, True, passed, tensions, limit, rows)
+        for k in range(len(passed)):
+            passed[k] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
+        _eliminate(cable, rows, passed.reshape(-1, 1))
+        still = True
+        for k in range(len(passed)):
+            # the way back is as stiff as can be, and begins at rest
+            if cable.rounding[k] > 0.0 and cable.give_m[k] > 0.0 and passed[k] * last[k] < 0.0:
+                passed[k] = 0.0
+            if cable.give_m[k] > 0.0 and abs(passed[k] - last[k]) > _ROUNDING:
+                still = False
+        _tensions(cable, held, passed, tensions)
+        if not _slip(cable, passed, tensions, limit, room) and still:
+            return
+    for _ in range(_MOST_STEPS):
+        last[:] = passed
+        _relax(cable, held, limit, passed)
+        if np.abs(passed - last).max() <= _ROUNDING:
+            break
+    _tensions(cable, held, passed, tensions)
+    _set_rows(cable, True, passed, tensions, limit, rows)
+
+
+@compiled
+def _slip(cable: Cables, passed: Array, tensions: Array, limit: Array, room: float) -> bool:
+    """Which way each node slips by a guess; whether that has changed."""
+    changed = False
+    for k in range(len(passed)):
+        if cable.stiffness_n_m[k + 1] == 0.0:
+            continue
+        slips = cable.slips[k]
+        if cable.give_m[k] > 0.0:
+            bent = _bent(cable, k, passed[k])[0]
+            beyond, below, ahead = bent > 1.0 + _ROUNDING, bent < -1.0 - _ROUNDING, bent - slips
+        else:
+            near, far, over = tensions[k], tensions[k + 1], np.exp(limit[k])
+            beyond, below, ahead = near > far * over + room, near * over < far - room, passed[k]
+        if slips == 0.0:
+            cable.slips[k] = 1.0 if beyond else -1.0 if below else 0.0
+        elif not slips * ahead >= 0.0:
+            cable.slips[k] = 0.0
+        changed |= cable.slips[k] != slips
+    return changed
+
+
+@compiled
+def _slip_as_passed(cable: Cables, passed: Array) -> None:
+    """Which way each node slips where so much has passed it."""
+    for k in range(len(passed)):
+        if cable.give_m[k] > 0.0:
+            bent = _bent(cable, k, passed[k])[0]
+            cable.slips[k] = np.sign(bent) if abs(bent) >= 1.0 else 0.0
+        else:
+            cable.slips[k] = np.sign(passed[k])
+
+
+@compiled
+def _set_rows(
+    cable: Cables, taut: bool, passed: Array, tensions: Array, limit: Array, rows: _Rows
+) -> None:
+    """The rows that hold, linear about a guess where bristles carry."""
+    for k in range(len(passed)):
+        rows.moves[k], rows.ratio[k] = 0.0, 1.0
+        rows.steeper_n_m[k], rows.offset_n[k] = 0.0, 0.0
+        if not taut or cable.stiffness_n_m[k + 1] == 0.0:
+            continue
+        if cable.slips[k] != 0.0:
+            rows.moves[k], rows.ratio[k] = 1.0, np.exp(cable.slips[k] * limit[k])
+        elif cable.give_m[k] > 0.0:
+            bent, stiffer = _bent(cable, k, passed[k])
+            share = min(max(bent, -1.0), 1.0)
+            ratio = np.exp(share * limit[k])
+            steeper = stiffer * ratio * limit[k] * max(tensions[k + 1], 0.0)
+            at = _slip_m(cable, k, share) if abs(bent) > 1.0 else passed[k]
+            rows.moves[k], rows.ratio[k] = 1.0, ratio
+            rows.steeper_n_m[k], rows.offset_n[k] = steeper, steeper * at
+
+
+@compiled
+def _by_stretch(cable: Cables, rows: _Rows, right: Array) -> None:
+    """Right-hand sides for the derivative by the pieces' stretch, in the first K columns."""
+    stiffness = cable.stiffness_n_m
+    right[:] = 0.0
+    for k in range(len(right)):
+        right[k, k] = stiffness[k]
+        right[k, k + 1] = -rows.ratio[k] * stiffness[k + 1]
+
+
+@compiled
+def _eliminate(cable: Cables, rows: _Rows, right: Array) -> None:
+    """Thomas's algorithm for several right-hand sides (K - 1, any), in place."""
+    stiffness, diagonal, last = cable.stiffness_n_m, rows.diagonal_n_m, len(right) - 1
+    for k in range(last + 1):
+        if rows.moves[k] == 0.0:
+            diagonal[k] = 1.0
+            for column in range(right.shape[1]):
+                right[k, column] = 0.0
+            continue
+        diagonal[k] = stiffness[k] + rows.ratio[k] * stiffness[k + 1] + rows.steeper_n_m[k]
+        if k > 0 and rows.moves[k - 1] > 0.0:
+            part = stiffness[k] / diagonal[k - 1]
+            diagonal[k] -= part * rows.ratio[k - 1] * stiffness[k]
+            for column in range(right.shape[1]):
+                right[k, column] += part * right[k - 1, column]
+    for k in range(last, -1, -1):
+        if rows.moves[k] == 0.0:
+            continue
+        far = rows.ratio[k] * stiffness[k + 1]
+        for column in range(right.shape[1]):
+            if k < last:
+                right[k, column] += far * right[k + 1, column]
+            right[k, column] /= diagonal[k]
+
+
+@compiled
+def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
+    """Passed lengths nearer to the solution, node by node while the others stand, in place.
+
+    That converges from anywhere, as the matrix is an M-matrix, but slowly.
+    """
+    stiffness = cable.stiffness_n_m
+    for _ in range(_SWEEPS):
+        for k in range(len(passed)):
+            passed[k] = 0.0
+            if stiffness[k + 1] == 0.0:
+                continue
+            near = held[k] + stiffness[k] * _gained(passed, k)
+            far = held[k + 1] + stiffness[k + 1] * _gained(passed, k + 1)
+            low, high = _slip_m(cable, k, -1.0), _slip_m(cable, k, 1.0)
+            moved = 0.0
+            if cable.give_m[k] > 0.0:
+                for _ in range(_HALVINGS):  # what passes if the node does not slip
+                    moved = 0.5 * (low + high)
+                    share = min(max(_bent(cable, k, moved)[0], -1.0), 1.0)
+                    ratio = np.exp(share * limit[k])
+                    if near - stiffness[k] * moved > ratio * (far + stiffness[k + 1] * moved):
+                        low = moved
+                    else:
+                        high = moved
+            for way in (1.0, -1.0):
+                ratio = np.exp(way * limit[k])
+                most = (near - ratio * far) / (stiffness[k] + ratio * stiffness[k + 1])
+                if way * (most - _slip_m(cable, k, way)) > 0.0:
+                    moved = most
+            passed[k] = moved
+
+
+@compiled
+def _hold(cable: Cables, lengths_m: Array, held: Array) -> bool:
+    """Whether the cable is taut; tensions (K,) if nothing passed, in place. Slack ones forget."""
+    whole = 0.0
+    for k in range(len(held)):
+        stretch = lengths_m[k] - cable.natural_m[k]
+        held[k] = cable.stiffness_n_m[k] * stretch
+        whole += stretch
+    if not whole > 0.0:
+        cable.slips[:] = 0.0
+    return whole > 0.0
+
+
+@compiled
+def _evenly(cable: Cables) -> Array:
+    """Shares (K,) of a length that the pieces have where no friction is."""
+    compliance = np.where(cable.stiffness_n_m > 0.0, 1.0 / cable.stiffness_n_m, 0.0)
+    return compliance / compliance.sum()

@@ -1,0 +1,211 @@
+"""An arm in one pose, compiled: what its cables span, and the balance of its joint torques.
+
+The same quantities as of `cablesense_sim.kinematics`, for few arms that go from rest to rest,
+where NumPy's calls would cost more than the arithmetic.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.compiled import compiled
+from cablesense_sim.mechanism import Mechanism
+
+_TOUCHING_M = 1e-9
+
+
+class Plates(NamedTuple):
+    """Guide plates of P arms, which hardly differ.
+
+    Attributes:
+        offset_m: of the plates before and after each joint centre.
+        reach_m: (N,) of each segment.
+        holes_m: (P, M, N, 4) y and z before a joint, and behind it.
+        passes: (M, N) 1 where a cable passes a joint.
+    """
+
+    offset_m: float
+    reach_m: Array
+    holes_m: Array
+    passes: Array
+
+
+class Pose(NamedTuple):
+    """P arms in a pose.
+
+    Attributes:
+        span_m: (P, M, N) cable between the plates of a joint, zero where none passes.
+        by_turn_m: (P, M, N, 2) their derivative by the two angles of the joint.
+        by_turns_m: (P, M, N, 3) the second, by pitch, both and yaw.
+        bend_rad: (P, M, N, 2) by how much a cable turns at the guide before and behind a joint.
+        axis: (P, N, 3) of each segment, unit vector.
+        joint_axis: (P, 2N, 3) of each joint angle, unit vector.
+    """
+
+    span_m: Array
+    by_turn_m: Array
+    by_turns_m: Array
+    bend_rad: Array
+    axis: Array
+    joint_axis: Array
+
+
+class Balance(NamedTuple):
+    """Joint torques of P arms in a pose.
+
+    Attributes:
+        torque_n_m: (P, 2N) left unbalanced.
+        slope_n_m: (P, 2N, 2N) its derivative by the joint angles.
+        uncabled_n_m: (P, 2N) of all but the cables.
+        held_slope_n_m: (P, 2N, 2N) the slope if cables kept their tensions.
+    """
+
+    torque_n_m: Array
+    slope_n_m: Array
+    uncabled_n_m: Array
+    held_slope_n_m: Array
+
+
+def plates_of(mechanism: Mechanism, count: int) -> Plates:
+    """The plates of `count` arms, stacked in one mechanism."""
+    passes = mechanism.passes_joint.astype(float)
+    before, after = mechanism.plate_holes_m
+    holes = [np.broadcast_to(each, (count, *passes.shape)) for each in (*before, *after)]
+    reach = np.asarray(mechanism.segment_length_m, float)
+    return Plates(mechanism.plate_offset_m, reach, np.stack(holes, axis=-1), passes)
+
+
+@compiled
+def posed(plates: Plates, angles_rad: Array) -> Pose:
+    """The arms at joint angles (P, 2N); formulas as in `cablesense_sim.kinematics`."""
+    arms, cables, joints = plates.holes_m.shape[:3]
+    pose = Pose(
+        np.zeros((arms, cables, joints)),
+        np.zeros((arms, cables, joints, 2)),
+        np.zeros((arms, cables, joints, 3)),
+        np.zeros((arms, cables, joints, 2)),
+        np.empty((arms, joints, 3)),
+        np.empty((arms, 2 * joints, 3)),
+    )
+    o = plates.offset_m
+    for p in range(arms):
+        ex, ey, ez = np.eye(3)
+        for n in range(joints):
+            a, b = angles_rad[p, 2 * n], angles_rad[p, 2 * n + 1]
+            cos_a, sin_a, cos_b, sin_b = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
+            for m in range(cables):
+                if plates.passes[m, n] == 0.0:
+                    continue
+                y, z, v, w = plates.holes_m[p, m, n]
+                x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
+                along, across = o * cos_a + z * sin_a, o * sin_a - z * cos_a
+                squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
+                squared += 2.0 * (x1 * along + w * across - y * y1)
+                span = np.sqrt(max(squared, _TOUCHING_M**2))
+                by_a, by_b = (w * along - x1 * across) / span, -(y1 * along + y * x1) / span
+                pose.span_m[p, m, n] = span
+                pose.by_turn_m[p, m, n, 0], pose.by_turn_m[p, m, n, 1] = by_a, by_b
+                second = pose.by_turns_m[p, m, n]
+                second[0] = -(x1 * along + w * across + by_a * by_a) / span
+                second[1] = (y1 * across - by_a * by_b) / span
+                second[2] = (y * y1 - x1 * along - by_b * by_b) / span
+                before, after = o + x1 * cos_a + w * sin_a, o + along * cos_b - y * sin_b
+                bend = pose.bend_rad[p, m, n]
+                bend[0] = np.arccos(min(max(before / span, -1.0), 1.0))
+                bend[1] = np.arccos(min(max(after / span, -1.0), 1.0))
+            pose.joint_axis[p, 2 * n] = ey
+            pitched, ez = cos_a * ex - sin_a * ez, sin_a * ex + cos_a * ez
+            pose.joint_axis[p, 2 * n + 1] = ez
+            ex, ey = cos_b * pitched + sin_b * ey, cos_b * ey - sin_b * pitched
+            pose.axis[p, n] = ex
+    return pose
+
+
+@compiled
+def load_torques_n_m(pose: Pose, arms_n_m: Array) -> Array:
+    """Joint torques (P, 2N) of generalised forces (P, N, 3) on the segments' axis vectors."""
+    torque = np.empty(pose.joint_axis.shape[:2])
+    for p in range(len(torque)):
+        moment = np.zeros(3)
+        for n in range(pose.axis.shape[1] - 1, -1, -1):
+            moment += np.cross(pose.axis[p, n], arms_n_m[p, n])
+            for k in (2 * n, 2 * n + 1):
+                torque[p, k] = (pose.joint_axis[p, k] * moment).sum()
+    return torque
+
+
+@compiled
+def cable_torques_n_m(pose: Pose, along_n: Array) -> Array:
+    """Joint torques (P, 2N) of tensions (P, M, N) in the spans."""
+    arms, cables, joints = along_n.shape
+    torque = np.zeros((arms, 2 * joints))
+    for p in range(arms):
+        for m in range(cables):
+            for k in range(2 * joints):
+                torque[p, k] += along_n[p, m, k // 2] * pose.by_turn_m[p, m, k // 2, k % 2]
+    return torque
+
+
+@compiled
+def balanced(
+    pose: Pose,
+    along_n: Array,
+    by_span_n_m: Array,
+    arms_n_m: Array,
+    resisted_n_m: Array,
+    resisted_slope_n_m: Array,
+) -> Balance:
+    """Torques of tensions (P, M, N) in the spans, with their derivative (P, M, N, N) by these.
+
+    Loads are generalised forces (P, N, 3) on the segments' axes; what joints resist by themselves
+    (P, 2N) has a slope by each joint's own angle.
+    """
+    arms, cables, joints = along_n.shape
+    uncabled = resisted_n_m - load_torques_n_m(pose, arms_n_m)
+    torque = uncabled + cable_torques_n_m(pose, along_n)
+    held_slope = np.zeros((arms, 2 * joints, 2 * joints))
+    slope = np.empty_like(held_slope)
+    for p in range(arms):
+        held = held_slope[p]
+        for k in range(2 * joints):
+            held[k, k] = resisted_slope_n_m[p, k]
+        for m in range(cables):
+            for n in range(joints):
+                pitch, both, yaw = along_n[p, m, n] * pose.by_turns_m[p, m, n]
+                held[2 * n, 2 * n] += pitch
+                held[2 * n, 2 * n + 1] += both
+                held[2 * n + 1, 2 * n] += both
+                held[2 * n + 1, 2 * n + 1] += yaw
+        _take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], held)
+        slope[p] = held
+        for m in range(cables):
+            for i in range(2 * joints):
+                lever = pose.by_turn_m[p, m, i // 2, i % 2]
+                for j in range(2 * joints):
+                    stiffness = by_span_n_m[p, m, i // 2, j // 2]
+                    slope[p, i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
+    return Balance(torque, slope, uncabled, held_slope)
+
+
+@compiled
+def _take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Array) -> None:
+    """Takes the second derivative of `sum_n A_n · x_n` off a slope (2N, 2N).
+
+    For a joint axis k before l it is A_n · (w_k x (w_l x x_n)), summed over the segments beyond.
+    """
+    outer, along = np.zeros((3, 3)), 0.0
+    for n in range(len(axis) - 1, -1, -1):
+        for i in range(3):
+            along += axis[n, i] * arms_n_m[n, i]
+            for j in range(3):
+                outer[i, j] += axis[n, i] * arms_n_m[n, j]
+        for later in (2 * n, 2 * n + 1):
+            turned = (outer * joint_axis[later]).sum(1) - along * joint_axis[later]
+            for k in range(later + 1):
+                found = (joint_axis[k] * turned).sum()
+                slope[k, later] -= found
+                if k < later:
+                    slope[later, k] -= found
