@@ -65,8 +65,54 @@ def arrow_tail_m(contact_m: Array, force_n: Array, clearance_m: float) -> tuple[
     magnitude_n = float(np.linalg.norm(force_n))
     direction = force_n / magnitude_n
     tip = contact_m - clearance_m * direction
-    length = np.clip(magnitude_n * ARROW_METRES_PER_NEWTON, ARROW_SHORTEST_M, ARROW_LONGEST_M)
-    return tip - length * direction, tip
+    return tip - _arrow_length_m(magnitude_n) * direction, tip
+
+
+def _arrow_length_m(magnitude_n: float) -> float:
+    length_m = magnitude_n * ARROW_METRES_PER_NEWTON
+    return min(max(length_m, ARROW_SHORTEST_M), ARROW_LONGEST_M)
+
+
+_RAYS, _THICKEST_RAD = 33, math.radians(10.0)
+_RING = 4 * np.arange(_RAYS - 1)[:, None]
+_SIDES = [_RING + [j, (j + 1) % 4, 4 + (j + 1) % 4, 4 + j] for j in range(4)]  # noqa: RUF005
+_ENDS = [[[3, 2, 1, 0]], 4 * (_RAYS - 1) + np.arange(4)[None]]
+_QUADS = np.vstack([*_SIDES, *_ENDS])
+INTERVAL_FACES = np.vstack([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
+"""Triangles of the wedge that `interval_wedge_m` gives the corners of."""
+
+
+def interval_wedge_m(
+    contact_m: Array,
+    force_n: Array,
+    normal: Array,
+    clearance_m: float,
+    ends_n: tuple[float, float],
+    turns_rad: tuple[float, float],
+) -> Array:
+    """Corners (132, 3) of the wedge in which the tail of a force's arrow may begin.
+
+    The forces are of one plane; the wedge is as thick as it is wide, up to 20 degrees, as it would
+    not be seen from beside.
+
+    Args:
+        contact_m: (3,) as in `arrow_tail_m`, with `force_n` and `clearance_m`.
+        force_n: (3,).
+        normal: (3,) of the plane that the force turns in; contact angles grow against its screw.
+        clearance_m: from the axis to the tip.
+        ends_n: least and greatest force.
+        turns_rad: from the force's direction, the first and the last one.
+    """
+    ahead = unit(force_n)
+    aside = unit(np.cross(ahead, normal))
+    across = np.cross(aside, ahead)
+    first, last = turns_rad
+    turns = np.linspace(first, last, _RAYS)[:, None, None]
+    tilt = min(0.5 * (last - first), _THICKEST_RAD) * np.array([[-1.0], [-1.0], [1.0], [1.0]])
+    rays = np.cos(tilt) * (np.cos(turns) * ahead + np.sin(turns) * aside) + np.sin(tilt) * across
+    low_m, high_m = (clearance_m + _arrow_length_m(end_n) for end_n in ends_n)
+    lengths_m = np.array([[low_m], [high_m], [high_m], [low_m]])
+    return np.asarray(contact_m - lengths_m * rays).reshape(-1, 3)
 
 
 VIEW_ANGLE_RAD = 0.75

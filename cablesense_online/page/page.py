@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import math
 import secrets
 import socket
 import threading
@@ -24,7 +25,7 @@ from cablesense_base import Array
 from cablesense_online.page import drawing, panel
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
 from cablesense_online.page.guard import PageError, guarded_server
-from cablesense_online.page.live_arm import Contact, Snapshot
+from cablesense_online.page.live_arm import Contact, ForceBounds, Snapshot
 from cablesense_online.page.panel import Actions, Controls
 from cablesense_online.page.score import Score
 from cablesense_online.page.traces import ForcePlot, TensionPlot
@@ -126,6 +127,7 @@ class Page:
             if snapshot.tensions_n is not None:
                 self._scene.tensions(snapshot.tensions_n, scale_n)
             self._scene.forces(snapshot.all_true, snapshot.all_estimated)
+            self._scene.interval(snapshot.estimate, snapshot.bounds)
         if time.monotonic() >= self._numbers_due_s:
             self._numbers_due_s = time.monotonic() + _NUMBERS_EVERY_S
             self._show_numbers(snapshot, scale_n)
@@ -249,6 +251,7 @@ _JOINT_RGB = (188, 196, 208)
 _GROMMET_RGB = (28, 32, 40)
 _GROUND_RGB = (20, 23, 29)
 _Anchor = Literal["center-center", "bottom-center", "top-center", "bottom-left", "bottom-right"]
+_WEDGE_STEP_M = 5e-4
 _POSE_STEP_RAD = 2e-5
 """Joint angles that differ by less are the same picture."""
 
@@ -273,6 +276,17 @@ class _ArmScene:
         )
         self._true = _ForceArrows(scene, "/forces/true", TRUE_RGB, "bottom-right")
         self._estimated = _ForceArrows(scene, "/forces/estimate", ESTIMATE_RGB, "bottom-left")
+        self._interval = scene.add_mesh_simple(
+            "/forces/interval",
+            np.zeros((drawing.INTERVAL_FACES.max() + 1, 3)),
+            drawing.INTERVAL_FACES,
+            color=ESTIMATE_RGB,
+            opacity=0.25,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
+        )
         self.pose(straight)
 
     def pose(self, joint_angles_rad: Array) -> None:
@@ -315,6 +329,31 @@ class _ArmScene:
                     f"{label} {panel.force_text(contact.magnitude_n)}",
                 )
 
+    def interval(self, estimate: Contact | None, bounds: ForceBounds | None) -> None:
+        """Shows the stated 95 % intervals of an estimate as the wedge that its arrow begins in."""
+        if estimate is None or bounds is None:
+            self._interval.visible = False
+            return
+        turns_deg = (-180.0, 180.0)
+        if bounds.angles_deg is not None:
+            first, last = bounds.angles_deg
+            turns_deg = (
+                -((estimate.angle_deg - first) % 360.0),
+                (last - estimate.angle_deg) % 360.0,
+            )
+        along = self._rotations[estimate.segment - 1][:, 0]
+        corners_m = drawing.interval_wedge_m(
+            self._contacts_m[estimate.segment - 1] + drawing.ARROWS_APART_M / 2 * along,
+            estimate.force_base_n,
+            along,
+            self._clearance_m,
+            (bounds.low_n, bounds.high_n),
+            (math.radians(turns_deg[0]), math.radians(turns_deg[1])),
+        )
+        if np.abs(corners_m - self._interval.vertices).max() > _WEDGE_STEP_M:
+            self._interval.vertices = corners_m.astype(np.float32)
+        self._interval.visible = True
+
     def _add_ground_and_base(self) -> None:
         self._scene.add_grid(
             "/ground",
@@ -327,7 +366,7 @@ class _ArmScene:
             section_color=(62, 72, 88),
             plane_color=_GROUND_RGB,
             plane_opacity=1.0,
-            shadow_opacity=0.35,
+            shadow_opacity=0.25,
             fade_distance=2.6,
             fade_strength=1.2,
             position=(0.25, 0.0, -0.32),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -9,9 +10,11 @@ from hypothesis.extra.numpy import arrays
 from cablesense_online.page.drawing import (
     ARROW_LONGEST_M,
     ARROW_METRES_PER_NEWTON,
+    INTERVAL_FACES,
     arrow_tail_m,
     cable_pieces,
     full_scale_n,
+    interval_wedge_m,
     linear_rgb,
     quaternion_z_to,
     tension_rgb,
@@ -75,6 +78,28 @@ def test_arrow_pushes_towards_the_contact(force):
     unit = force / np.linalg.norm(force)
     np.testing.assert_allclose((tip - tail) / np.linalg.norm(tip - tail), unit, atol=1e-9)
     np.testing.assert_allclose(contact - tip, 0.02 * unit, atol=1e-12)
+
+
+@given(force_n=st.floats(20.0, 200.0), angle_deg=st.floats(0.0, 360.0))
+def test_the_wedge_has_the_tails_of_all_forces_in_the_stated_interval(force_n, angle_deg):
+    def tail(force_n, angle_deg):
+        angle = np.radians(angle_deg)
+        force = force_n * np.array([0.0, np.sin(angle), np.cos(angle)])
+        return arrow_tail_m(contact, force, 0.02)[0], force
+
+    contact, along = np.array([0.3, 0.01, -0.02]), np.array([1.0, 0.0, 0.0])
+    ends_n, turns_deg = (0.6 * force_n, 1.1 * force_n), (-50.0, 20.0)
+    _, force = tail(force_n, angle_deg)
+    corners = interval_wedge_m(contact, force, along, 0.02, ends_n, tuple(np.radians(turns_deg)))
+    for ray, turn_deg in ((0, -50.0), (-1, 20.0)):
+        low, high, high_too, low_too = corners.reshape(-1, 4, 3)[ray] - contact
+        for ends, end_n in (((low, low_too), ends_n[0]), ((high, high_too), ends_n[1])):
+            there = tail(end_n, angle_deg + turn_deg)[0] - contact
+            middle = np.mean(ends, axis=0)
+            np.testing.assert_allclose(np.linalg.norm(ends, axis=1), np.linalg.norm(there))
+            np.testing.assert_allclose(np.cross(middle, there), 0.0, atol=1e-12)
+            assert middle @ there > 0.0
+    assert trimesh.Trimesh(corners, INTERVAL_FACES, process=False).is_watertight
 
 
 @given(force=forces)
