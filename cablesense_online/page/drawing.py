@@ -75,8 +75,8 @@ def _arrow_length_m(magnitude_n: float) -> float:
 
 _RAYS, _THICKEST_RAD = 33, math.radians(10.0)
 _RING = 4 * np.arange(_RAYS - 1)[:, None]
-_SIDES = [_RING + [j, (j + 1) % 4, 4 + (j + 1) % 4, 4 + j] for j in range(4)]  # noqa: RUF005
-_ENDS = np.array([[3, 2, 1, 0], [0, 1, 2, 3]]) + [[0], [4 * (_RAYS - 1)]]
+_SIDES = [_RING + np.array([j, (j + 1) % 4, 4 + (j + 1) % 4, 4 + j]) for j in range(4)]
+_ENDS = np.array([[3, 2, 1, 0], np.arange(4 * _RAYS - 4, 4 * _RAYS)])
 _QUADS = np.vstack([*_SIDES, _ENDS])
 INTERVAL_FACES = np.vstack([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 """Triangles of the wedge that `interval_wedge_m` gives the corners of."""
