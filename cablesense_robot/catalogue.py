@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_robot import effects
-from cablesense_robot.effects.effect import Effect, Scale
+from cablesense_robot.effects.effect import PRESLIDING, Effect, Scale
 from cablesense_robot.model import Change, Robot
 
 
@@ -53,4 +53,8 @@ def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
 
 def in_model(values: Mapping[Term, float]) -> dict[Term, float]:
     """Those that an MJCF can say."""
-    return {term: value for term, value in values.items() if known_effects()[term.effect].in_model}
+    return {
+        term: value
+        for term, value in values.items()
+        if known_effects()[term.effect].in_model and term.parameter != PRESLIDING
+    }

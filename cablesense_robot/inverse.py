@@ -32,41 +32,51 @@ class InverseDynamics:
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
         self._cached: dict[tuple[bytes, ...], Array] = {}
+        self._slides: dict[tuple[int, float], Array] = {}
         self._own: Array | None = None
         self._columns: dict[int, Array] = {}
 
     def torques(self, change: Change) -> Array:
         """(R, J) as the drives' torques would be read."""
         motion, nominal = self._motion, self._nominal
-        moved = self._moved(change)
-        position, speed, acceleration = moved
+        drive = self._drive(change)
+        position, speed, acceleration = (each + each @ change.coupling.T for each in drive)
         transmitted = (
-            self._rigid(change, moved)
+            self._rigid(change, (position, speed, acceleration))
             + (change.armature - nominal.armature) * acceleration
             + (change.damping - nominal.damping) * speed
             + (change.stiffness - nominal.stiffness) * (position - self._robot.model.qpos_spring)
         )
         # what drives a geared joint bears its torque, less what acts on it from outside
         transmitted = transmitted + (transmitted - motion.load) @ self._robot.geared
-        losses = np.exp(change.load_friction * motion.direction * np.sign(transmitted))
-        at_drive = transmitted * losses + change.friction * motion.direction
-        if change.coupling.any():
-            at_drive = at_drive + at_drive @ change.coupling
+        if change.coupling.any():  # rotors and dampers are the drives'
+            transmitted -= change.armature * acceleration + change.damping * speed
+            transmitted += transmitted @ change.coupling
+            transmitted += change.armature * drive[2] + change.damping * drive[1]
+        dry = self._slid(change.friction, change.presliding)
+        by_load = self._slid(change.load_friction, change.load_presliding)
+        at_drive = transmitted * np.exp(by_load * np.sign(transmitted)) + dry
         if change.delay_s:
             at_drive = self._later(at_drive, change.delay_s)
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)
 
-    def _moved(self, change: Change) -> tuple[Array, Array, Array]:
-        """Position, speed and acceleration of the joints, of what encoders read."""
-        motion = self._motion
-        true = 1.0 + change.encoder_scale
-        found = (
-            (motion.position - change.zero) / true, motion.speed / true, motion.acceleration / true
-        )  # fmt: skip
-        if change.coupling.any():
-            position, speed, acceleration = (each + each @ change.coupling.T for each in found)
-            return position, speed, acceleration
+    def _slid(self, friction: Array, presliding: Array) -> Array:
+        """(R, J) what friction (J,) bears with the motion."""
+        found = np.zeros_like(self._motion.position)
+        for j in np.flatnonzero(friction).tolist():
+            key = j, float(presliding[j])
+            if key not in self._slides:
+                if len(self._slides) >= _CACHED:
+                    self._slides.pop(next(iter(self._slides)))
+                self._slides[key] = self._motion.slid(*key)
+            found[:, j] = friction[j] * self._slides[key]
         return found
+
+    def _drive(self, change: Change) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration of the drives, of what encoders read."""
+        motion, true = self._motion, 1.0 + change.encoder_scale
+        position = (motion.position - change.zero) / true
+        return position, motion.speed / true, motion.acceleration / true
 
     def _rigid(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         """Torques of the bodies, with the nominal model's springs, dampers and rotors."""
@@ -138,7 +148,7 @@ class InverseDynamics:
 
     def __getstate__(self) -> dict[str, object]:
         """Without what is worked out again."""
-        return {**self.__dict__, "_cached": {}}
+        return {**self.__dict__, "_cached": {}, "_slides": {}}
 
 
 def inverse_dynamics(

@@ -83,6 +83,8 @@ class Robot:
             stiffness=model.jnt_stiffness.copy(),
             friction=model.dof_frictionloss.copy(),
             load_friction=np.zeros(count),
+            presliding=np.zeros(count),
+            load_presliding=np.zeros(count),
             zero=np.zeros(count),
             encoder_scale=np.zeros(count),
             coupling=np.zeros((count, count)),
@@ -126,6 +128,7 @@ class Change:
         gravity_m_s2: (3,) in the model's base axes.
         armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
         load_friction: (J,) dry friction by the torque that the joint transmits.
+        presliding, load_presliding: (J,) how far joints give elastically before these slip.
         zero: (J,) what each encoder reads at the true zero.
         encoder_scale: (J,) by how much, as a share, an encoder reads too much.
         coupling: (J, J) by how much joint i moves with encoder j.
@@ -143,6 +146,8 @@ class Change:
     stiffness: Array
     friction: Array
     load_friction: Array
+    presliding: Array
+    load_presliding: Array
     zero: Array
     encoder_scale: Array
     coupling: Array

@@ -61,6 +61,18 @@ class Course:
     direction: Array
     load: Array
 
+    def slid(self, joint: int, presliding: float) -> Array:
+        """(R,) share of its dry friction, -1 to 1, that a joint bears: after Dahl.
+
+        A joint that turns round gives elastically over about `presliding`, in the position's
+        unit, until it slips the other way; with none, friction turns round with the motion.
+        """
+        if presliding <= 0.0:
+            return self.direction[:, joint]
+        ends = np.flatnonzero(np.diff(self.trial)) + 1
+        parts = np.split(self.position[:, joint], ends)
+        return np.concatenate([_dahl(part, presliding) for part in parts])
+
 
 @dataclass(frozen=True)
 class Motion(Course):
@@ -71,6 +83,9 @@ class Motion(Course):
         counts: (R, J) where the torque tells something.
         floor: (J,) what noise of torques and positions leaves of any model in what is compared.
         scale: how large torques and motion are.
+        paths: by trial, the smoothed position (T, J) at the recording's rate.
+        rate_hz: of that.
+        step: of its rows from one of the R to the next.
         smoothed_hz: bandwidth of the motion.
         compared_hz: bandwidth of the comparison.
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
@@ -81,11 +96,25 @@ class Motion(Course):
     counts: NDArray[np.bool_]
     floor: Array
     scale: Scale
+    paths: tuple[Array, ...]
+    rate_hz: float
+    step: int
     smoothed_hz: float
     compared_hz: float
     passes: tuple[Array, ...]
     compared_trial: NDArray[np.int64]
     compared_time_s: Array
+
+    def slid(self, joint: int, presliding: float) -> Array:
+        """As of a course; between rows a joint may turn round, so it goes the whole path."""
+        if presliding <= 0.0:
+            return self.direction[:, joint]
+        found = []
+        for path in self.paths:
+            share = _dahl(path[:, joint], presliding)
+            smooth = smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)
+            found.append(smooth[_inner(len(path), self.rate_hz, self.smoothed_hz)][:: self.step])
+        return np.concatenate(found)
 
     def compared(self, torque: Array) -> Array:
         """(Q, J) of torques (R, J): what tells nothing taken out, then the low-pass."""
@@ -152,17 +181,20 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
             "of several seconds"
         )
     scale = _scale(joined, moving)
+    torque_noise = np.maximum(noise.torque, _at_rest(trials, parts, rate_hz, compared_hz))
     floor = np.hypot(
-        smoothing.noise_of_smoothed(noise.torque, compared_hz),
+        smoothing.noise_of_smoothed(torque_noise, compared_hz),
         inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
     )
-    floor = np.maximum(floor, _at_rest(parts, rate_hz, compared_hz))
     joined["trial"] = trial
     return Motion(
         **joined,
         counts=counts,
         floor=np.maximum(floor, _LEAST_FLOOR * scale.torque),
         scale=scale,
+        paths=tuple(smoothing.smoothed(t.position, rate_hz, smoothed_hz) for t in trials),
+        rate_hz=rate_hz,
+        step=step,
         smoothed_hz=smoothed_hz,
         compared_hz=compared_hz,
         passes=passes,
@@ -323,8 +355,7 @@ def _of_trial(
         if by_command
         else filtered(trial.torque)
     )
-    edge = min(round(rate_hz / smoothed_hz), len(position) // 3)  # where the filter has one side
-    inner = slice(edge, len(position) - edge)
+    inner = _inner(len(position), rate_hz, smoothed_hz)
     return _Smoothed(
         trial=np.full(len(position), trial.number)[inner],
         time_s=trial.time_s[inner],
@@ -336,6 +367,23 @@ def _of_trial(
         torque=torque[inner],
         moving=np.abs(speed[inner]) >= slow,
     )
+
+
+def _inner(count: int, rate_hz: float, smoothed_hz: float) -> slice:
+    """Rows without those at both ends where the filter has one side."""
+    edge = min(round(rate_hz / smoothed_hz), count // 3)
+    return slice(edge, count - edge)
+
+
+def _dahl(position: Array, presliding: float) -> Array:
+    """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
+    moved = np.diff(position, prepend=position[0])
+    stays = np.exp(-np.abs(moved) / presliding)
+    share, found = 0.0, []
+    for way, stay in zip(np.sign(moved).tolist(), stays.tolist(), strict=True):
+        share = way + (share - way) * stay
+        found.append(share)
+    return np.array(found)
 
 
 def _actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
@@ -387,16 +435,23 @@ def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
     )
 
 
-def _at_rest(parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float) -> Array:
-    """(J,) how much compared torques wander while all joints stand still; zero without a rest."""
-    squares, count = np.zeros(parts[0].position.shape[1]), 0
-    least = int(_REST_S * rate_hz)
-    for part in parts:
+def _at_rest(
+    trials: Sequence[_Trial], parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float
+) -> Array:
+    """(J,) density of the torques' noise about the bandwidth, while all joints stand still.
+
+    Noise that a filter has made is larger there than at high frequencies. What a joint that
+    sticks bears, and how it comes to rest, is slower than that, and alike in few rests.
+    """
+    least, found = int(_REST_S * rate_hz), []
+    low_hz = max(compared_hz, 1.0 / _REST_S)
+    for trial, part in zip(trials, parts, strict=True):
+        edge = (len(trial.position) - len(part.position)) // 2
         still = ~part.moving.any(1)
-        edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            if end - begin >= least:
-                rest = smoothing.smoothed(part.torque[begin:end], rate_hz, compared_hz)
-                squares += ((rest - rest.mean(0)) ** 2).sum(0)
-                count += end - begin
-    return np.nan_to_num(np.sqrt(squares / max(count, 1)))
+        ends = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)) + edge
+        found += [
+            smoothing.noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)
+            for begin, end in zip(ends[::2], ends[1::2], strict=True)
+            if len(torque := np.nan_to_num(trial.torque[begin:end])) >= least
+        ]
+    return np.median(found, axis=0) if found else np.zeros(trials[0].position.shape[1])

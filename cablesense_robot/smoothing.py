@@ -49,7 +49,9 @@ def mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Arra
     return found[0][0], np.asarray(np.mean([density for _, density in found], axis=0))
 
 
-def noise_density(signal: Array, rate_hz: float, above_hz: float) -> Array:
+def noise_density(
+    signal: Array, rate_hz: float, above_hz: float, below_hz: float = np.inf
+) -> Array:
     """(J,) power by hertz of what signals (T, J) have above a frequency, its median.
 
     Motion and what a drive does with it end somewhere below; what is there then is noise, and
@@ -57,7 +59,7 @@ def noise_density(signal: Array, rate_hz: float, above_hz: float) -> Array:
     """
     count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
     frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
-    beyond = frequency >= min(above_hz, 0.7 * frequency[-1])
+    beyond = (frequency >= min(above_hz, 0.7 * frequency[-1])) & (frequency <= below_hz)
     return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))
 
 

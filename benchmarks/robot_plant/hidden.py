@@ -139,16 +139,15 @@ class Hidden:
         more = self.stribeck * np.exp(-((speed / self.stribeck_speed) ** 2))
         return (self.dry + self.proportional * np.abs(drive_n_m)) * (1.0 + more)
 
-    def smooth_n_m(self, angle: Array, speed: Array) -> Array:
-        """What resists at the motors beside inertia and friction."""
-        beyond = np.maximum((angle - self.tie_rad) * np.sign(self.tie), 0.0)
+    def motor_n_m(self, angle: Array, speed: Array) -> Array:
+        """What resists at the motors, at their angles and speeds, beside rotors and friction."""
         ripple = self.cogging * np.sin(self.cogging_waves * angle + self.cogging_phase)
-        return (
-            self.damping * speed
-            + self.stiffness * angle
-            + np.abs(self.tie) * beyond * np.sign(self.tie)
-            + ripple
-        )
+        return self.damping * speed + ripple
+
+    def spring_n_m(self, angle: Array) -> Array:
+        """What pulls back at the joints, at their angles."""
+        beyond = np.maximum((angle - self.tie_rad) * np.sign(self.tie), 0.0)
+        return self.stiffness * angle + np.abs(self.tie) * beyond * np.sign(self.tie)
 
     def on_base(self) -> Chain:
         """The chain with the base as a first link, which turns about `base_axis`."""

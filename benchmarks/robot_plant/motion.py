@@ -114,8 +114,9 @@ def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
     give += [np.gradient(give[0], STEP_S * _STRIDE, axis=0)]
     give += [np.gradient(give[1], STEP_S * _STRIDE, axis=0)]
     whole = [np.concatenate(parts, -1) for parts in zip(give, joint, strict=True)]
-    drive = chain.torques_n_m(*whole)[..., 1:] @ robot.moved
-    drive = drive + robots.armature * motor[2] + robots.smooth_n_m(motor[0], motor[1])
+    at_joint = chain.torques_n_m(*whole)[..., 1:] + robots.spring_n_m(joint[0])
+    drive = at_joint @ robot.moved
+    drive = drive + robots.armature * motor[2] + robots.motor_n_m(motor[0], motor[1])
     drive = drive - _push(robots, time_s, trial_s)
     way = np.tanh(motor[1] / 0.01)
     return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
@@ -152,7 +153,8 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
     """
     nominal = stacked([kind.nominal()[0]])
     forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
-    forward = forward + nominal.smooth_n_m(asked.angle, asked.speed)
+    forward = forward + nominal.spring_n_m(asked.angle)
+    forward = forward + nominal.motor_n_m(asked.angle, asked.speed)
     alone = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal()
     own = np.asarray(alone + nominal.armature[0])
     stiff, damp = own * kind.gain_1_s2, own * 1.4 * np.sqrt(kind.gain_1_s2)
@@ -174,9 +176,9 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
 
     def acceleration(angle: Array, speed: Array, held: Array) -> Array:
         motor, motor_speed = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
-        torque = held - robots.smooth_n_m(motor, motor_speed)
+        torque = held - robots.motor_n_m(motor, motor_speed)
         base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
-        joint = _times(np.swapaxes(back, 1, 2), torque)
+        joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
         return chain.accelerations(angle, speed, np.concatenate([base[:, None], joint], 1), extra)
 
     for k in range(len(asked.angle)):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,8 @@ class JointSelection:
     ) -> Iterator[Hypothesis]:
         """Every explanation on the way from `start`, the last one the best.
 
-        What is nearly enough is only added to, and two effects at once are tried beside few.
+        What is nearly enough is only added to, and two effects at once are tried beside few. In
+        the end another effect may stand in for any one or two of them, where that is quick.
         """
         best, exchanges = start, 0
         for _ in range(_MOST_CHANGES):
@@ -91,6 +93,15 @@ class JointSelection:
             if better is None and exchanges < _MOST_EXCHANGES:
                 exchanges += 1
                 better = self._best_of(self._exchanged(best, offered), best)
+            if better is None:
+                break
+            best = better
+            yield best
+        if any(c.history_dependent for c in self._problem.simulator.candidates):
+            return  # too slow to simulate
+        nominal = list(chain(*chain(*self._spread(linear_effects, self._candidates))))
+        for _ in range(_MOST_CHANGES):
+            better = self._replaced(best, nominal)
             if better is None:
                 break
             best = better
@@ -170,6 +181,41 @@ class JointSelection:
         few = [s for s in found if len(s.effects) <= _MOST_EFFECTS]
         return sorted(few, key=self._forecast)
 
+    def _replaced(
+        self, hypothesis: Hypothesis, nominal: Sequence[LinearEffect]
+    ) -> Hypothesis | None:
+        """A better one with one or two of the effects taken out, and another one put in or none.
+
+        What is put in is linear about the nominal mechanism: beside what it is to replace, as a
+        mass beside a shifted centre, it would have nothing to do. So it is forecast roughly.
+        """
+        gone = chain.from_iterable(combinations(hypothesis.effects, n) for n in (1, 2))
+        rests = left_out(self._spread, hypothesis, list(gone))
+        simplest = min(rests, key=self._judged, default=hypothesis)
+        if self._judged(simplest) < _BETTER * self._judged(hypothesis):
+            return simplest
+        others = [e for e in nominal if e.terms[0].effect not in hypothesis.effects]
+        found = [self._with_another(rest, others) for rest in rests if others]
+        return self._best_of(sorted(found, key=self._forecast), hypothesis, np.inf)
+
+    def _with_another(self, rest: Hypothesis, others: Sequence[LinearEffect]) -> Screened:
+        """One more effect in its best places."""
+        residual = self._problem.readings - rest.without_tolerances
+        placing = Placing(self._problem, residual, rest.columns, others)
+        chosen, left = placing.best([], [[k] for k in range(len(others))])
+        effect, first = others[chosen[0]].terms[0][:2]
+        while first != WHOLE_ARM:
+            more = [
+                [k]
+                for k, e in enumerate(others)
+                if k not in chosen and e.terms[0].effect == effect and e.place != WHOLE_ARM
+            ]
+            further, ahead = placing.best(chosen, more)
+            if ahead * self._worth[effect] * _FURTHER_WORTH >= left:
+                break
+            chosen, left = further, ahead
+        return Screened(placing.placed(chosen), rest)
+
     def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
         """Each effect that others may stand in for taken out, and another one put in."""
         found = []
@@ -177,11 +223,13 @@ class JointSelection:
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
-    def _best_of(self, screened: Sequence[Screened], than: Hypothesis) -> Hypothesis | None:
+    def _best_of(
+        self, screened: Sequence[Screened], than: Hypothesis, promising: float = _PROMISING
+    ) -> Hypothesis | None:
         """The best of the most promising, fitted; None where none is worth it."""
         before = self._judged(than)
         least = min(map(self._forecast, screened[:1]), default=np.inf)
-        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= _PROMISING * least]
+        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= promising * least]
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
         smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
@@ -249,7 +297,7 @@ class JointSelection:
             hypothesis = min(rests, key=self._judged)
         return hypothesis
 
-    def _idle(self, hypothesis: Hypothesis, factor: float) -> list[str]:
+    def _idle(self, hypothesis: Hypothesis, factor: float) -> list[tuple[str]]:
         """Effects without which no more than a factor of what is left would be left, linearly."""
         sites = list(dict.fromkeys(term[:2] for term in hypothesis.values))
         placing = _own_places(self._problem, hypothesis, sites)
@@ -258,16 +306,17 @@ class JointSelection:
         def without(effect: str) -> float:
             return placing.left([k for k, site in enumerate(sites) if site[0] != effect])
 
-        return [effect for effect in hypothesis.effects if without(effect) < most]
+        return [(effect,) for effect in hypothesis.effects if without(effect) < most]
 
 
 def left_out(
-    spread: Spread, hypothesis: Hypothesis, effects: Sequence[str] | None = None
+    spread: Spread, hypothesis: Hypothesis, effects: Sequence[tuple[str, ...]] | None = None
 ) -> list[Hypothesis]:
-    """The hypothesis without each of its effects, all other numbers refitted."""
+    """The hypothesis without each of its effects, or some of them, all other numbers refitted."""
+    gone = [(effect,) for effect in hypothesis.effects] if effects is None else effects
     rests = [
-        (hypothesis, {t: v for t, v in hypothesis.values.items() if t.effect != effect})
-        for effect in (hypothesis.effects if effects is None else effects)
+        (hypothesis, {t: v for t, v in hypothesis.values.items() if t.effect not in each})
+        for each in gone
     ]
     return [h for h in spread(_refitted, rests) if h is not None]
 

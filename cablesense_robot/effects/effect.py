@@ -15,6 +15,8 @@ from cablesense_sim.effects.effect import WHOLE_ARM as WHOLE_ARM
 from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
+PRESLIDING = "presliding_rad"
+"""No MJCF can say it."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,16 @@ class Scale:
 def rms(values: Array) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def presliding(robot: Robot, scale: Scale) -> Parameter:
+    """How far a joint that turns round gives before its friction slips the other way."""
+    typical = rms(1e-3 * scale.position)
+    unit = " or ".join(dict.fromkeys(robot.position_units))
+    about = "given before it slips the other way"
+    return Parameter(
+        PRESLIDING, unit, 0.02 * typical, 50.0 * typical, typical, about, typical, role="shape"
+    )
 
 
 class Effect(ABC):

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import (
+    PRESLIDING,
+    Effect,
+    Parameter,
+    Scale,
+    Values,
+    presliding,
+    size,
+    torque_unit,
+)
 from cablesense_robot.model import Change, Robot
 
 
 class JointFriction(Effect):
-    """A torque of one size against the motion, whatever the load: Coulomb's."""
+    """A torque of one size against the motion, whatever the load: Coulomb's, begun as Dahl's."""
 
     name = "joint_friction"
     about = "dry friction"
+    source = "Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14(12), 1976"
     advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
     against_motion = True
 
@@ -19,7 +29,9 @@ class JointFriction(Effect):
         about = "against the motion, whatever the load"
         return (
             size("torque_n_m", torque_unit(robot), most, 0.05 * scale.typical_torque, about, 0.0),
+            presliding(robot, scale),
         )
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.friction[at] += values["torque_n_m"]
+        change.presliding[at] = values[PRESLIDING]

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size
+from cablesense_robot.effects.effect import (
+    PRESLIDING,
+    Effect,
+    Parameter,
+    Scale,
+    Values,
+    presliding,
+    size,
+)
 from cablesense_robot.model import Change, Robot
 
 
@@ -21,7 +29,9 @@ class LoadFriction(Effect):
     against_motion = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 0.9, 0.05, "logarithm of the loss", 0.0),)
+        loss = size("share", "1", 0.9, 0.05, "logarithm of the loss", 0.0)
+        return loss, presliding(robot, scale)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.load_friction[at] += values["share"]
+        change.load_presliding[at] = values[PRESLIDING]

@@ -96,7 +96,10 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
     assert "dry friction" in (out / "report.html").read_text()
     robot, beside = load_amended(out)
     assert robot.model.dof_frictionloss == pytest.approx([0.1, 0.08], abs=0.005)
-    assert {term.effect for term in beside} == {"drive_tolerance", "timing_tolerance"}
+    tolerances = {"drive_tolerance", "timing_tolerance"}
+    assert {term.effect for term in beside} == {*tolerances, "joint_friction"}
+    beside_friction = {t.parameter for t in beside if t.effect == "joint_friction"}
+    assert beside_friction == {"presliding_rad"}  # no MJCF has a word for it
 
 
 @pytest.mark.slow

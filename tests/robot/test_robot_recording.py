@@ -1,5 +1,6 @@
 """Recordings of robots: what is read, and what is refused in one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
 from cablesense_robot.motion import Course, prepared
 from cablesense_robot.recording import read_recording
+from cablesense_robot.smoothing import smoothed
 
 BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
 STILL = {"position.shoulder": 0.0, "position.elbow": 0.0}
@@ -191,6 +193,64 @@ def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
     assert beside == {Term("torque_scale", "turn", "share"): 0.1}
 
 
+def course(position, speed=0.0, acceleration=0.0):
+    count, joints = position.shape
+    still = np.zeros_like(position)
+    return Course(
+        time_s=np.arange(float(count)),
+        trial=np.zeros(count, dtype=np.int64),
+        position=position,
+        speed=still + speed,
+        acceleration=still + acceleration,
+        direction=np.ones((count, joints)),
+        load=still,
+    )
+
+
+def test_friction_turns_round_over_the_way_that_a_joint_gives():
+    gives = 0.01
+    out, back = np.linspace(0.0, 20.0 * gives, 50), np.linspace(20.0 * gives, 17.0 * gives, 7)
+    moved = course(np.concatenate([out, back])[:, None])
+    shares = moved.slid(0, gives)
+    begun = np.sign(out) * (1.0 - np.exp(-out / gives))
+    assert shares[:50] == pytest.approx(begun)
+    since = (back[0] - back) / gives
+    assert shares[50:] == pytest.approx(2.0 * np.exp(-since) - 1.0, abs=1e-6)
+
+
+def test_a_drive_that_moves_two_joints_keeps_its_rotor_and_gives_the_power(robot):
+    rng = np.random.default_rng(1)
+    position, speed, acceleration = rng.normal(size=(3, 40, 2))
+    coupling = np.array([[0.0, 0.0], [0.3, 0.0]])
+    change = robot.nominal()
+    change.coupling[:], change.armature[:], change.damping[:] = coupling, [0.01, 0.02], 0.1
+    drive = InverseDynamics(robot, course(position, speed, acceleration)).torques(change)
+    joint = [each + each @ coupling.T for each in (position, speed, acceleration)]
+    bodies = InverseDynamics(robot, course(*joint)).torques(robot.nominal())
+    own = change.armature * acceleration + change.damping * speed
+    assert (drive * speed).sum(1) == pytest.approx((bodies * joint[1] + own * speed).sum(1))
+
+
+@pytest.mark.parametrize("hold", [0.0, 2.0])
+def test_noise_that_a_filter_made_is_known_from_rests(tmp_path, robot, hold):
+    rng, rate_hz, std = np.random.default_rng(2), 200.0, 0.05
+    time_s = np.arange(0.0, 24.0, 1.0 / rate_hz)
+    runs = np.where(time_s % 2.0 < 1.0, np.sin(np.pi * time_s) ** 2, 0.0)
+    position = np.column_stack([runs * np.sin(2.0 * np.pi * time_s), runs])
+    position += rng.normal(0.0, 1e-5, position.shape)
+    noise = smoothed(rng.normal(size=(len(time_s), 2)), rate_hz, 12.0)
+    noise *= std / noise.std(0)
+    held = hold * (time_s % 2.0 - 1.5) * (time_s % 2.0 > 1.0)  # a joint that sticks bears more
+    torque = np.sin(2.0 * np.pi * time_s)[:, None] + noise + held[:, None]
+    table = pd.DataFrame({"time_s": time_s, "trial": (time_s // 2.0).astype(int)})
+    for j, joint in enumerate(robot.joints):
+        table[f"position.{joint}"], table[f"torque.{joint}"] = position[:, j], torque[:, j]
+    motion = prepared(read(tmp_path, table, robot), robot, 4.0)
+    left = smoothed(noise, rate_hz, 4.0).std(0)
+    assert (motion.floor > 0.7 * left).all()
+    assert (motion.floor < 1.5 * left).all()
+
+
 def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):
     path = tmp_path / "geared.xml"
     joint = "<body name='{0}'><joint name='{0}' axis='0 0 1'/><geom size='0.1' mass='2'/></body>"
@@ -199,14 +259,7 @@ def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):
     path.write_text(f"<mujoco><worldbody>{both}</worldbody>{tied}</mujoco>")
     robot = load_robot(path)
     inertia = 0.4 * 2.0 * 0.1**2  # of a ball
-    course = Course(
-        time_s=np.arange(3.0),
-        trial=np.zeros(3, dtype=np.int64),
-        position=np.zeros((3, 2)),
-        speed=np.zeros((3, 2)),
-        acceleration=np.array([[1.0, -2.0]] * 3),
-        direction=np.ones((3, 2)),
-        load=np.array([[0.0, 0.3]] * 3),
-    )
-    torque = InverseDynamics(robot, course).torques(robot.nominal())[0, 0]
+    moved = course(np.zeros((3, 2)), acceleration=[1.0, -2.0])
+    moved = replace(moved, load=np.array([[0.0, 0.3]] * 3))
+    torque = InverseDynamics(robot, moved).torques(robot.nominal())[0, 0]
     assert torque == pytest.approx(inertia * 1.0 - 2.0 * (inertia * -2.0 - 0.3))
