@@ -62,6 +62,7 @@ class CableChains:
             natural_m=self._flat(natural),
             share=self._flat(share),
             slips=np.zeros((natural[..., 0].size, nodes[-1])),
+            passed_m=np.zeros((natural[..., 0].size, nodes[-1])),
         )
         self._any_rigid = not self._cables.give_m.all()
 

@@ -33,6 +33,7 @@ class Cables(NamedTuple):
         natural_m: (C, K) material that lay in the pieces at the last rest, unstretched.
         share: (C, K - 1) of the limit that bristles carried there.
         slips: (C, K - 1) which way a node slipped when last looked at, where a search begins.
+        passed_m: (C, K - 1) cable that had passed it then, towards the actuator.
     """
 
     stiffness_n_m: Array
@@ -41,6 +42,7 @@ class Cables(NamedTuple):
     natural_m: Array
     share: Array
     slips: Array
+    passed_m: Array
 
 
 class _Rows(NamedTuple):
@@ -63,18 +65,18 @@ def pull(cables: Cables, lengths_m: Array, limit: Array) -> tuple[Array, Array]:
     """Tensions (C, K), N, at lengths (C, K), and their derivative (C, K, K) by these, N/m."""
     count, pieces = lengths_m.shape
     tensions, slope = np.zeros((count, pieces)), np.zeros((count, pieces, pieces))
-    passed, rows, held = np.empty(pieces - 1), _empty_rows(pieces - 1), np.empty(pieces)
+    rows, held = _empty_rows(pieces - 1), np.empty(pieces)
     right = np.empty((pieces - 1, pieces))
     for c in range(count):
         cable = _one(cables, c)
         if not _hold(cable, lengths_m[c], held):
             continue
-        _pass(cable, held, limit[c], passed, rows)
+        _pass(cable, held, limit[c], rows)
         _by_stretch(cable, rows, right)
         _eliminate(cable, rows, right)
         for k in range(pieces):
             stiffness = cable.stiffness_n_m[k]
-            tensions[c, k] = held[k] + stiffness * _gained(passed, k)
+            tensions[c, k] = held[k] + stiffness * _gained(cable.passed_m, k)
             for column in range(pieces):
                 slope[c, k, column] = stiffness * _gained(right[:, column], k)
             slope[c, k, k] += stiffness
@@ -85,16 +87,17 @@ def pull(cables: Cables, lengths_m: Array, limit: Array) -> tuple[Array, Array]:
 def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
     """Stay at lengths (C, K). In a slack cable the material comes to lie evenly."""
     count, pieces = lengths_m.shape
-    passed, rows, held = np.empty(pieces - 1), _empty_rows(pieces - 1), np.empty(pieces)
+    rows, held = _empty_rows(pieces - 1), np.empty(pieces)
     for c in range(count):
         cable = _one(cables, c)
         if _hold(cable, lengths_m[c], held):
-            _pass(cable, held, limit[c], passed, rows)
+            _pass(cable, held, limit[c], rows)
             for k in range(pieces):
-                cable.natural_m[k] -= _gained(passed, k)
+                cable.natural_m[k] -= _gained(cable.passed_m, k)
             for k in range(pieces - 1):
-                bent = _bent(cable, k, passed[k])[0] if cable.give_m[k] > 0.0 else 0.0
+                bent = _bent(cable, k, cable.passed_m[k])[0] if cable.give_m[k] > 0.0 else 0.0
                 cable.share[k] = min(max(bent, -1.0), 1.0)
+            cable.passed_m[:] = 0.0
         else:
             stretch = (lengths_m[c] - cable.natural_m).sum()
             cable.natural_m[:] = lengths_m[c] - _evenly(cable) * stretch
@@ -126,6 +129,7 @@ def balancing_turn(
             cables.natural_m[first : first + each],
             cables.share[first : first + each],
             cables.slips[first : first + each],
+            cables.passed_m[first : first + each],
         )
         _balance(own, lengths_m[p], limit[p], by_turn_m[p], torque_n_m[p], slope_n_m[p], turn[p])
     return turn
@@ -213,6 +217,7 @@ def _one(cables: Cables, c: int) -> Cables:
         cables.natural_m[c],
         cables.share[c],
         cables.slips[c],
+        cables.passed_m[c],
     )
 
 
@@ -262,17 +267,17 @@ def _slip_m(cable: Cables, k: int, way: float) -> float:
 
 
 @compiled
-def _pass(cable: Cables, held: Array, limit: Array, passed: Array, rows: _Rows) -> None:
-    """Cable (K - 1,) that passes each node of a taut cable, and the rows that hold, in place.
+def _pass(cable: Cables, held: Array, limit: Array, rows: _Rows) -> None:
+    """Finds what passes each node of a taut cable, and the rows that hold, in place.
 
     Newton's method on the rows: where a node slips the tensions are apart by the bound, where
     bristles hold by the share that they carry, and else nothing passes. A node sticks before it
     slips the other way. One cable in some thousands goes in circles; it is relaxed before it goes
     on.
     """
-    tensions, last = held.copy(), np.zeros(len(passed))
-    passed[:] = 0.0
-    room = 0.0
+    passed, room = cable.passed_m, 0.0
+    tensions, last = np.empty(len(held)), np.empty(len(passed))
+    _tensions(cable, held, passed, tensions)
     for tension in held:
         room = max(room, _ROUNDING * abs(tension))
     for step in range(1, _MOST_STEPS + 1):
@@ -438,6 +443,7 @@ def _hold(cable: Cables, lengths_m: Array, held: Array) -> bool:
         whole += stretch
     if not whole > 0.0:
         cable.slips[:] = 0.0
+        cable.passed_m[:] = 0.0
     return whole > 0.0
 
 
