@@ -82,7 +82,8 @@ class Bench:
         """Whether a reading (M,) fits its estimate, so long after the one before."""
         self._stamp_ns += after_ns
         try:
-            self.check.check(reading_n - self.tare, self.command, contact, self._stamp_ns)
+            contacts = [contact] if contact.segment else []
+            self.check.check(reading_n - self.tare, self.command, contacts, self._stamp_ns)
         except SampleError:
             return False
         return True

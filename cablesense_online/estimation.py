@@ -217,7 +217,7 @@ class Estimation:
                 estimate, self._settings.contact_threshold, self._contact_m
             )
             contact = contacts[0] if contacts else NO_CONTACT
-            doubt = "" if moving else self._judge(tensions, contact, stamp_ns)
+            doubt = "" if moving else self._judge(tensions, contacts, stamp_ns)
             if contact.segment:
                 self.tares.touched(contact)
         except CableSenseError as error:
@@ -428,20 +428,20 @@ class Estimation:
             return MultiContactModel(estimator, self.tares, self.gate, self._statics)
         return ContactModel(estimator, self.tares, self.gate)
 
-    def _judge(self, tensions: Array, contact: Contact, stamp_ns: int) -> str:
-        """Watch an arm at rest for drift, and require that its readings fit the contact.
+    def _judge(self, tensions: Array, contacts: Sequence[Contact], stamp_ns: int) -> str:
+        """Watch an arm at rest for drift, and require that its readings fit the contacts.
 
         Gives why they are doubted nevertheless; empty where they are not.
         """
         check, unloaded = self.plausibility, self.tares.unloaded_n
         assert unloaded is not None  # or there would be no estimate
         difference_n = tensions - unloaded
-        self.drift.add(difference_n, stamp_ns, touched=contact.segment > 0)
+        self.drift.add(difference_n, stamp_ns, touched=bool(contacts))
         if check.unchecked or self.breathing.known:
             return ""
         before_ns = check.withheld_until_ns
         try:
-            check.check(difference_n, self.gate.pose_rad, contact, stamp_ns)
+            check.check(difference_n, self.gate.pose_rad, contacts, stamp_ns)
         finally:
             if check.withheld_until_ns != before_ns:
                 self._events.note(EventKind.MISFIT)

@@ -1,10 +1,10 @@
-"""How well readings fit a force on a segment, and which force fits them best.
+"""How well readings fit forces on some segments, and which forces fit them best.
 
-The tensions of an arm at rest follow from the force by the static equilibrium. It is solved on a
+The tensions of an arm at rest follow from the forces by the static equilibrium. It is solved on a
 grid of forces, once for a command, and taken as linear around a point of the grid with each set of
 taut cables. So a sample costs one small product.
 
-A fit has the set of taut cables that its own force makes: where a cable reads slack that would be
+A fit has the set of taut cables that its own forces make: where a cable reads slack that would be
 taut under it, the readings do not fit. Where many cables are slack a compliant arm has two
 positions of rest under one force; the one of the taut readings counts too.
 """
@@ -45,20 +45,20 @@ _TAUT_SPREADS, _BARELY_SPREADS = 4.0, 3.5
 
 
 class _Response(NamedTuple):
-    """Tensions near one force, with one set of taut cables.
+    """Tensions near forces on K segments, with one set of taut cables.
 
     Attributes:
-        change_n: (M,) tensions at that force less the unloaded ones.
+        change_n: (M,) tensions at those forces less the unloaded ones.
         elastic_n: (M,) tensions, negative where a slack cable lacks length.
-        gain: (M, 2) their derivative by the force.
+        gain: (M, 2 K) their derivative by the forces.
         taut: (M,) which cables are.
         slack: positions of the others.
-        unseen_n: (M,) how far the force is off by an error of one reading that leaves over 1.
-        to_rest_rad: (2 N,) how the joints turn from the pose to rest at that force; none where
+        unseen_n: (M,) how far a force is off by an error of one reading that leaves over 1.
+        to_rest_rad: (2 N,) how the joints turn from the pose to rest at those forces; none where
             they are at rest with this set.
-        to_fit: (2 M + 2 N + 3, M) takes readings less `change_n` to what is left over of them, in
-            its expected spread; to the force to be added, y, z and x, N; to what that adds to
-            `elastic_n`; and to how far it turns the joints.
+        to_fit: (2 M + 2 N + 3 K, M) takes readings less `change_n` to what is left over of them,
+            in its expected spread; to the forces to be added, y and z of each, then x of each, N;
+            to what that adds to `elastic_n`; and to how far it turns the joints.
     """
 
     change_n: Array
@@ -72,14 +72,14 @@ class _Response(NamedTuple):
 
 
 class Fit:
-    """Readings beside the tensions under the force that fits them best.
+    """Readings beside the tensions under the forces that fit them best.
 
     Attributes:
         misfit: root mean square of what is left over, in its expected spread.
-        fitted: (2 M + 2 N + 3,) what `to_fit` of the response makes of the readings.
-        response: the tensions near a force.
+        fitted: (2 M + 2 N + 3 K,) what `to_fit` of the response makes of the readings.
+        response: the tensions near those forces.
         pose: the arm that the response is of.
-        holds: whether the misfit is at most the largest that passes, under a force that makes this
+        holds: whether the misfit is at most the largest that passes, under forces that make this
             set of cables slack.
     """
 
@@ -89,25 +89,36 @@ class Fit:
         """`largest` is the misfit that passes."""
         self.fitted, self.response, self.pose = fitted, response, pose
         over = fitted[: len(response.elastic_n)]
-        self.misfit = math.sqrt(float(over.dot(over)) / max(len(over) - 2, 1))
+        self.misfit = math.sqrt(float(over.dot(over)) / self._free)
         self.holds = self.misfit <= largest and self.consistent and self.near
 
     @property
-    def force_n(self) -> tuple[float, float]:
-        """The force that fits best, y and z in the segment's frame."""
-        (y, z), count = self.pose.force_n, len(self.response.elastic_n)
-        return y + self.fitted.item(count), z + self.fitted.item(count + 1)
+    def _free(self) -> int:
+        """How many combinations of readings are left over."""
+        return max(len(self.response.elastic_n) - len(self.pose.force_n), 1)
+
+    @property
+    def _elastic_from(self) -> int:
+        """Where in `fitted` the tensions begin."""
+        return len(self.response.elastic_n) + 3 * len(self.pose.segments)
+
+    @property
+    def force_n(self) -> tuple[float, ...]:
+        """(2 K,) the forces that fit best, y and z of each in its segment's frame."""
+        count = len(self.response.elastic_n)
+        pairs = enumerate(self.pose.force_n, start=count)
+        return tuple(part + self.fitted.item(at) for at, part in pairs)
 
     @property
     def elastic_n(self) -> Array:
-        """(M,) tensions under that force, negative where a slack cable lacks length."""
-        elastic, begin = self.response.elastic_n, len(self.response.elastic_n) + 3
+        """(M,) tensions under those forces, negative where a slack cable lacks length."""
+        elastic, begin = self.response.elastic_n, self._elastic_from
         return np.asarray(elastic + self.fitted[begin : begin + len(elastic)])
 
     @property
     def consistent(self) -> bool:
         """Whether no cable that was taken as slack would be taut."""
-        response, begin = self.response, len(self.response.elastic_n) + 3
+        response, begin = self.response, self._elastic_from
         for cable in response.slack:
             if response.elastic_n.item(cable) + self.fitted.item(begin + cable) > 0.0:
                 return False
@@ -130,15 +141,15 @@ class Fit:
         count = len(self.response.elastic_n)
         over, of = self.fitted[:count], self.response.to_fit[:count, cables]
         left = over - of @ np.linalg.lstsq(of, over, rcond=1e-9)[0]
-        return math.sqrt(float(left @ left) / max(count - 2 - len(cables), 1))
+        return math.sqrt(float(left @ left) / max(self._free - len(cables), 1))
 
     def hidden_n(self, difference_n: Array, largest: float) -> Array:
-        """(M,) how far the force may be wrong by one reading, and a misfit of `largest` pass.
+        """(M,) how far a force may be wrong by one reading, and a misfit of `largest` pass.
 
         Where a cable reads slack, it may be taut and its reading zero.
         """
-        count = len(difference_n)
-        passes = largest * math.sqrt(max(count - 2, 1))
+        count, begin = len(difference_n), self._elastic_from
+        passes = largest * math.sqrt(self._free)
         hidden_n = passes * self.response.unseen_n
         for cable in self.response.slack:
             taut = self.response.taut.copy()
@@ -149,31 +160,30 @@ class Fit:
             of, over = other.response.to_fit[:, cable], other.fitted[:count]
             size = max(float(of[:count] @ of[:count]), 1e-18)
             fitted = other.fitted - of * (float(of[:count] @ over) / size)
-            tension_n = other.response.elastic_n[cable] + fitted[count + 3 + cable]
+            tension_n = other.response.elastic_n[cable] + fitted[begin + cable]
             if np.linalg.norm(fitted[:count]) <= passes and tension_n > 0.0:
-                hidden_n[cable] = math.hypot(*(fitted - self.fitted)[count : count + 2])
+                off_n = (fitted - self.fitted)[count : count + len(self.pose.force_n)]
+                hidden_n[cable] = np.linalg.norm(off_n.reshape(-1, 2), axis=1).max()
         return np.asarray(hidden_n)
 
 
 class _Pose:
-    """The arm at one command in one pose under one force, and its response to others nearby."""
+    """The arm at one command in one pose under some forces, and its response to others nearby."""
 
     def __init__(
         self,
         fits: ForceFits,
-        segment: int,
-        force_n: tuple[float, float],
+        segments: Sequence[int],
+        force_n: tuple[float, ...],
         angles_rad: Array,
         *,
         at_rest: bool,
     ) -> None:
-        """A force, y and z, on a segment from 1 on, and joint angles (2N,)."""
+        """Forces (2 K,), y and z, on K segments from 1 on, and joint angles (2 N,)."""
         statics, command = fits.statics, fits.command_rad
         mechanism = statics.mechanism
-        axes = kinematics.segment_rotations(mechanism, command)[segment - 1]
-        forces = np.zeros((mechanism.segment_count, 3))
-        forces[segment - 1] = axes[:, 1:] @ np.array(force_n)
-        self.segment, self.force_n, self.angles_rad = segment, force_n, angles_rad
+        forces = fits.forces_n(segments, force_n)
+        self.segments, self.force_n, self.angles_rad = segments, force_n, angles_rad
         self._fits, self._at_rest = fits, at_rest
         self._stiffness_n_m = mechanism.stiffness_n_m
         span = kinematics.spans(mechanism, angles_rad)
@@ -189,18 +199,22 @@ class _Pose:
         tensions = self._taut * self._elastic_n
         self._hessian = stiffness_matrix_n_m(mechanism, angles_rad, tensions, forces)
         self._gradient = potential_gradient_n_m(mechanism, angles_rad, tensions, forces)
-        pushes = kinematics.contact_jacobians_m(mechanism, angles_rad)[segment - 1]
-        self._torques_m = pushes.T @ np.roll(axes, -1, axis=1)  # by y, z and x
-        self._along_n = ALONG_SHARE * max(math.hypot(*force_n), 0.5 * _GRIDS_N[0])
+        touched = np.array(segments) - 1
+        axes = kinematics.segment_rotations(mechanism, command)[touched]
+        pushes = kinematics.contact_jacobians_m(mechanism, angles_rad)[touched]
+        by_axis = np.swapaxes(pushes, 1, 2) @ axes
+        self._torques_m = np.hstack([*by_axis[..., 1:], *by_axis[..., :1]])  # by y and z, then x
+        sizes_n = np.linalg.norm(np.array(force_n).reshape(-1, 2), axis=1)
+        self._along_n = ALONG_SHARE * np.maximum(sizes_n, 0.5 * _GRIDS_N[0])
         self._responses: dict[bytes, _Response | None] = {}
 
-    def fit(self, difference_n: Array, y_n: float, z_n: float, largest: float) -> Fit | None:
+    def fit(self, difference_n: Array, force_n: Sequence[float], largest: float) -> Fit | None:
         """What readings less unloaded tensions (M,) leave over; none where nothing holds the arm.
 
         Which cables are taut is read first, beyond noise, then whatever reads more than nothing;
-        else it follows from this pose, then by Newton's method from the estimated force, and where
-        that leads nowhere from the force that fits. It ends where the misfit is `largest` at most
-        and the set is that of its force, or where no set is new.
+        else it follows from this pose, then by Newton's method from the estimated forces, and
+        where that leads nowhere from those that fit. It ends where the misfit is `largest` at most
+        and the set is that of its forces, or where no set is new.
         """
         read = difference_n > self._fits.taut_from_n
         best = self.beside(difference_n, read, largest)
@@ -209,7 +223,7 @@ class _Pose:
         barely = difference_n > self._fits.taut_from_n - _BARELY_SPREADS * self._fits.spread_n
         tried, candidates = {read.tobytes()}, [barely, self._taut]
         if best is not None:
-            candidates += self._estimated(best, y_n, z_n)
+            candidates += self._estimated(best, force_n)
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
             new = taut.tobytes() not in tried
@@ -221,12 +235,12 @@ class _Pose:
                 return fit
             if best is None or fit.misfit < best.misfit:
                 best = fit
-            candidates += self._estimated(fit, y_n, z_n)
+            candidates += self._estimated(fit, force_n)
         return best
 
-    def _estimated(self, fit: Fit, y_n: float, z_n: float) -> tuple[NDArray[np.bool_], ...]:
-        """(M,) which cables are taut under an estimated force, and under the one that fits."""
-        away_n = (y_n - self.force_n[0], z_n - self.force_n[1])
+    def _estimated(self, fit: Fit, force_n: Sequence[float]) -> tuple[NDArray[np.bool_], ...]:
+        """(M,) which cables are taut under estimated forces, and under those that fit."""
+        away_n = np.subtract(force_n, self.force_n)
         estimated_n = fit.response.elastic_n + fit.response.gain @ away_n
         return estimated_n > 0.0, fit.elastic_n > 0.0
 
@@ -268,29 +282,30 @@ class _Pose:
         hessian = self._hessian + jacobian.T @ (self._stiffness_n_m[:, None] * other)
         unbalanced = self._gradient + self._elastic_n @ other
         turned = np.linalg.solve(hessian, np.column_stack([self._torques_m, -unbalanced]))
-        by_y, by_z, by_x, moved = (self._stiffness_n_m[:, None] * (jacobian @ turned)).T
-        elastic, gain = self._elastic_n + moved, np.column_stack([by_y, by_z])
-        along = taut * by_x * (self._along_n / spread_n)
-        size = float(along @ along)
-        shrunk = (1.0 - 1.0 / math.sqrt(1.0 + size)) / size if size > 0.0 else 0.0
-        whiten = (np.eye(len(taut)) - shrunk * np.outer(along, along)) / spread_n
+        *by, moved = (self._stiffness_n_m[:, None] * (jacobian @ turned)).T
+        count = len(self.force_n)
+        elastic, gain, by_x = self._elastic_n + moved, np.stack(by[:count], 1), by[count:]
+        along = (taut * by_x).T * (self._along_n / spread_n)
+        sides, sizes, turn = np.linalg.svd(along, full_matrices=False)
+        whiten = np.eye(len(taut)) - (sides * (1.0 - 1.0 / np.hypot(1.0, sizes))) @ sides.T
+        whiten /= spread_n
         by_force = whiten @ (taut[:, None] * gain)
         to_force = np.linalg.pinv(by_force) @ whiten
         left = np.eye(len(taut)) - taut[:, None] * gain @ to_force
-        to_along = self._along_n / (spread_n * (1.0 + size)) * (along @ left)
-        to_force = np.vstack([to_force, to_along])
-        to_elastic = np.column_stack([gain, by_x]) @ to_force
+        to_along = (turn.T * (sizes / (1.0 + sizes * sizes))) @ (sides.T @ left)
+        to_force = np.vstack([to_force, self._along_n[:, None] / spread_n * to_along])
+        to_elastic = np.stack(by, 1) @ to_force
         over = whiten @ left
-        sizes = np.maximum(np.linalg.norm(over, axis=0), 1e-9)
+        off_n = np.linalg.norm(to_force[:count].reshape(-1, 2, len(taut)), axis=1).max(axis=0)
         return _Response(
             taut * elastic - self._fits.unloaded_n,
             elastic,
             gain,
             taut,
             np.flatnonzero(~taut).tolist(),
-            np.linalg.norm(to_force[:2], axis=0) / sizes,
-            None if self._at_rest and not other.any() else turned[:, 3],
-            np.vstack([over, to_force, to_elastic, turned[:, :3] @ to_force]),
+            off_n / np.maximum(np.linalg.norm(over, axis=0), 1e-9),
+            None if self._at_rest and not other.any() else turned[:, -1],
+            np.vstack([over, to_force, to_elastic, turned[:, :-1] @ to_force]),
         )
 
 
@@ -308,7 +323,7 @@ class ForceFits:
     def __init__(self, statics: UnloadedTensions, spread_n: float) -> None:
         self.statics, self.spread_n = statics, spread_n
         self.command_rad = self.unloaded_n = self.taut_from_n = np.zeros(0)
-        self._poses: dict[tuple[int, tuple[float, float]], _Pose | None] = {}
+        self._poses: dict[tuple[Sequence[int], tuple[float, ...]], _Pose | None] = {}
 
     def command(self, command_rad: Array) -> None:
         """The arm rests at another command (2N,)."""
@@ -317,19 +332,31 @@ class ForceFits:
         self.taut_from_n = _TAUT_SPREADS * self.spread_n - self.unloaded_n
         self._poses.clear()
 
+    def forces_n(self, segments: Sequence[int], force_n: Sequence[float]) -> Array:
+        """(N, 3) forces (2 K,), y and z, on K segments from 1 on, in base axes."""
+        axes = kinematics.segment_rotations(self.statics.mechanism, self.command_rad)
+        forces = np.zeros((len(axes), 3))
+        for number, pair_n in zip(segments, np.reshape(force_n, (-1, 2)), strict=True):
+            forces[number - 1] = axes[number - 1, :, 1:] @ pair_n
+        return forces
+
     def best(
-        self, difference_n: Array, segment: int, y_n: float, z_n: float, largest: float
+        self,
+        difference_n: Array,
+        segments: tuple[int, ...],
+        force_n: Sequence[float],
+        largest: float,
     ) -> Fit | None:
-        """Readings less unloaded tensions (M,) beside a force on a segment from 1 on.
+        """Readings less unloaded tensions (M,) beside forces (2 K,), y and z, on K segments.
 
         The first fit that `holds` with a misfit of `largest`, else that of the least misfit; none
         where the arm has no rest there.
         """
         best = None
         for grid_n in _GRIDS_N:
-            at_n = (grid_n * round(y_n / grid_n), grid_n * round(z_n / grid_n))
-            pose = self._at_rest(segment, at_n)
-            fit = None if pose is None else pose.fit(difference_n, y_n, z_n, largest)
+            at_n = tuple([grid_n * round(part_n / grid_n) for part_n in force_n])
+            pose = self._at_rest(segments, at_n)
+            fit = None if pose is None else pose.fit(difference_n, force_n, largest)
             if fit is not None and fit.holds:
                 return fit
             if best is None or (fit is not None and fit.misfit < best.misfit):
@@ -342,25 +369,23 @@ class ForceFits:
             if best.near or best.misfit > _REFINED_FROM * largest:
                 break
             angles = best.pose.angles_rad + best.turn_rad
-            pose = _Pose(self, best.pose.segment, best.force_n, angles, at_rest=False)
-            fit = pose.fit(difference_n, *best.force_n, largest)
+            pose = _Pose(self, best.pose.segments, best.force_n, angles, at_rest=False)
+            fit = pose.fit(difference_n, best.force_n, largest)
             if fit is None:
                 break
             best = fit
         return best
 
-    def _at_rest(self, segment: int, force_n: tuple[float, float]) -> _Pose | None:
-        """The arm at rest under a force; none where it has none there."""
-        key = (segment, force_n)
+    def _at_rest(self, segments: tuple[int, ...], force_n: tuple[float, ...]) -> _Pose | None:
+        """The arm at rest under forces; none where it has none there."""
+        key = (segments, force_n)
         if key not in self._poses:
             if len(self._poses) >= _MOST_POSES:
                 self._poses.clear()
-            axes = kinematics.segment_rotations(self.statics.mechanism, self.command_rad)
-            forces = np.zeros((len(axes), 3))
-            forces[segment - 1] = axes[segment - 1, :, 1:] @ np.array(force_n)
+            forces = self.forces_n(segments, force_n)
             try:
                 angles = self.statics.at_rest(self.command_rad, forces).joint_angles_rad
-                self._poses[key] = _Pose(self, segment, force_n, angles, at_rest=True)
+                self._poses[key] = _Pose(self, segments, force_n, angles, at_rest=True)
             except EquilibriumError:
                 self._poses[key] = None
         return self._poses[key]

@@ -78,7 +78,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
             for difference_n, probabilities, angle, size in answers:
                 contact = decide(probabilities, angle, size, 0.5, reach_m)
                 with suppress(SampleError):
-                    check.check(difference_n, command, contact, 0)
+                    check.check(difference_n, command, [contact] if contact.segment else [], 0)
                 yield check.misfit
 
 

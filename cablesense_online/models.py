@@ -251,7 +251,6 @@ class MultiContactModel(ContactModel):
     """
 
     several = True
-    unchecked = "the model tells several contacts at once"
 
     def __init__(
         self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, statics: ContactStatics

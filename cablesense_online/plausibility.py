@@ -1,14 +1,14 @@
-"""Whether readings can come from the contact that was estimated from them.
+"""Whether readings can come from the contacts that were estimated from them.
 
-M readings answer to the two components of one force, so M - 2 combinations of them are left over.
-They must vanish within noise, slack cables included:
+M readings answer to the two components of each of K forces, mostly of one, so M - 2 K combinations
+of them are left over. They must vanish within noise, slack cables included:
 
     r = (reading - unloaded) - (T(c, f) - T(c, 0))
 
-with T the static equilibrium at the command c under a force f on the touched segment, and f fitted
-too. The misfit is the root mean square of r over its expected spread, so 1 for a healthy arm. Its
-spread has the sensors' noise and step, those of the tare, and a force along the segment, which
-friction at the contact may add and no estimate has.
+with T the static equilibrium at the command c under the forces f on the touched segments, and f
+fitted too. The misfit is the root mean square of r over its expected spread, so 1 for a healthy
+arm. Its spread has the sensors' noise and step, those of the tare, and forces along the segments,
+which friction at a contact may add and no estimate has.
 
 A verdict depends on nothing before its sample, apart from the time that forces are withheld after
 a misfit.
@@ -22,9 +22,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Final
 
 import numpy as np
+from scipy.special import chdtri
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
@@ -56,6 +58,10 @@ _STEADY_N = 1.0
 """A force that has changed by more has no average reading."""
 _LONGEST_GAP_NS = 500_000_000
 
+_RARE = 1e-7
+"""The share of healthy samples, by noise alone, that the limits of model files let be withheld."""
+_ROUGHLY = 10.0
+"""A misfit of so many times the largest that passes may come from taking as linear."""
 _LEAST_SPREAD_N = 0.01
 """Of a sensor without noise and step."""
 
@@ -102,21 +108,21 @@ class PlausibilityCheck:
         self._steady: _SteadyContact | None = None
 
     def check(
-        self, difference_n: Array, command_rad: Array, contact: Contact, stamp_ns: int
+        self, difference_n: Array, command_rad: Array, contacts: Sequence[Contact], stamp_ns: int
     ) -> None:
         """Check readings less unloaded tensions (M,) at a command (2N,) with the arm at rest.
 
         Raises:
-            SampleError: they do not fit the contact that was estimated, or did not a moment ago.
+            SampleError: they do not fit the contacts estimated, or did not a moment ago.
         """
         if command_rad is not self._fits.command_rad:
             self._fits.command(command_rad)
             self._steady = None
-        misfit = self._misfit_text(difference_n, contact)
+        misfit = self._misfit_text(difference_n, contacts)
         self._worst = max(self._worst, self.misfit)
         until_ns = min(self.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
-            self.doubt = self._doubted(difference_n, contact.segment, stamp_ns)
+            self.doubt = self._doubted(difference_n, stamp_ns)
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
@@ -153,42 +159,63 @@ class PlausibilityCheck:
         self._worst, self._withheld, self._last_doubt = 0.0, 0, ""
         return Status("plausibility", level, message, values)
 
-    def _misfit_text(self, difference_n: Array, contact: Contact) -> str:
+    def _misfit_text(self, difference_n: Array, contacts: Sequence[Contact]) -> str:
         """What does not fit, as text; empty where all does."""
         self._fit = None
-        if not contact.segment:
+        if not contacts:
             free = difference_n / self._fits.spread_n
             self.misfit = math.sqrt(float(free.dot(free)) / len(free))
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
-        segment, force = contact.segment, contact.magnitude_n
+        force = max(contact.magnitude_n for contact in contacts)
         if force > self._largest_force_n:
             return (
                 f"an estimate of {force:.0f} N is beyond the {self._largest_force_n:.0f} N that "
                 "are vouched for"
             )
-        y, z = (force * part for part in contact.direction)
-        self._fit = fit = self._fits.best(difference_n, segment, y, z, self._largest)
+        if len(contacts) > 1:
+            contacts = sorted(contacts, key=lambda contact: contact.segment)
+        segments = tuple([contact.segment for contact in contacts])
+        largest = self._limit(segments)
+        told_n = [c.magnitude_n * part for c in contacts for part in c.direction]
+        self._fit = fit = self._fits.best(difference_n, segments, told_n, largest)
         if fit is None:
-            return f"the arm cannot rest under the {force:.0f} N estimated on segment {segment}"
-        self.misfit = fit.misfit
-        if fit.misfit > self._largest:
-            return self._described(f"a force on segment {segment}")
-        best_y, best_z = fit.force_n
-        off_n = math.hypot(best_y - y, best_z - z)
-        if off_n > FORCE_OFF_N:
-            return f"a force on segment {segment} that fits lies {off_n:.1f} N from the estimate"
-        return "" if fit.holds else self._slack_text(fit, f"a force on segment {segment}")
+            return f"the arm cannot rest under {_on(segments)} of up to {force:.0f} N"
+        self.misfit = fit.misfit * self._largest / largest
+        if fit.misfit > largest:
+            return self._described(_on(segments))
+        best_n = fit.force_n
+        for at, segment in enumerate(segments):
+            y, z = 2 * at, 2 * at + 1
+            off_n = math.hypot(best_n[y] - told_n[y], best_n[z] - told_n[z])
+            if off_n > FORCE_OFF_N:
+                return (
+                    f"a force on segment {segment} that fits lies {off_n:.1f} N from the estimate"
+                )
+        return "" if fit.holds else self._slack_text(fit, _on(segments))
+
+    def _limit(self, segments: Sequence[int]) -> float:
+        """The largest misfit that passes with contacts on these segments.
+
+        It is stated for one. What is left over of fewer readings varies more: of noise alone
+        (M - 2 K) misfit² is above its chi-square's quantile equally rarely.
+        """
+        if len(segments) == 1:
+            return self._largest
+        count = len(self._cable_names)
+        free = np.array([max(count - 2 * len(segments), 1), max(count - 2, 1)])
+        several, one = chdtri(free, _RARE) / free
+        return self._largest * math.sqrt(several / one)
 
     def _slack_text(self, fit: Fit, where: str) -> str:
-        """Which cable reads slack that would not be under the force that fits all others."""
+        """Which cable reads slack that would not be under the forces that fit all others."""
         if fit.consistent or not fit.near:
             return f"the arm cannot rest under {where} with the cables slack that read so"
         tension_n = fit.elastic_n
         cable = max(fit.response.slack, key=tension_n.__getitem__)
         return (
             f"{self._cable_names[cable]} is slack and would carry {tension_n[cable]:.1f} N under "
-            f"{where} that fits all others: a broken cable, or a channel that reads zero"
+            f"{where} that fit all others: a broken cable, or a channel that reads zero"
         )
 
     def _described(self, contact: str) -> str:
@@ -223,27 +250,27 @@ class PlausibilityCheck:
             misfits.append(self._fit.without(cables))
         return min(misfits) <= self._largest
 
-    def _doubted(self, difference_n: Array, segment: int, stamp_ns: int) -> str:
+    def _doubted(self, difference_n: Array, stamp_ns: int) -> str:
         """Why a contact that fits is not vouched for; empty where it is."""
         fit, steady = self._fit, self._steady
         if fit is None:
             self._steady = None
             return ""
-        if steady is None or not steady.goes_on(segment, stamp_ns):
-            self._steady = steady = _SteadyContact(segment, len(difference_n))
+        if steady is None or not steady.goes_on(fit.pose.segments, stamp_ns):
+            self._steady = steady = _SteadyContact(fit.pose.segments, len(difference_n))
         steady.add(difference_n, fit.force_n, stamp_ns)
         passed_ns = stamp_ns - steady.judged_ns
         soon = fit.response is not steady.response and passed_ns >= _SOONEST_NS
         if soon or passed_ns >= _JUDGED_EVERY_NS:
             steady.response, steady.judged_ns = fit.response, stamp_ns
-            steady.hidden = self._hidden(fit, difference_n)
+            steady.hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
             if steady.count >= _FEWEST_AVERAGED:
                 self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
     def _hidden(self, fit: Fit, difference_n: Array) -> str:
         """Which cables' readings no others confirm in a contact, as text; else empty."""
-        hidden_n = fit.hidden_n(difference_n, self._largest)
+        hidden_n = fit.hidden_n(difference_n, self._limit(fit.pose.segments))
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
             return ""
@@ -253,6 +280,33 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
+    def _exchanged(self, fit: Fit, difference_n: Array) -> str:
+        """Which two cables' readings, exchanged, would fit other forces on several segments.
+
+        Of one contact so little is left to its forces that this hardly ever is so.
+        """
+        segments = fit.pose.segments
+        if len(segments) == 1:
+            return ""
+        largest = self._limit(segments)
+        for two in combinations(range(len(difference_n)), 2):
+            here, there = list(two), list(two[::-1])
+            other_n, taut = difference_n + self._fits.unloaded_n, fit.response.taut.copy()
+            other_n[here], taut[here] = other_n[there], taut[there]
+            other_n -= self._fits.unloaded_n
+            near: Fit | None = fit.pose.beside(other_n, taut, largest)
+            if near is not None and largest < near.misfit < _ROUGHLY * largest:
+                near = self._fits.best(other_n, segments, near.force_n, largest)
+            if near is None or near.misfit > largest or not near.consistent:
+                continue
+            if (off_n := math.dist(near.force_n, fit.force_n)) > FORCE_OFF_N:
+                names = " and ".join(self._cable_names[cable] for cable in two)
+                return (
+                    f"if the plugs of {names} are exchanged, so many contacts hide it, and forces "
+                    f"are wrong by up to {off_n:.0f} N"
+                )
+        return ""
+
     def _judge_average(self, steady: _SteadyContact, stamp_ns: int) -> None:
         """Set whether the readings of a contact fit on their average.
 
@@ -261,13 +315,13 @@ class PlausibilityCheck:
         count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
         spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
-        largest = self._largest * spread_n / self._fits.spread_n
-        mean_n, (y, z) = steady.sum_n / count, steady.force_n
-        fit = self._fits.best(mean_n, steady.segment, y, z, largest)
+        largest = self._limit(steady.segments) * spread_n / self._fits.spread_n
+        mean_n = steady.sum_n / count
+        fit = self._fits.best(mean_n, steady.segments, steady.force_n, largest)
         if fit is not None and fit.misfit > largest:
             steady.off_average = (
-                f"on their average of {count} they lie {fit.misfit:.2f} times as far from a force "
-                f"on segment {steady.segment} as one by its noise (at most {largest:.2f})"
+                f"on their average of {count} they lie {fit.misfit:.2f} times as far from "
+                f"{_on(steady.segments)} as one by its noise (at most {largest:.2f})"
             )
         elif full:
             steady.off_average = ""
@@ -276,34 +330,34 @@ class PlausibilityCheck:
 
 
 class _SteadyContact:
-    """The readings of a contact, averaged while it holds still.
+    """The readings of a contact, or of several, averaged while they hold still.
 
     Attributes:
-        segment: that is touched.
+        segments: that are touched.
         count, sum_n: readings averaged, and their sum (M,) less unloaded tensions, N.
         began_ns: stamp of the first of them.
-        force_n: y and z of the first of them.
+        force_n: y and z of each force behind the first of them.
         judged_ns: stamp of the last judgement.
         response: of the fit that was judged.
         hidden, off_average: what was found, as text; empty where nothing was.
     """
 
-    def __init__(self, segment: int, cables: int) -> None:
-        self.segment = segment
+    def __init__(self, segments: tuple[int, ...], cables: int) -> None:
+        self.segments = segments
         self.sum_n = np.zeros(cables)
         self.count = self.began_ns = self._last_ns = 0
         self.judged_ns = -_JUDGED_EVERY_NS
-        self.force_n = (math.inf, math.inf)
+        self.force_n: tuple[float, ...] = (math.inf,) * (2 * len(segments))
         self.response: object = None
         self.hidden = self.off_average = ""
 
-    def goes_on(self, segment: int, stamp_ns: int) -> bool:
+    def goes_on(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
         """Whether a sample is of the same contact."""
-        return segment == self.segment and 0 < stamp_ns - self._last_ns <= _LONGEST_GAP_NS
+        return segments == self.segments and 0 < stamp_ns - self._last_ns <= _LONGEST_GAP_NS
 
-    def add(self, difference_n: Array, force_n: tuple[float, float], stamp_ns: int) -> None:
-        """Readings less unloaded tensions (M,), and the force that fits them, y and z."""
-        if math.hypot(force_n[0] - self.force_n[0], force_n[1] - self.force_n[1]) > _STEADY_N:
+    def add(self, difference_n: Array, force_n: tuple[float, ...], stamp_ns: int) -> None:
+        """Readings less unloaded tensions (M,), and the forces that fit them, y and z of each."""
+        if math.dist(force_n, self.force_n) > _STEADY_N:
             self.off_average, self.force_n = "", force_n
             self.begin(stamp_ns)
         self._last_ns = stamp_ns
@@ -314,6 +368,13 @@ class _SteadyContact:
         """Average anew."""
         self.sum_n[:] = 0.0
         self.count, self.began_ns = 0, stamp_ns
+
+
+def _on(segments: Sequence[int]) -> str:
+    """Forces on segments as text."""
+    if len(segments) == 1:
+        return f"a force on segment {segments[0]}"
+    return f"forces on segments {', '.join(map(str, segments))}"
 
 
 def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:

@@ -26,6 +26,15 @@ def off_n(contact, segment, angle_deg, magnitude_n):
     return abs(contact.magnitude_n * np.exp(1j * np.deg2rad(contact.angle_deg)) - true)
 
 
+def most_off_n(answer, told):
+    """How far the worst of several contacts is from the true force on its segment."""
+    found = {contact.segment: contact for contact in answer.all}
+    return max(
+        off_n(found.get(segment, NO_CONTACT), segment, *told.get(segment, (0.0, 0.0)))
+        for segment in {*found, *told}
+    )
+
+
 def scaled(scale):
     def fault(reading, cable):
         reading[cable] *= scale
@@ -40,7 +49,7 @@ def reads(value):
     return fault
 
 
-def exchanged(reading, cable):
+def swapped(reading, cable):
     reading[[cable, cable - 1]] = reading[[cable - 1, cable]]
 
 
@@ -52,7 +61,7 @@ def dead(reading, _):
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 @pytest.mark.parametrize(
     "fault",
-    [scaled(2.0), scaled(1.1), exchanged, reads(2.0), reads(19_999.0), dead],
+    [scaled(2.0), scaled(1.1), swapped, reads(2.0), reads(19_999.0), dead],
     ids=["scale 2", "scale 1.1", "exchanged", "2 N", "19,999 N", "all zero"],
 )
 @pytest.mark.parametrize("command", [STRAIGHT, BENT], ids=["straight", "bent"])
@@ -339,6 +348,30 @@ def test_the_last_state_is_enough_also_after_a_misfit():
             again = other.sample(raw, now_ns, 0.0)
             assert (again.contact, again.force) == (answer.contact, answer.force)
             assert str(again.problem is None) == str(answer.problem is None)
+
+
+def test_forces_on_several_segments_fit_in_noise():
+    arm, told = Arm(model="cdsm_multi"), {2: (20.0, 30.0), 3: (110.0, 12.0), 4: (200.0, 20.0)}
+    forces = sum(push(arm.arm, STRAIGHT, segment, *load) for segment, load in told.items())
+    for _ in range(100):
+        answer = arm.sample(arm.reading(forces))
+        assert answer.problem is None
+        assert most_off_n(answer, told) < 3.0
+
+
+@pytest.mark.parametrize("fault", [scaled(1.3), reads(0.0), reads(60.0), swapped])
+def test_a_fault_makes_no_wrong_forces_on_several_segments_that_are_vouched_for(fault):
+    arm, told = Arm(model="cdsm_multi"), {1: (75.0, 25.0), 3: (300.0, 30.0)}
+    forces = sum(push(arm.arm, STRAIGHT, segment, *load) for segment, load in told.items())
+    withheld = 0
+    for cable in range(12):
+        reading = arm.reading(forces)
+        fault(reading, cable)
+        arm.now_ns += 10**9  # what came before withholds no longer
+        answer = arm.sample(reading)
+        withheld += answer.problem is not None
+        assert answer.force is not ForceState.CONTACT or most_off_n(answer, told) < 5.0
+    assert withheld >= 6
 
 
 @pytest.mark.parametrize(
