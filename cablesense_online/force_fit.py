@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import add
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -89,36 +90,26 @@ class Fit:
         """`largest` is the misfit that passes."""
         self.fitted, self.response, self.pose = fitted, response, pose
         over = fitted[: len(response.elastic_n)]
-        self.misfit = math.sqrt(float(over.dot(over)) / self._free)
+        self.misfit = math.sqrt(float(over.dot(over)) / pose.free)
         self.holds = self.misfit <= largest and self.consistent and self.near
-
-    @property
-    def _free(self) -> int:
-        """How many combinations of readings are left over."""
-        return max(len(self.response.elastic_n) - len(self.pose.force_n), 1)
-
-    @property
-    def _elastic_from(self) -> int:
-        """Where in `fitted` the tensions begin."""
-        return len(self.response.elastic_n) + 3 * len(self.pose.segments)
 
     @property
     def force_n(self) -> tuple[float, ...]:
         """(2 K,) the forces that fit best, y and z of each in its segment's frame."""
-        count = len(self.response.elastic_n)
-        pairs = enumerate(self.pose.force_n, start=count)
-        return tuple(part + self.fitted.item(at) for at, part in pairs)
+        begin, at_n = len(self.response.elastic_n), self.pose.force_n
+        added_n = self.fitted[begin : begin + len(at_n)].tolist()
+        return tuple(map(add, at_n, added_n))
 
     @property
     def elastic_n(self) -> Array:
         """(M,) tensions under those forces, negative where a slack cable lacks length."""
-        elastic, begin = self.response.elastic_n, self._elastic_from
+        elastic, begin = self.response.elastic_n, self.pose.elastic_from
         return np.asarray(elastic + self.fitted[begin : begin + len(elastic)])
 
     @property
     def consistent(self) -> bool:
         """Whether no cable that was taken as slack would be taut."""
-        response, begin = self.response, self._elastic_from
+        response, begin = self.response, self.pose.elastic_from
         for cable in response.slack:
             if response.elastic_n.item(cable) + self.fitted.item(begin + cable) > 0.0:
                 return False
@@ -141,15 +132,15 @@ class Fit:
         count = len(self.response.elastic_n)
         over, of = self.fitted[:count], self.response.to_fit[:count, cables]
         left = over - of @ np.linalg.lstsq(of, over, rcond=1e-9)[0]
-        return math.sqrt(float(left @ left) / max(self._free - len(cables), 1))
+        return math.sqrt(float(left @ left) / max(self.pose.free - len(cables), 1))
 
     def hidden_n(self, difference_n: Array, largest: float) -> Array:
         """(M,) how far a force may be wrong by one reading, and a misfit of `largest` pass.
 
         Where a cable reads slack, it may be taut and its reading zero.
         """
-        count, begin = len(difference_n), self._elastic_from
-        passes = largest * math.sqrt(self._free)
+        count, begin = len(difference_n), self.pose.elastic_from
+        passes = largest * math.sqrt(self.pose.free)
         hidden_n = passes * self.response.unseen_n
         for cable in self.response.slack:
             taut = self.response.taut.copy()
@@ -168,7 +159,13 @@ class Fit:
 
 
 class _Pose:
-    """The arm at one command in one pose under some forces, and its response to others nearby."""
+    """The arm at one command in one pose under some forces, and its response to others nearby.
+
+    Attributes:
+        segments, force_n, angles_rad: of the arguments.
+        free: how many combinations of readings are left over.
+        elastic_from: where in `Fit.fitted` tensions begin.
+    """
 
     def __init__(
         self,
@@ -184,6 +181,8 @@ class _Pose:
         mechanism = statics.mechanism
         forces = fits.forces_n(segments, force_n)
         self.segments, self.force_n, self.angles_rad = segments, force_n, angles_rad
+        self.free = max(mechanism.cable_count - len(force_n), 1)
+        self.elastic_from = mechanism.cable_count + 3 * len(segments)
         self._fits, self._at_rest = fits, at_rest
         self._stiffness_n_m = mechanism.stiffness_n_m
         span = kinematics.spans(mechanism, angles_rad)

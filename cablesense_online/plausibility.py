@@ -112,6 +112,8 @@ class PlausibilityCheck:
     ) -> None:
         """Check readings less unloaded tensions (M,) at a command (2N,) with the arm at rest.
 
+        Contacts come the strongest first.
+
         Raises:
             SampleError: they do not fit the contacts estimated, or did not a moment ago.
         """
@@ -167,7 +169,7 @@ class PlausibilityCheck:
             self.misfit = math.sqrt(float(free.dot(free)) / len(free))
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
-        force = max(contact.magnitude_n for contact in contacts)
+        force = contacts[0].magnitude_n
         if force > self._largest_force_n:
             return (
                 f"an estimate of {force:.0f} N is beyond the {self._largest_force_n:.0f} N that "
@@ -184,14 +186,8 @@ class PlausibilityCheck:
         self.misfit = fit.misfit * self._largest / largest
         if fit.misfit > largest:
             return self._described(_on(segments))
-        best_n = fit.force_n
-        for at, segment in enumerate(segments):
-            y, z = 2 * at, 2 * at + 1
-            off_n = math.hypot(best_n[y] - told_n[y], best_n[z] - told_n[z])
-            if off_n > FORCE_OFF_N:
-                return (
-                    f"a force on segment {segment} that fits lies {off_n:.1f} N from the estimate"
-                )
+        if (off_n := math.dist(fit.force_n, told_n)) > FORCE_OFF_N:
+            return f"the estimate lies {off_n:.1f} N from {_on(segments)} that would fit"
         return "" if fit.holds else self._slack_text(fit, _on(segments))
 
     def _limit(self, segments: Sequence[int]) -> float:
