@@ -170,7 +170,7 @@ class _Pose:
     def __init__(
         self,
         fits: ForceFits,
-        segments: Sequence[int],
+        segments: tuple[int, ...],
         force_n: tuple[float, ...],
         angles_rad: Array,
         *,
@@ -322,7 +322,7 @@ class ForceFits:
     def __init__(self, statics: UnloadedTensions, spread_n: float) -> None:
         self.statics, self.spread_n = statics, spread_n
         self.command_rad = self.unloaded_n = self.taut_from_n = np.zeros(0)
-        self._poses: dict[tuple[Sequence[int], tuple[float, ...]], _Pose | None] = {}
+        self._poses: dict[tuple[tuple[int, ...], tuple[float, ...]], _Pose | None] = {}
 
     def command(self, command_rad: Array) -> None:
         """The arm rests at another command (2N,)."""
