@@ -33,13 +33,13 @@ Fit = Callable[[Problem, Screened], Hypothesis | None]
 _MOST_EFFECTS = 7
 _SEVERAL = 3
 _MOST_CHANGES, _MOST_EXCHANGES = 10, 2
-_TRIED = 3
+_TRIED, _REPLACED = 3, 5
 _PROMISING = 2.0
 _STEPS_AGAIN = 3
 _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
 _FURTHER_WORTH = 1.03
-_HELPS, _BETTER = 1.02, 0.95
+_HELPS, _BETTER, _SLIGHTLY = 1.02, 0.95, 0.99
 _MOST_ADDED = 14
 _ELSEWHERE = 0.04
 """Power of the number of places among which one is chosen."""
@@ -77,8 +77,7 @@ class JointSelection:
     ) -> Iterator[Hypothesis]:
         """Every explanation on the way from `start`, the last one the best.
 
-        What is nearly enough is only added to, and two effects at once are tried beside few. In
-        the end another effect may stand in for any one or two of them, where that is quick.
+        What is nearly enough is only added to, and two effects at once are tried beside few.
         """
         best, exchanges = start, 0
         for _ in range(_MOST_CHANGES):
@@ -93,15 +92,6 @@ class JointSelection:
             if better is None and exchanges < _MOST_EXCHANGES:
                 exchanges += 1
                 better = self._best_of(self._exchanged(best, offered), best)
-            if better is None:
-                break
-            best = better
-            yield best
-        if any(c.history_dependent for c in self._problem.simulator.candidates):
-            return  # too slow to simulate
-        nominal = list(chain(*chain(*self._spread(linear_effects, self._candidates))))
-        for _ in range(_MOST_CHANGES):
-            better = self._replaced(best, nominal)
             if better is None:
                 break
             best = better
@@ -181,40 +171,37 @@ class JointSelection:
         few = [s for s in found if len(s.effects) <= _MOST_EFFECTS]
         return sorted(few, key=self._forecast)
 
-    def _replaced(
-        self, hypothesis: Hypothesis, nominal: Sequence[LinearEffect]
-    ) -> Hypothesis | None:
-        """A better one with one or two of the effects taken out, and another one put in or none.
+    def replaced(self, best: Hypothesis) -> Iterator[Hypothesis]:
+        """Explanations with one or two effects taken out, and another one put in or none.
 
-        What is put in is linear about the nominal mechanism: beside what it is to replace, as a
-        mass beside a shifted centre, it would have nothing to do. So it is forecast roughly.
+        They go on from what is better, or as good with fewer numbers. What is put in is linear
+        about the nominal mechanism: beside what it is to replace, as a mass beside a shifted
+        centre, it would have nothing to do. So it is forecast roughly.
         """
-        gone = chain.from_iterable(combinations(hypothesis.effects, n) for n in (1, 2))
-        rests = left_out(self._spread, hypothesis, list(gone))
-        simplest = min(rests, key=self._judged, default=hypothesis)
-        if self._judged(simplest) < _BETTER * self._judged(hypothesis):
-            return simplest
-        others = [e for e in nominal if e.terms[0].effect not in hypothesis.effects]
-        found = [self._with_another(rest, others) for rest in rests if others]
-        return self._best_of(sorted(found, key=self._forecast), hypothesis, np.inf)
+        nominal = list(chain(*chain(*self._spread(linear_effects, self._candidates))))
+        for _ in range(_MOST_CHANGES):
+            gone = chain.from_iterable(combinations(best.effects, n) for n in (1, 2))
+            rests = left_out(self._spread, best, list(gone))
+            others = [e for e in nominal if e.terms[0].effect not in best.effects]
+            screened = chain(*(self._with_another(rest, others) for rest in rests if others))
+            tried = sorted(screened, key=self._forecast)[:_REPLACED]
+            fitted = [h for h in self._spread(self._fit, tried) if h is not None]
+            found = [*(rest for rest in rests if rest.effects), *fitted]
+            most = _PROMISING * self._judged(best)
+            yield from (each for each in found if self._judged(each) < most)
+            better = min(found, key=self._judged, default=best)
+            if self._judged(better) >= _SLIGHTLY * self._judged(best):
+                break
+            best = better
 
-    def _with_another(self, rest: Hypothesis, others: Sequence[LinearEffect]) -> Screened:
-        """One more effect in its best places."""
+    def _with_another(self, rest: Hypothesis, others: Sequence[LinearEffect]) -> list[Screened]:
+        """Each other effect in its best places, everywhere at once and not."""
         residual = self._problem.readings - rest.without_tolerances
         placing = Placing(self._problem, residual, rest.columns, others)
-        chosen, left = placing.best([], [[k] for k in range(len(others))])
-        effect, first = others[chosen[0]].terms[0][:2]
-        while first != WHOLE_ARM:
-            more = [
-                [k]
-                for k, e in enumerate(others)
-                if k not in chosen and e.terms[0].effect == effect and e.place != WHOLE_ARM
-            ]
-            further, ahead = placing.best(chosen, more)
-            if ahead * self._worth[effect] * _FURTHER_WORTH >= left:
-                break
-            chosen, left = further, ahead
-        return Screened(placing.placed(chosen), rest)
+        sites: dict[tuple[str, bool], list[int]] = {}
+        for k, linear in enumerate(others):
+            sites.setdefault((linear.terms[0].effect, linear.place == WHOLE_ARM), []).append(k)
+        return [Screened(placing.placed(placing.grow(own)[0]), rest) for own in sites.values()]
 
     def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
         """Each effect that others may stand in for taken out, and another one put in."""
@@ -223,13 +210,11 @@ class JointSelection:
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
-    def _best_of(
-        self, screened: Sequence[Screened], than: Hypothesis, promising: float = _PROMISING
-    ) -> Hypothesis | None:
+    def _best_of(self, screened: Sequence[Screened], than: Hypothesis) -> Hypothesis | None:
         """The best of the most promising, fitted; None where none is worth it."""
         before = self._judged(than)
         least = min(map(self._forecast, screened[:1]), default=np.inf)
-        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= promising * least]
+        tried = [s for s in screened[:_TRIED] if self._forecast(s) <= _PROMISING * least]
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
         smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]

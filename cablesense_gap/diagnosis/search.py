@@ -46,6 +46,9 @@ _SLIGHTLY = 0.95
 _ALIKE = 1.02
 _LEAST_SHOWN = 0.5
 """Floors, of the part of an effect beside others."""
+_FAR_OFF = 5.0
+"""Standard deviations of a tolerance."""
+_MOST_REPLACED = 4
 _BORNE_OUT = 1.6
 """Effects without which so much more is left are certain to be needed."""
 
@@ -90,6 +93,7 @@ class _Search:
     def run(self) -> list[Hypothesis]:
         """The best hypothesis for every effect and every two that were fitted."""
         self._explore()
+        self._replace()
         self._refine_best(2)
         self._leave_out()
         self._progress("done", 1.0)
@@ -208,6 +212,16 @@ class _Search:
             self._keep(grown)
         self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:1])
 
+    def _replace(self) -> None:
+        """Other effects in place of those of the best explanation, where that is quick."""
+        candidates, best = self._problem.simulator.candidates, self._best()
+        if best.effects and self._is_quick():
+            for found in JointSelection(self._problem, self._map, candidates, fit, {}).replaced(
+                best
+            ):
+                self._keep(found)
+            self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:_MOST_REPLACED])
+
     def _is_explained(self, hypothesis: Hypothesis) -> bool:
         """Whether it leaves what the sensors leave."""
         return self._problem.cost_of(hypothesis) <= 1.5 * excess(0.0, self._problem.floor)
@@ -298,6 +312,8 @@ class _Search:
             rests = left_out(self._map, best)
             for rest in rests:
                 self._keep(rest)
+            if self._is_quick():  # beside tolerances as apt as those of the best
+                self._refine([self._found[rest.effects] for rest in rests])
             least = min((self._found[rest.effects] for rest in rests), key=cost_of)
             if cost_of(least) > _BORNE_OUT * cost_of(best) and self._shows(best, least):
                 break
@@ -315,10 +331,18 @@ class _Search:
     def _shows(self, hypothesis: Hypothesis, rest: Hypothesis) -> bool:
         """Whether what a hypothesis has beside the rest of it is more than readings can show.
 
-        Near the floor ratios of what is left grow large over nothing.
+        Near the floor ratios of what is left grow large over nothing. It shows too where the
+        rest makes up for it by a tolerance that is far off.
         """
         more = rest.held_out_rmse**2 - hypothesis.held_out_rmse**2
-        return more > (_LEAST_SHOWN * self._problem.floor) ** 2
+        strained = self._worst_tolerance(rest) > max(_FAR_OFF, self._worst_tolerance(hypothesis))
+        return strained or more > (_LEAST_SHOWN * self._problem.floor) ** 2
+
+    def _worst_tolerance(self, hypothesis: Hypothesis) -> float:
+        """In standard deviations."""
+        std = dict(zip(self._problem.tolerance_terms, self._problem.tolerance_std, strict=True))
+        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
+        return max(off, default=0.0)
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""
@@ -328,6 +352,10 @@ class _Search:
         gap = excess(self._none.held_out_rmse**2, self._problem.floor)
         little = self._problem.cost_of(hypothesis) <= _RESOLVED * gap
         return little or self._is_explained(hypothesis)
+
+    def _is_quick(self) -> bool:
+        """Whether nothing that is slow to simulate is offered."""
+        return not self._history_dependent()
 
     def _history_dependent(self) -> set[str]:
         """Effects that depend on history; they are expensive to simulate."""

@@ -24,7 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.fitting import fit, reselect_places
-from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
+from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
 from cablesense_gap.diagnosis.joint_selection import JointSelection, borne_out
 from cablesense_gap.diagnosis.places import linear_effects
 from cablesense_gap.diagnosis.problem import sketched
@@ -356,6 +356,22 @@ def several(count):
     for name, signals in zip("defgh", own, strict=False):
         library |= linear(name, "abc", signals)
     return library
+
+
+def test_a_wrong_effect_is_replaced_by_the_right_one():
+    library = several(4)
+    right, wrong = (amount(name, "b") for name in "eg")
+    problem = problem_of(Sums(library), {amount("d", "a"): 2.0, right: 1.0})
+    start = refit(problem, {amount("d", "a"): 1.0, wrong: 0.5}, 4)
+    selection = JointSelection(problem, per_item(problem), problem.simulator.candidates, fit, {})
+    found = {h.effects: h for h in selection.replaced(start)}
+    assert problem.cost_of(found["d", "e"]) < 0.1 * problem.cost_of(start)
+    assert found["d", "e"].values == pytest.approx({amount("d", "a"): 2.0, right: 1.0}, abs=0.05)
+
+
+def per_item(problem):
+    """As the search spreads work, in this process."""
+    return lambda function, values: (function(problem, each) for each in values)
 
 
 @pytest.mark.slow  # the whole search, five effects deep
