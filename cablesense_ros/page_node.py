@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -23,6 +24,11 @@ from cablesense_ros.endpoints import of_node
 from cablesense_ros.node_process import full_name, run_node, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
+
+TOKEN = "CABLESENSE_PAGE_TOKEN"
+"""Environment variable: the page's token, for who serves the same address again."""
+CHOSEN = "arm: "
+"""Printed before the name of an arm that was chosen, for who started this node."""
 
 
 class PageNode(Node):
@@ -54,8 +60,12 @@ class PageNode(Node):
         command = self._noting("Not moved", self._client.command)
         undo = partial(self._ask, self._undo_tare, "Tare undone", "Not undone")
         breathe = partial(self._ask, self._breathe, "Breathing", "No breath")
-        self._actions = Actions(push, command, self._take_tare, undo, breathe)
-        self._page = Page(arm, self._actions if given["controls"] else None, host=host, port=port)
+        arms = [name for name in given["arms"].split(",") if name]
+        self._actions = Actions(
+            push, command, self._take_tare, undo, breathe, self._choose_arm, arms
+        )
+        actions, token = self._actions if given["controls"] else None, os.environ.get(TOKEN, "")
+        self._page = Page(arm, actions, host=host, port=port, token=token)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
         if warning := exposure_warning(host, self._page.port, given["controls"]):
@@ -85,6 +95,10 @@ class PageNode(Node):
                 self._page.notify(title, str(error))
 
         return try_to_act
+
+    def _choose_arm(self, name: str) -> None:
+        self._page.notify("Another arm", f"{name} starts; this page shows it in a few seconds")
+        print(f"{CHOSEN}{name}", flush=True)
 
     def _take_tare(self) -> None:
         """With a warning where the estimator takes a load that the page knows of for none."""

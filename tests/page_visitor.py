@@ -6,7 +6,10 @@ from urllib.parse import urlsplit
 import msgspec
 import viser
 import zstandard
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+
+__all__ = ["SUBPROTOCOL", "ConnectionClosed", "Visitor"]
 
 SUBPROTOCOL = f"viser-v{viser.__version__}"
 LOOK = {

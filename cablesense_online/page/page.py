@@ -52,16 +52,21 @@ class Page:
     """
 
     def __init__(
-        self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
+        self,
+        arm: Arm,
+        actions: Actions | None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        token: str = "",
     ) -> None:
-        """Starts serving; without `actions` the page only shows.
+        """Starts serving; without `actions` the page only shows, without `token` it makes one.
 
         Raises:
             PageError: no port from `port` on can be bound on `host`, or viser cannot be guarded.
         """
         mechanism = mechanism_of(arm)
         self._force_limit_n = contact_range_n(arm)
-        token = secrets.token_urlsafe(16)
+        token = token or new_token()
         self._server = guarded_server(host, free_port(host, port), token)
         self.port = self._server.get_port()
         shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
@@ -209,6 +214,11 @@ class Page:
                 handle.content = content
         self._forces.draw()
         self._tensions.draw()
+
+
+def new_token() -> str:
+    """What the address of a page ends in, for nobody to guess."""
+    return secrets.token_urlsafe(16)
 
 
 def free_port(host: str, port: int) -> int:

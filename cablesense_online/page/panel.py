@@ -40,6 +40,8 @@ class Actions:
         tare: takes a tare.
         undo_tare: goes back to the tare before.
         breathe: asks for a breath.
+        choose_arm: takes the name of another arm, which is to be shown in place of this one.
+        arms: names that it takes; without any there is no choice.
     """
 
     push: Callable[[int, float, float, bool], None]
@@ -47,6 +49,8 @@ class Actions:
     tare: Callable[[], None]
     undo_tare: Callable[[], None]
     breathe: Callable[[], None]
+    choose_arm: Callable[[str], None] = lambda _: None
+    arms: Sequence[str] = ()
 
 
 class Controls:
@@ -107,6 +111,16 @@ class Controls:
             )
             hint = "moves the arm a little, so that friction shows what it hides"
             breathe = gui.add_button("Breathe", icon=viser.Icon.LUNGS, hint=hint)
+        if actions.arms:
+            hint = "starts the demo again with another arm"
+            arms = gui.add_dropdown("arm", actions.arms, initial_value=actions.arms[0], hint=hint)
+            arms.on_update(
+                self._act(
+                    lambda _: (
+                        actions.choose_arm(arms.value) if arms.value in actions.arms[1:] else None
+                    )
+                )
+            )
         self._button.on_click(self._act(lambda _: self._toggle()))
         for handle in (self._segment, self._angle, self._newtons):
             handle.on_update(self._act(lambda _: self._send_push() if self._pushing else None))

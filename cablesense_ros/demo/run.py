@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
 import webbrowser
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
@@ -89,10 +91,25 @@ class DemoOptions:
 def run_live(options: DemoOptions) -> None:
     """Serve the page until it is interrupted; with a controller a wall comes by itself and stays.
 
+    Whoever commands on the page may choose another arm; all nodes then start again with it.
+
     Raises:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
-    _check_files(options)
+    from cablesense_online.page.page import new_token
+    from cablesense_ros.page_node import TOKEN
+
+    os.environ[TOKEN] = new_token()  # one address for all arms
+    while options.arm:
+        _check_files(options)
+        arm = _served(options)
+        options = replace(options, arm=arm, model="", open_page=False)
+
+
+def _served(options: DemoOptions) -> str:
+    """Serve the page of one arm until another is chosen; gives that."""
+    from cablesense_ros.page_node import CHOSEN
+
     with _nodes(options, live=True) as processes:
         *names, last = (process.name for process in processes)
         print(f"Starting {', '.join(names)} and {last} …", flush=True)
@@ -107,7 +124,7 @@ def run_live(options: DemoOptions) -> None:
         print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
         if options.open_page:
             _open_in_browser(url)
-        processes.run_until_one_ends()
+        return processes.wait_for_line("page", CHOSEN, math.inf)
 
 
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
@@ -276,8 +293,20 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
     if live:
         # with a controller no command: it would take the pose of another's for its new home
         page = {"host": options.host, "port": options.port, "home_at_start": not controlled}
-        commands["page"] = node_command("page", arm | page)
+        choice = {"arms": ",".join(_arms(options))}
+        commands["page"] = node_command("page", arm | page | choice)
     return commands
+
+
+def _arms(options: DemoOptions) -> list[str]:
+    """The arms to choose from, the present one first; none where options fit not every arm."""
+    simple = options.source is Source.SIM and options.controller is Controller.NONE
+    if options.breathe or not simple:
+        return []
+    arms, models = (
+        {path.stem for path in config_path(kind).iterdir()} for kind in ("arms", "models")
+    )
+    return [options.arm, *sorted(arms & models - {options.arm})]
 
 
 def _nodes(options: DemoOptions, live: bool) -> Processes:

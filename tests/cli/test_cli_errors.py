@@ -187,6 +187,12 @@ def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
         with urlopen(url) as answer:
             assert answer.status == 200
         assert (tmp_path / "logs/page.log").stat().st_mode & 0o077 == 0
+        if number == signal.SIGTERM:
+            choose_another_arm(url)
+            line = next(line for line in process.stdout if "http://" in line)
+            assert url in line
+            log = (tmp_path / "logs/page.log").read_text()
+            assert f"page of arm {open_arm('cdsm_table2').identity}" in log
         children = child_pids(process.pid)
         assert len(children) == 3
         process.send_signal(number)
@@ -195,6 +201,18 @@ def test_a_demo_ends_cleanly_when_told_to(tmp_path, number, code):
     time.sleep(0.1)
     assert not any(os.path.exists(f"/proc/{pid}") for pid in children)  # noqa: PTH110
     assert not any("Traceback" in log.read_text() for log in tmp_path.rglob("*.log"))
+
+
+def choose_another_arm(url):
+    from page_visitor import ConnectionClosed, Visitor
+
+    visitor = Visitor(url)
+    while "arm" not in visitor.read().controls:
+        pass
+    visitor.put("arm", "../../else")  # does nothing
+    visitor.put("arm", "cdsm_table2")
+    with pytest.raises(ConnectionClosed):
+        visitor.read(30.0)
 
 
 def child_pids(pid):
