@@ -85,8 +85,9 @@ def test_a_limit_that_cannot_be_is_refused_in_one_line(tmp_path):
 def test_fresh_healthy_samples_are_as_rarely_above_the_limit_as_it_states(
     tmp_path, monkeypatch, name
 ):
-    limit = put_simulated_limit(copied(tmp_path, name))
     monkeypatch.setattr(misfit_limit, "POSES", 4)
+    limit = put_simulated_limit(copied(tmp_path, name))
+    monkeypatch.setattr(misfit_limit, "POSES", 2)
     fresh = np.fromiter(simulated_misfits(load_model(name, ""), seed=1), float)
     spare = 3.0 * np.sqrt(max(limit.above, 1) * misfit_limit.READINGS)  # of a contact all are
     assert (fresh > limit.largest_misfit).sum() <= limit.above + spare

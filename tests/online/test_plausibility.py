@@ -161,27 +161,28 @@ def test_contacts_pass_where_rest_changes_at_once(name, command_deg, segment, fo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
-@pytest.mark.parametrize("checked", [True, False])
-def test_a_broken_cable_makes_no_wrong_force(name, checked):
-    wrong_n = []
+def test_a_broken_cable_makes_no_wrong_force(name):
+    checked, unchecked = (Arm(name, BENT, largest_misfit=limit) for limit in (2.3, 0.0))
+    wrong_n = {checked: [], unchecked: []}
+    sound = mechanism_of(checked.arm)
     for cable in range(12):
-        arm = Arm(name, BENT, largest_misfit=2.3 * checked)
-        sound = mechanism_of(arm.arm)
         loose = sound.pretension_n.copy()
         loose[cable] = -1e5  # it would have to stretch by centimetres to be taut
         broken = replace(sound, pretension_n=loose)
         for segment, angle_deg in ((1, 0.0), (1, 120.0), (2, 80.0), (3, 200.0), (4, 310.0)):
             for magnitude_n in (0.0, 20.0, 80.0):
-                forces = push(arm.arm, BENT, segment, angle_deg, magnitude_n)
+                forces = push(checked.arm, BENT, segment, angle_deg, magnitude_n)
                 try:
                     true = solve_equilibrium(broken, BENT, forces).tensions_n
                 except EquilibriumError:
                     continue  # the arm collapses
-                arm.now_ns += 10**9  # what was withheld before is over
-                answer = arm.sample(read_tensions_n(true, arm.arm.sensors, arm.rng).clip(0.0))
-                if answer.problem is None:
-                    wrong_n.append(off_n(answer.contact, segment, angle_deg, magnitude_n))
-    assert (max(wrong_n) < 5.0) == checked
+                reading = read_tensions_n(true, checked.arm.sensors, checked.rng).clip(0.0)
+                for arm, off in wrong_n.items():
+                    arm.now_ns += 10**9  # what was withheld before is over
+                    answer = arm.sample(reading)
+                    if answer.problem is None:
+                        off.append(off_n(answer.contact, segment, angle_deg, magnitude_n))
+    assert max(wrong_n[checked]) < 5.0 < max(wrong_n[unchecked])
 
 
 def test_a_weight_that_hangs_on_a_bent_arm_passes():
