@@ -31,19 +31,22 @@ import numpy as np
 import pandas as pd
 
 from cablesense_base import Array
-from cablesense_gap.simulator import Assignment
+from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.simulator import Assignment, Term
 from cablesense_robot import smoothing
 from cablesense_robot.catalogue import changed
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import Robot, load_robot
 from cablesense_robot.motion import Motion, prepared
-from cablesense_robot.pipeline import RobotDiagnosis, diagnose
+from cablesense_robot.pipeline import RobotDiagnosis, diagnose, problem_of
 from cablesense_robot.recording import RobotRecording, read_recording
 from cablesense_robot.report import write_robot_diagnosis
+from cablesense_robot.simulator import RobotSimulator
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
 DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
 _WINDOW_S, _STEP_S, _STATES_HZ = 0.5, 0.005, 10.0
+_FITTING_STEPS = 12
 _FRICTION = "joint_friction.joint_{}.torque_n_m"
 
 
@@ -84,6 +87,9 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
         "effects": verdict.effects,
         "probability": round(verdict.probability, 2),
         "friction_n_m": _friction(diagnosis),
+        "held-out error in floors, dry and viscous friction, N·m and N·m·s": _both_frictions(
+            robot, diagnosis.motion
+        ),
         "parameters": {
             name: [round(estimate.value, 4), *(round(end, 4) for end in estimate.ci95)]
             for name, estimate in verdict.parameters.items()
@@ -119,6 +125,28 @@ def _friction(diagnosis: RobotDiagnosis) -> list[float | None]:
     """Dry friction of both joints, where it is named."""
     found = [diagnosis.verdict.parameters.get(_FRICTION.format(joint)) for joint in (1, 2)]
     return [None if each is None else round(each.value, 3) for each in found]
+
+
+def _both_frictions(robot: Robot, motion: Motion) -> dict[str, list[float]]:
+    """Dry friction at both joints alone, and beside viscous: do the runs tell them apart?"""
+    problem = problem_of(RobotSimulator(robot, motion, {}))
+    joints = ("joint_1", "joint_2")
+    dry, gives, drag = (
+        [Term(effect, joint, number) for joint in joints]
+        for effect, number in (
+            ("joint_friction", "torque_n_m"),
+            ("joint_friction", "presliding_rad"),
+            ("viscous_friction", "torque_s_n_m"),
+        )
+    )
+    alone = dict.fromkeys(dry, 0.1) | dict.fromkeys(gives, 2e-3)
+    found = {}
+    for name, values in (("dry", alone), ("both", alone | dict.fromkeys(drag, 5e-3))):
+        fitted = refit(problem, values, _FITTING_STEPS)
+        if fitted is not None:
+            sizes = [fitted.values[term] for term in (*dry, *drag) if term in values]
+            found[name] = [round(fitted.held_out_rmse, 2), *(round(size, 4) for size in sizes)]
+    return found
 
 
 def _torques(robot: Robot, motion: Motion, effects: Assignment | None = None) -> Array:
