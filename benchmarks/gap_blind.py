@@ -55,7 +55,7 @@ _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 def main() -> None:
     """Draws, diagnoses, scores and prints; keeps answers, verdicts and scores with `--write`."""
-    parser = harness.parser(__doc__, "gap_blind/ or gap_blind_several/")
+    parser = harness.parser(__doc__, "gap_blind/, gap_blind_friction/ or gap_blind_several/")
     parser.add_argument("--count", type=int, default=60, help="cases")
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
     parser.add_argument("--seed", type=int, default=9101, help="of the plant")
@@ -98,10 +98,11 @@ def main() -> None:
     print(json.dumps(result, indent=1))
     if options.write:
         lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
-        sheet = "../gap_blind_several" if options.effects else "../gap_blind"
-        harness.write_result(f"{sheet}/score.json", result)
-        harness.write_result(f"{sheet}/answers.csv", answers.read_text())
-        harness.write_result(f"{sheet}/verdicts.jsonl", "\n".join(lines) + "\n")
+        apart = options.friction > options.count
+        kind = "_several" if options.effects else "_friction" if apart else ""
+        harness.write_result(f"../gap_blind{kind}/score.json", result)
+        harness.write_result(f"../gap_blind{kind}/answers.csv", answers.read_text())
+        harness.write_result(f"../gap_blind{kind}/verdicts.jsonl", "\n".join(lines) + "\n")
 
 
 def drawn(
