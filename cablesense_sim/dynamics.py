@@ -34,6 +34,7 @@ LEAST_PERIOD_S = 0.01
 """A rest takes some milliseconds to find; fast sensors read the same one several times."""
 
 _ROUNDING_S = 1e-9
+_SLIGHTLY_M = 1e-6
 
 
 def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
@@ -245,6 +246,9 @@ class RestToRestArm(_CommandedArm):
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm)
         self._time_s = 0.0
+        self.reset()
+        # a rest elsewhere has all code compiled or loaded before time runs
+        self._resting.step(0.0, self._held_m[None] + _SLIGHTLY_M, self._forces_n)
         self.reset()
 
     def reset(self, command_rad: ArrayLike | None = None) -> None:
