@@ -81,6 +81,8 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
 	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev]'
+	@echo 'Compiling the law of friction (half a minute, once) …'
+	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:
