@@ -1,4 +1,8 @@
-"""What tests of real nodes share; each restores the environment and the signals' handlers."""
+"""What tests of real nodes share.
+
+Each restores the environment and the signals' handlers, and ends the nodes that it started, also
+where it failed: a node that outlived its test would answer in the place of another.
+"""
 
 import os
 import signal
@@ -6,14 +10,25 @@ from unittest import mock
 
 import pytest
 
+from cablesense_ros.processes import Process
+
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.fixture(autouse=True)
 def surroundings_restored():
     handlers = {one: signal.getsignal(one) for one in ENDS}
-    with mock.patch.dict(os.environ):
+    started = []
+
+    def recorded(process, *args, init=Process.__init__, **kwargs):
+        init(process, *args, **kwargs)
+        started.append(process)
+
+    with mock.patch.dict(os.environ), mock.patch.object(Process, "__init__", recorded):
         yield
+    for process in started:
+        if process.alive:
+            process.kill()
     for one, handler in handlers.items():
         signal.signal(one, handler)
 
