@@ -48,7 +48,7 @@ def test_a_push_and_a_death_of_one_arm_are_of_that_arm_alone(graph, nodes):
         "the contact of the left arm",
     )
     seen = len(wrenches["right"])
-    graph.until(lambda: len(wrenches["right"]) > seen + 20, "the right arm, while the left is held")
+    graph.until(lambda: len(wrenches["right"]) > seen + 20, "the right arm meanwhile")
     assert {wrench.header.frame_id for wrench in wrenches["right"]} == {"right_base_link"}
 
     named = {arm: f"{arm}/estimator: cable_tensions" for arm in ARMS}
