@@ -244,10 +244,11 @@ def check_us(arm_name: str) -> dict[str, Any]:
     bench = Bench(arm_name, 0)
     true = bench.tensions_n(bench.mechanism, np.array([3]), np.array([[30.0, 20.0]]))
     readings = bench.read(np.tile(true, (2000, 1)))
-    contacts, times = bench.contacts(readings), []
-    for reading, contact in zip(readings, contacts, strict=True):
+    differences, times = readings - bench.tare, []
+    for number, contact in enumerate(bench.contacts(readings)):
+        difference, contacts = differences[number], [contact] * bool(contact.segment)
         begin = time.perf_counter()
-        bench.passes(reading, contact, PERIOD_NS)
+        bench.check.check(difference, bench.command, contacts, (number + 1) * PERIOD_NS)
         times.append((time.perf_counter() - begin) * 1e6)
     return harness.origin() | harness.percentiles(times, ("median", "90 %", "99 %"), 1)
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import add
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -80,25 +79,21 @@ class Fit:
         fitted: (2 M + 2 N + 3 K,) what `to_fit` of the response makes of the readings.
         response: the tensions near those forces.
         pose: the arm that the response is of.
+        force_n: (2 K,) the forces that fit best, y and z of each in its segment's frame.
         holds: whether the misfit is at most the largest that passes, under forces that make this
             set of cables slack.
     """
 
-    __slots__ = ("fitted", "holds", "misfit", "pose", "response")
+    __slots__ = ("fitted", "force_n", "holds", "misfit", "pose", "response")
 
     def __init__(self, fitted: Array, response: _Response, pose: _Pose, largest: float) -> None:
         """`largest` is the misfit that passes."""
         self.fitted, self.response, self.pose = fitted, response, pose
-        over = fitted[: len(response.elastic_n)]
+        count, item = len(response.elastic_n), fitted.item
+        over = fitted[:count]
         self.misfit = math.sqrt(float(over.dot(over)) / pose.free)
+        self.force_n = tuple([at_n + item(k) for k, at_n in enumerate(pose.force_n, count)])
         self.holds = self.misfit <= largest and self.consistent and self.near
-
-    @property
-    def force_n(self) -> tuple[float, ...]:
-        """(2 K,) the forces that fit best, y and z of each in its segment's frame."""
-        begin, at_n = len(self.response.elastic_n), self.pose.force_n
-        added_n = self.fitted[begin : begin + len(at_n)].tolist()
-        return tuple(map(add, at_n, added_n))
 
     @property
     def elastic_n(self) -> Array:
@@ -304,7 +299,8 @@ class _Pose:
             np.flatnonzero(~taut).tolist(),
             off_n / np.maximum(np.linalg.norm(over, axis=0), 1e-9),
             None if self._at_rest and not other.any() else turned[:, -1],
-            np.vstack([over, to_force, to_elastic, turned[:, :-1] @ to_force]),
+            # by columns, as products with a vector so small are faster
+            np.asfortranarray(np.vstack([over, to_force, to_elastic, turned[:, :-1] @ to_force])),
         )
 
 

@@ -255,13 +255,12 @@ class PlausibilityCheck:
         if steady is None or not steady.goes_on(fit.pose.segments, stamp_ns):
             self._steady = steady = _SteadyContact(fit.pose.segments, len(difference_n))
         steady.add(difference_n, fit.force_n, stamp_ns)
-        passed_ns = stamp_ns - steady.judged_ns
-        soon = fit.response is not steady.response and passed_ns >= _SOONEST_NS
-        if soon or passed_ns >= _JUDGED_EVERY_NS:
-            steady.response, steady.judged_ns = fit.response, stamp_ns
-            steady.hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
-            if steady.count >= _FEWEST_AVERAGED:
-                self._judge_average(steady, stamp_ns)
+        if steady.to_be_judged(fit.response, stamp_ns):
+            hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
+            steady.judge(fit.response, stamp_ns, hidden)
+        if stamp_ns - steady.averaged_ns >= _JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
+            steady.averaged_ns = stamp_ns
+            self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
     def _hidden(self, fit: Fit, difference_n: Array) -> str:
@@ -333,8 +332,7 @@ class _SteadyContact:
         count, sum_n: readings averaged, and their sum (M,) less unloaded tensions, N.
         began_ns: stamp of the first of them.
         force_n: y and z of each force behind the first of them.
-        judged_ns: stamp of the last judgement.
-        response: of the fit that was judged.
+        averaged_ns: stamp at which the average was last judged.
         hidden, off_average: what was found, as text; empty where nothing was.
     """
 
@@ -342,9 +340,9 @@ class _SteadyContact:
         self.segments = segments
         self.sum_n = np.zeros(cables)
         self.count = self.began_ns = self._last_ns = 0
-        self.judged_ns = -_JUDGED_EVERY_NS
+        self.averaged_ns = self._judged_ns = -_JUDGED_EVERY_NS
         self.force_n: tuple[float, ...] = (math.inf,) * (2 * len(segments))
-        self.response: object = None
+        self._judged: dict[int, tuple[object, int, str]] = {}
         self.hidden = self.off_average = ""
 
     def goes_on(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
@@ -359,6 +357,21 @@ class _SteadyContact:
         self._last_ns = stamp_ns
         self.sum_n += difference_n
         self.count += 1
+
+    def to_be_judged(self, response: object, stamp_ns: int) -> bool:
+        """Whether it is time to judge what readings with this response of the tensions hide."""
+        before = self._judged.get(id(response))
+        if before is not None and stamp_ns - before[1] < _JUDGED_EVERY_NS:
+            return False
+        return stamp_ns - self._judged_ns >= _SOONEST_NS
+
+    def judge(self, response: object, stamp_ns: int, hidden: str) -> None:
+        """Take over what was found of it; readings at the edge of slack have two in turn."""
+        last_ns = stamp_ns - 2 * _JUDGED_EVERY_NS
+        self._judged = {key: one for key, one in self._judged.items() if one[1] > last_ns}
+        self._judged[id(response)] = response, stamp_ns, hidden
+        self._judged_ns = stamp_ns
+        self.hidden = next((text for _, _, text in self._judged.values() if text), "")
 
     def begin(self, stamp_ns: int) -> None:
         """Average anew."""
