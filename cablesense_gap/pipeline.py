@@ -37,7 +37,8 @@ from cablesense_gap.diagnosis.problem import (
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.earlier import GoingOn, going_on, listed_values, without_effects
 from cablesense_gap.experiments import next_experiment
-from cablesense_gap.recordings.checks import check_recording, refuse_unusable, stiffness_findings
+from cablesense_gap.recordings.channels import stiffness_findings
+from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
 from cablesense_gap.residuals import decompose, regimes

@@ -1,19 +1,16 @@
-"""A recording read by its path, and whether it can be used: shapes, numbers, labels, channels."""
+"""A recording read by its path, and whether it can be used: shapes, numbers, time and labels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array
+from cablesense_gap.recordings.channels import Finding, Severity, channel_findings
 from cablesense_gap.recordings.csv_file import (
     LOAD,
     LOAD_SEGMENT,
@@ -28,8 +25,6 @@ from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
-from cablesense_sim.replay import reading_variance_n2
 
 FEWEST_ROWS, FEWEST_TRIALS = 6, 2
 """Below these nothing can be held out."""
@@ -41,43 +36,6 @@ _GAP_INTERVALS = 10.0
 _MILLISECONDS = (700.0, 1400.0)
 """Steps of time over those of the sensors, where milliseconds are taken for seconds."""
 _OTHER_RATE = 3.0
-_MOVED_FLOORS = 50.0
-"""A cable whose prediction varies by this many noise floors must show it."""
-_STUCK_TRIALS = 3
-_SATURATED_RUNS = 3
-_LEAST_CORRELATION = 0.5
-"""No effect turns the responses of half the cables further away from the prediction than this."""
-_SCALES = (0.2, 5.0)
-"""Nor does any scale them by more."""
-_STIFFNESS_ROWS = 40
-_SOFTER = (0.3, 0.1, 0.03, 0.01)
-_STIFFER = (3.0, 10.0, 30.0, 100.0)
-_WORTH_FLOORS = 2.0
-_BETTER = 0.4
-"""A channel belongs to another cable whose prediction leaves less than this of the residual."""
-
-
-class Severity(StrEnum):
-    """Whether a recording can still be used."""
-
-    WARN = "warn"
-    REFUSE = "refuse"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One problem of a recording.
-
-    Attributes:
-        severity: whether it rules the recording out.
-        kind: one word for programs, such as `time` or `swapped`.
-        text: what, where (rows from 1, columns by name) and what would be right.
-    """
-
-    severity: Severity
-    kind: str
-    text: str
-
 
 _refuse = partial(Finding, Severity.REFUSE)
 _warn = partial(Finding, Severity.WARN)
@@ -144,89 +102,6 @@ def check_recording(
 
 def _rank(finding: Finding) -> bool:
     return finding.severity is not Severity.REFUSE
-
-
-def channel_findings(
-    recording: Recording,
-    arm: Arm,
-    nominal_n: Array | None,
-    rows: NDArray[np.int64] | None = None,
-) -> list[Finding]:
-    """Problems of the channels: saturated, stuck, of other cables or another arm.
-
-    Without a nominal prediction for the `rows`, as in `check_recording`, only constant and
-    saturated ones can be found.
-    """
-    read = recording.tensions_n
-    findings = list(_at_range_ends(read, arm))
-    if np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any():
-        findings += [
-            _warn(
-                "stuck",
-                f"tension_{cable + 1}_n is {read[0, cable]:g} N in every row, whatever loads and "
-                "poses; see whether its sensor is connected",
-            )
-            for cable in np.flatnonzero(np.ptp(read, axis=0) == 0.0)
-        ]
-    if nominal_n is None:
-        return findings
-    moved_n = _MOVED_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors)))
-    predicted = np.ptp(nominal_n, axis=0) > moved_n
-    if predicted.sum() < 2:
-        return findings
-    numbers = np.arange(len(recording)) if rows is None else rows
-    compared = recording if rows is None else recording.rows(rows)
-    read = compared.tensions_n
-    cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
-    own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
-    if len(cables) >= 2:
-        swapped = list(_swapped(own, expected, cables))
-        if swapped:  # other findings would be of the wrong channels
-            return [*findings, *swapped]
-    findings += _stuck(compared, numbers, nominal_n, moved_n)
-    return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
-
-
-def stiffness_findings(recording: Recording, arm: Arm, nominal_n: Array) -> list[Finding]:
-    """Whether the readings are those of an arm many times as stiff, or as soft, as the nominal.
-
-    `nominal_n` (R, M) is the nominal arm's prediction. Effects of the arm file are left out.
-    """
-    rows = np.unique(np.linspace(0, len(recording) - 1, _STIFFNESS_ROWS).astype(int))
-    few, mechanism = recording.rows(rows), mechanism_of(arm)
-
-    def left_n(predicted_n: Array) -> float:
-        residual = few.tensions_n - predicted_n
-        return float((residual - residual.mean(axis=0)).std())
-
-    own_n = left_n(nominal_n[rows])
-    if own_n < _WORTH_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors))):
-        return []
-    found: dict[float, float] = {}
-    for way in (_SOFTER, _STIFFER):
-        for factor in way:
-            other = replace(
-                mechanism,
-                stiffness_n_m=factor * mechanism.stiffness_n_m,
-                cable_stiffness_n_m=factor * mechanism.cable_stiffness_n_m,
-            )
-            try:
-                rest = solve_equilibrium(other, few.command_rad, few.forces_n)
-            except EquilibriumError:
-                break  # nor does a softer one
-            found[factor] = left_n(rest.tensions_n)
-    best = min(found, key=found.__getitem__, default=1.0)
-    if found.get(best, own_n) >= _BETTER * own_n:
-        return []
-    times = f"{best:g} times as stiff" if best > 1.0 else f"{1.0 / best:g} times as soft"
-    return [
-        _warn(
-            "stiffness",
-            f"the readings fit an arm whose cables are {times} as those of arm {arm.name} "
-            f"({found[best]:.2g} N are left, not {own_n:.2g} N); see the cables' stiffness in the "
-            "arm file",
-        )
-    ]
 
 
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
@@ -374,100 +249,4 @@ def _amount(recording: Recording) -> Iterator[Finding]:
             "amount",
             f"has only {rows} rows in {trials} trials; `cablesense gap protocol` lists what to "
             "record so that effects can be told apart",
-        )
-
-
-def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
-    if arm.sensors.range_n is None:
-        return
-    low, high = arm.sensors.range_n
-    tolerance = 0.5 * arm.sensors.step_n
-    for cable, values in enumerate(read.T, start=1):
-        for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
-            if end.any():
-                yield _warn(
-                    "saturated",
-                    f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "
-                    f"{rows_named(end)}; load less, or widen the range",
-                )
-
-
-def _stuck(
-    recording: Recording, numbers: NDArray[np.int64], nominal_n: Array, moved_n: float
-) -> Iterator[Finding]:
-    """Channels that stop at one value while the prediction moves on; rows have `numbers` from 0.
-
-    Friction and slack hold a tension as well, but not from one trial to the next, as a dead
-    channel does, nor at the same maximum in one cycle of loads after another.
-    """
-    channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
-    for cable, (values, predicted) in enumerate(channels, start=1):
-        if np.ptp(values) == 0.0:  # found already
-            continue
-        edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
-        runs = [slice(start, end) for start, end in pairwise(edges)]
-        longest = max(runs, key=lambda run: run.stop - run.start)
-        trials = len(np.unique(recording.trial[longest]))
-        if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
-            yield _warn(
-                "stuck",
-                f"tension_{cable}_n stands still in rows {numbers[longest.start] + 1} to "
-                f"{numbers[longest.stop - 1] + 1}, while loads or poses change; see whether its "
-                "sensor is connected",
-            )
-            continue
-        tops = [
-            run for run in runs if values[run.start] == values.max() and run.stop - run.start >= 3
-        ]
-        at_top = np.concatenate([predicted[run] for run in tops]) if tops else np.zeros(1)
-        if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
-            highest = np.zeros(numbers[-1] + 1, dtype=bool)
-            highest[numbers[values == values.max()]] = True
-            yield _warn(
-                "saturated",
-                f"tension_{cable}_n does not exceed {values.max():g} N in "
-                f"{rows_named(highest)}, while the load on it goes on; load less, "
-                "or give the sensors' range_n in the arm file",
-            )
-
-
-def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterator[Finding]:
-    """Channels that another cable's prediction explains better, if all fit an exchange.
-
-    `own` and `predicted` (R, C) are of the C `cables`, less their means.
-    """
-    left_n = np.sqrt(((own[:, :, None] - predicted[:, None, :]) ** 2).mean(axis=0))
-    channel, cable = linear_sum_assignment(left_n)
-    moved = channel != cable
-    better = left_n[channel, cable] < _BETTER * left_n[channel, channel]
-    pairs = [
-        f"tension_{cables[i] + 1}_n reads cable_{cables[j] + 1}"
-        for i, j in zip(channel[moved & better], cable[moved & better], strict=True)
-    ]
-    if pairs and (better | ~moved).all():
-        yield _warn(
-            "swapped",
-            f"{', '.join(pairs)}, by all that loads and poses do to it; see whether the plugs or "
-            "the columns are exchanged",
-        )
-
-
-def _foreign(own: Array, predicted: Array, arm: Arm) -> Iterator[Finding]:
-    """Tensions of another arm, or in another unit; as `_swapped`."""
-    product, power = (own * predicted).sum(axis=0), (predicted**2).sum(axis=0)
-    correlation = np.median(product / np.sqrt((own**2).sum(axis=0) * power))
-    if correlation < _LEAST_CORRELATION:
-        yield _refuse(
-            "arm",
-            f"the tensions do not follow loads and poses as arm {arm.name} does (correlation "
-            f"{correlation:.2f}); give the arm file of this arm, and see that axes and signs of "
-            "loads and joints are those of the base frame",
-        )
-        return
-    scale = np.median(product / power)
-    if not _SCALES[0] <= scale <= _SCALES[1]:
-        yield _refuse(
-            "unit",
-            f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; they and "
-            "the loads must be in N",
         )

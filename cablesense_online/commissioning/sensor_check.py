@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from cablesense_gap.recordings.checks import Severity, channel_findings
+from cablesense_gap.recordings.channels import Severity, channel_findings
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_online.commissioning.sensor_statistics import (

@@ -9,14 +9,12 @@ import pytest
 from arm_variants import variant
 from gap_recordings import small_recording
 
+from cablesense_gap.recordings.channels import Finding, Severity, stiffness_findings
 from cablesense_gap.recordings.checks import (
-    Finding,
-    Severity,
     check_form,
     check_recording,
     read_recording,
     refuse_unusable,
-    stiffness_findings,
 )
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import rows_of, standard_protocol
