@@ -23,6 +23,7 @@ from cablesense_gap.diagnosis.places import (
     place,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
+from cablesense_gap.simulator import parameters_of
 from cablesense_sim.effects.effect import WHOLE_ARM
 
 Offered = Mapping[str, Sequence[tuple[LinearEffect, ...]]]
@@ -111,6 +112,15 @@ def promising(problem: Problem, screened: Sequence[Screened], best: float) -> It
     for one in screened:
         if excess(one.placed.mean_square, problem.floor) <= _PROMISING * best:
             yield replace(one, most_left=(_HOPELESS * best) ** 2 + problem.floor**2)
+
+
+def at_usual_size(problem: Problem, screened: Screened, most_left: float) -> Screened:
+    """The same in its foremost place, with every size as large as is typical."""
+    ranges, first = parameters_of(problem.simulator.candidates), screened.placed.chosen[0]
+    size = {term.parameter: float(ranges[term].role == "size") for term in first.terms}
+    sizes = np.array([size[name] for name in first.probed])
+    placed = replace(screened.placed, chosen=(first,), coefficients=sizes)
+    return replace(screened, placed=placed, most_left=most_left)
 
 
 class _Side(NamedTuple):

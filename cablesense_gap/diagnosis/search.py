@@ -22,6 +22,7 @@ from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
 from cablesense_gap.diagnosis.screening import (
     Offered,
     Screened,
+    at_usual_size,
     by_forecast,
     promising,
     screen_pairs,
@@ -176,6 +177,11 @@ class _Search:
             forecast = excess(one.placed.mean_square, problem.floor)
             if forecast <= min(_FAR_BEHIND * min(fitted, default=np.inf), _SLIGHTLY * gap):
                 self._fit(promising(problem, [one], best), "history-dependent effects", 0.6)
+        # What sticks is far from linear: the simulator has the last word on a usual size
+        unseen = {one.effects: one for one in reversed(screened) if one.effects not in self._found}
+        most = (_SLIGHTLY * self._none.held_out_rmse) ** 2
+        usual = [at_usual_size(problem, one, most) for one in unseen.values()]
+        self._fit(usual, "history-dependent effects", 0.7)
         self._refine_best(1)
         left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
         if self._is_resolved() or left <= _BARELY * problem.floor:
