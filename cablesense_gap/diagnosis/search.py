@@ -177,10 +177,7 @@ class _Search:
             forecast = excess(one.placed.mean_square, problem.floor)
             if forecast <= min(_FAR_BEHIND * min(fitted, default=np.inf), _SLIGHTLY * gap):
                 self._fit(promising(problem, [one], best), "history-dependent effects", 0.6)
-        # What sticks is far from linear: the simulator has the last word on a usual size
-        unseen = {one.effects: one for one in reversed(screened) if one.effects not in self._found}
-        most = (_SLIGHTLY * self._none.held_out_rmse) ** 2
-        usual = [at_usual_size(problem, one, most) for one in unseen.values()]
+        usual = self._unseen(screened, self._none)
         self._fit(usual, "history-dependent effects", 0.7)
         self._refine_best(1)
         left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
@@ -194,10 +191,25 @@ class _Search:
             if any(effect in expensive for effect in pair.effects)
             and problem.cost(pair.placed.mean_square, pair.placed.tolerance_chi2) < enough
         ]
-        self._fit(pairs[:_MOST_EXPENSIVE_PAIRS], "pairs with history-dependent effects", 0.8)
+        pairs = pairs[:_MOST_EXPENSIVE_PAIRS]
+        alone = [h for h in self._found.values() if h.effects in {(name,) for name in expensive}]
+        for single in sorted(alone, key=lambda h: h.held_out_rmse)[:2]:
+            known = {pair.effects for pair in pairs}
+            beside = screen_singles(problem, expensive, single)
+            pairs += self._unseen([one for one in beside if one.effects not in known], single)
+        self._fit(pairs, "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
         if not self._is_resolved() and self._may_help(expensive):
             self._select_jointly(expensive)
+
+    def _unseen(self, screened: Sequence[Screened], without: Hypothesis) -> list[Screened]:
+        """At a usual size those that were not fitted, where that alone improves on `without`.
+
+        What sticks is far from linear, so that the simulator has the last word on it.
+        """
+        unseen = {one.effects: one for one in reversed(screened) if one.effects not in self._found}
+        most_left = (_SLIGHTLY * without.held_out_rmse) ** 2
+        return [at_usual_size(self._problem, one, most_left) for one in unseen.values()]
 
     def _may_help(self, offered: Offered) -> bool:
         """Whether the best explanation has one of these, or leaves what one may do."""

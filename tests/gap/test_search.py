@@ -437,3 +437,40 @@ def test_what_depends_on_history_is_found_beside_several_others(sketch, others):
     found = best(search(problem))
     assert found.effects == ("d", "e", "f", "fading")
     assert found.values == pytest.approx(truth, rel=0.1)
+
+
+def of_the_past(effect, change):
+    candidate = Candidate(effect, ("x",), (size("amount", most=10.0),), history_dependent=True)
+    return {candidate: lambda _, numbers: change(numbers["amount"])}
+
+
+def turning(amount_):
+    """Of size four at right angles to what it does at its usual size, one."""
+    angle = 0.5 * np.pi * (amount_ - 1.0) / 3.0
+    return amount_ * (np.cos(angle) * SIGNALS[4] + np.sin(angle) * SIGNALS[5])
+
+
+def test_what_is_unlike_itself_at_its_usual_size_is_found():
+    truth = {TURNING: 4.0}
+    problem = problem_of(Sums(PLAIN | of_the_past("turning", turning)), truth)
+    assert best(search(problem)).values == pytest.approx(truth, rel=0.02)
+
+
+class Masked(Sums):
+    """Creep shows elsewhere beside what turns: there it resembles a gain."""
+
+    def _one(self, variant):
+        total, creep = super()._one(variant), variant.get(CREEP, 0.0)
+        masked = abs(variant.get(TURNING, 0.0)) > 0.5
+        shown = 0.8 * SIGNALS[0] + 0.6 * SIGNALS[7]
+        return total + creep * (shown - SIGNALS[6]) if masked else total
+
+
+CREEP, TURNING = amount("creep", "x"), amount("turning", "x")
+
+
+def test_what_another_effect_masks_is_found_beside_it():
+    library = PLAIN | of_the_past("creep", lambda amount_: amount_ * SIGNALS[6])
+    truth = {CREEP: 6.0, TURNING: 4.0}
+    problem = problem_of(Masked(library | of_the_past("turning", turning)), truth)
+    assert best(search(problem)).values == pytest.approx(truth, rel=0.02)
