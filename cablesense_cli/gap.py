@@ -14,6 +14,7 @@ from cablesense_cli.adapt import adapt
 from cablesense_cli.blind import score, withhold
 from cablesense_cli.gap_robot import (
     BandwidthOption,
+    ForwardOption,
     ModelOption,
     diagnose_robot,
     predict_robot,
@@ -43,6 +44,7 @@ def diagnose(
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
+    forward: ForwardOption = None,
     workers: WorkersOption = 2,
     force: ForceOption = False,
     json_output: JsonOption = False,
@@ -51,7 +53,8 @@ def diagnose(
 
     Writes the verdict, a report to read, and an amended arm file that the sim, the training and
     `gap predict` take as they take any other. Of another robot, give its --model; the recording
-    then has columns position.<joint> and torque.<joint>, and the model is amended.
+    then has columns position.<joint>, and torque.<joint> or command.<actuator>, and the model is
+    amended.
 
     Examples: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold],
     [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
@@ -59,10 +62,17 @@ def diagnose(
     if model is not None:
         refuse_given(context, ["arm"], "with --model")
         diagnose_robot(
-            recording, model, out, bandwidth, workers, force=force, json_output=json_output
+            recording,
+            model,
+            out,
+            bandwidth,
+            forward,
+            workers,
+            force=force,
+            json_output=json_output,
         )
         return
-    refuse_given(context, ["bandwidth"], "without --model")
+    refuse_given(context, ["bandwidth", "forward"], "without --model")
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
@@ -109,6 +119,7 @@ def predict(
     ] = "cdsm_lab",
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
+    forward: ForwardOption = None,
     settle: Annotated[
         int,
         typer.Option(
@@ -128,9 +139,11 @@ def predict(
     """
     if model is not None:
         refuse_given(context, ["arm", "settle"], "with --model")
-        predict_robot(recording, model, out, bandwidth, force=force, json_output=json_output)
+        predict_robot(
+            recording, model, out, bandwidth, forward, force=force, json_output=json_output
+        )
         return
-    refuse_given(context, ["bandwidth"], "without --model")
+    refuse_given(context, ["bandwidth", "forward"], "without --model")
     from cablesense_base import CableSenseError
     from cablesense_gap.arm_simulator import counted_rows, find_amended
     from cablesense_gap.recordings.checks import read_recording

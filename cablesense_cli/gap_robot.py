@@ -26,6 +26,15 @@ BandwidthOption = Annotated[
         show_default="as wide as noise lets it be",
     ),
 ]
+ForwardOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--forward/--inverse",
+        help="With --model: compare motion, forward in time over short windows, or the torques "
+        "that motion needs.",
+        show_default="forward where commands and no torques are recorded",
+    ),
+]
 
 
 def diagnose_robot(
@@ -33,6 +42,7 @@ def diagnose_robot(
     model: Path,
     out: Path,
     bandwidth_hz: float | None,
+    forward: bool | None,
     workers: int,
     *,
     force: bool,
@@ -54,7 +64,7 @@ def diagnose_robot(
         def show(doing: str, done: float) -> None:
             progress.update(task, description=doing.replace("_", " "), completed=done)
 
-        found = diagnose(recorded, robot, beside, bandwidth_hz, show, workers)
+        found = diagnose(recorded, robot, beside, bandwidth_hz, show, workers, forward)
     write_robot_diagnosis(out, found, beside)
     if json_output:
         print_json(found.verdict.model_dump(mode="json", exclude_none=True))
@@ -70,6 +80,7 @@ def predict_robot(
     model: Path,
     out: Path,
     bandwidth_hz: float | None,
+    forward: bool | None,
     *,
     force: bool,
     json_output: bool,
@@ -81,18 +92,17 @@ def predict_robot(
 
     robot, beside = load_amended(model)
     output_file(out, force=force, inputs=(recording, robot.path))
-    found = predicted(read_recording(recording, robot), robot, beside, bandwidth_hz)
+    found = predicted(read_recording(recording, robot), robot, beside, bandwidth_hz, forward)
     write_prediction(out, found)
     if json_output:
         gaps = {name: gap for name, _, gap, _ in found.gaps}
-        print_json({"out": str(out), "rows": len(found.time_s), "gap": gaps})
+        print_json({"out": str(out), "rows": len(found.predicted), "gap": gaps})
         return
     sizes = ", ".join(
         f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in found.gaps
     )
     Console().print(
-        f"{out}: {len(found.time_s)} rows at a bandwidth of {found.bandwidth_hz:.3g} Hz; RMS from "
-        f"what was measured, of its RMS: {sizes}",
+        f"{out}: {found.comparison.said} RMS from what was measured, of its RMS: {sizes}",
         soft_wrap=True,
     )
 
@@ -113,8 +123,8 @@ def print_robot_protocol(model: Path, out: Path | None, *, force: bool) -> None:
     console = Console()
     console.print(table)
     console.print(
-        "Record position.<joint> and torque.<joint> at 100 Hz or more; smaller ranges will do "
-        "where there is no room.",
+        "Record position.<joint>, and torque.<joint> or command.<actuator>, at 100 Hz or more; "
+        "smaller ranges will do where there is no room.",
         style="dim",
     )
     if out is not None:

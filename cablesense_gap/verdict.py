@@ -51,6 +51,7 @@ ParameterName = Annotated[
 ]
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-/]+$")]
 """A robot's joints and bodies have their model's names."""
+ChannelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-/.]+$")]
 
 
 class Where(FilePart):
@@ -222,6 +223,7 @@ class Verdict(FilePart):
         unit: of all sizes with `_n` at their ends; N of an arm. Channels of a robot are each in
             units of their floor, `floors`.
         channels: of a robot, the gap at each joint in its own unit.
+        compared: of a robot, what was compared and how, as a sentence.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
         rows: of the recording.
@@ -253,7 +255,8 @@ class Verdict(FilePart):
     rows_counted: Rows | None = None
     arm: str = ""
     unit: str = "N"
-    channels: dict[PlaceName, Channel] = Field(default_factory=dict)
+    channels: dict[ChannelName, Channel] = Field(default_factory=dict)
+    compared: str = ""
 
     @model_validator(mode="after")
     def _probabilities_are_of_one_truth(self) -> Verdict:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
 from cablesense_robot.model import Change, Robot
-from cablesense_robot.motion import Course
+from cablesense_robot.motion import Course, Motion
 
 _CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
@@ -149,6 +149,39 @@ class InverseDynamics:
     def __getstate__(self) -> dict[str, object]:
         """Without what is worked out again."""
         return {**self.__dict__, "_cached": {}, "_slides": {}}
+
+
+class InverseComparison:
+    """Torques of those joints that have one, see `Comparison`.
+
+    Where a joint is at rest, readings and predictions are zero alike; units are such that noise
+    alone has a root mean square of one over all rows.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._motion, self._dynamics = motion, InverseDynamics(robot, motion)
+        self._joints = joints = np.flatnonzero(motion.counts.any(0))
+        self.names = tuple(robot.joints[j] for j in joints)
+        self.columns = tuple(f"torque.{name}" for name in self.names)
+        self.units = tuple(robot.torque_units[j] for j in joints)
+        self.floor = motion.floor[joints]
+        told = motion.compared(np.ones_like(motion.torque))[:, joints]
+        self.noise = self.floor * np.sqrt((told**2).mean(0))
+        self.readings = self._compared(motion.torque)
+        self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
+        self.said = (
+            f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
+            f"Hz, in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
+            f"{len(self.trial):,} rows."
+        )
+
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""
+        return self._compared(self._dynamics.torques(change))
+
+    def _compared(self, torque: Array) -> Array:
+        return self._motion.compared(torque)[:, self._joints]
 
 
 def inverse_dynamics(

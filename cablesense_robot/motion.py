@@ -10,7 +10,7 @@ its torques are taken out of both before that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import mujoco
 import numpy as np
@@ -32,7 +32,7 @@ _LIGHTER = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
 _POWER_SHARE, _MOTION_SHARE, _HARMONICS = 0.95, 0.9, 2.0
 """Shares of the power of torques and of speeds; friction has harmonics of the motion."""
-_LEAST_FLOOR = 0.005
+LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
 _SLOW_SHARE = 0.02
 """Of a joint's usual speed; slower is standing still, as far as friction is concerned."""
@@ -75,6 +75,23 @@ class Course:
 
 
 @dataclass(frozen=True)
+class Driven:
+    """What drives one trial, (T, …) rows at one rate; without commands where torques are read."""
+
+    time_s: Array
+    torque: Array
+    command: Array | None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Densities (J,), by hertz."""
+
+    position: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
 class Motion(Course):
     """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
 
@@ -90,6 +107,11 @@ class Motion(Course):
         compared_hz: bandwidth of the comparison.
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
         compared_trial, compared_time_s: (Q,) of those.
+        forward: whether the comparison is to go forward in time.
+        driven: by trial, at the recording's rate: times, drives' torques (T, J), and, where these
+            are what the model's actuators make of them, commands (T, A).
+        noise: of what was measured.
+        inertia: (J,) that each joint feels alone.
     """
 
     torque: Array
@@ -104,6 +126,10 @@ class Motion(Course):
     passes: tuple[Array, ...]
     compared_trial: NDArray[np.int64]
     compared_time_s: Array
+    forward: bool
+    driven: tuple[Driven, ...]
+    noise: Noise
+    inertia: Array
 
     def slid(self, joint: int, presliding: float) -> Array:
         """As of a course; between rows a joint may turn round, so it goes the whole path."""
@@ -113,7 +139,9 @@ class Motion(Course):
         for path in self.paths:
             share = _dahl(path[:, joint], presliding)
             smooth = smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)
-            found.append(smooth[_inner(len(path), self.rate_hz, self.smoothed_hz)][:: self.step])
+            found.append(
+                smooth[inner_rows(len(path), self.rate_hz, self.smoothed_hz)][:: self.step]
+            )
         return np.concatenate(found)
 
     def compared(self, torque: Array) -> Array:
@@ -124,27 +152,29 @@ class Motion(Course):
         return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
 
 
-def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None = None) -> Motion:
+def prepared(
+    recording: RobotRecording,
+    robot: Robot,
+    bandwidth_hz: float | None = None,
+    forward: bool | None = None,
+) -> Motion:
     """The recording's motion and torques; by default compared as far as torques have power.
+
+    Without torques those count that the model's actuators make of the commands, and, unless asked
+    otherwise, the comparison goes forward.
 
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
     """
     trials = _evenly_sampled(recording)
     rate_hz = 1.0 / trials[0].interval_s
-    with_torque = np.isfinite(recording.torque).any(axis=0)
-    by_command = not with_torque.any()
-    if by_command and not (recording.command.size and np.isfinite(recording.command).all()):
-        raise RecordingError(
-            f"{recording.name}: has neither torque.<joint> nor the commands of all actuators; "
-            "a comparison by inverse dynamics needs either"
-        )
     most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
-    drive = [t.command if by_command else t.torque for t in trials]
+    by_command = not np.isfinite(recording.torque).any()
+    if by_command:
+        _check_commands(recording, robot)
+        trials = [replace(t, torque=_commanded(robot, t, most_hz)) for t in trials]
     if bandwidth_hz is None:
-        compared_hz = float(
-            np.clip(_of_power(trials, drive, rate_hz), smoothing.LEAST_HZ, most_hz)
-        )
+        compared_hz = float(np.clip(_of_power(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
         compared_hz = bandwidth_hz
     else:
@@ -164,7 +194,7 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
     )
     speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
     slow = _slow(trials, rate_hz, smoothed_hz, speed_noise)
-    parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot, by_command) for t in trials]
+    parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot) for t in trials]
     joined = {
         f.name: np.concatenate([getattr(p, f.name)[::step] for p in parts])
         for f in fields(_Smoothed)
@@ -190,7 +220,7 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
     return Motion(
         **joined,
         counts=counts,
-        floor=np.maximum(floor, _LEAST_FLOOR * scale.torque),
+        floor=np.maximum(floor, LEAST_FLOOR * scale.torque),
         scale=scale,
         paths=tuple(smoothing.smoothed(t.position, rate_hz, smoothed_hz) for t in trials),
         rate_hz=rate_hz,
@@ -200,6 +230,12 @@ def prepared(recording: RobotRecording, robot: Robot, bandwidth_hz: float | None
         passes=passes,
         compared_trial=trial[kept],
         compared_time_s=joined["time_s"][kept],
+        forward=by_command if forward is None else forward,
+        driven=tuple(
+            Driven(t.time_s, t.torque, t.command if by_command else None) for t in trials
+        ),
+        noise=noise,
+        inertia=inertia,
     )
 
 
@@ -219,14 +255,6 @@ class _Smoothed(Course):
 
     torque: Array
     moving: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Densities (J,), by hertz."""
-
-    position: Array
-    torque: Array
 
 
 def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
@@ -266,14 +294,35 @@ def _cleared(torque: Array) -> Array:
     return np.where(off > _GLITCH_DEVIATIONS * usual, middle, torque)
 
 
-def _of_power(trials: Sequence[_Trial], drive: Sequence[Array], rate_hz: float) -> float:
+def _check_commands(recording: RobotRecording, robot: Robot) -> None:
+    if not (recording.command.size and np.isfinite(recording.command).all()):
+        raise RecordingError(
+            f"{recording.name}: has neither torque.<joint> nor the commands of all actuators; "
+            "a comparison needs either"
+        )
+    if robot.model.na:
+        raise RecordingError(
+            f"{recording.name}: has no torque.<joint>, and actuators of {robot.path.name} have a "
+            "state of their own, which nothing records; record torques"
+        )
+
+
+def _commanded(robot: Robot, trial: _Trial, most_hz: float) -> Array:
+    """(T, J) what the actuators make of a trial's commands."""
+    rate_hz = 1.0 / trial.interval_s
+    position = smoothing.smoothed(trial.position, rate_hz, most_hz)
+    return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
+
+
+def _of_power(trials: Sequence[_Trial], rate_hz: float) -> float:
     """The frequency up to which torques are compared: a multiple of that of the motion.
 
     Where torques have their power below that, it is theirs; noise has no part in either. Above it
     is what drives and controllers do against noise and resonances, which no motion shows.
     """
     moved = np.median(_reached([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
-    return _HARMONICS * float(min(moved, _reached(drive, rate_hz, _POWER_SHARE, 0).max()))
+    torques = _reached([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
+    return _HARMONICS * float(min(moved, torques.max()))
 
 
 def _reached(signals: Sequence[Array], rate_hz: float, share: float, derivative: int) -> Array:
@@ -286,7 +335,7 @@ def _reached(signals: Sequence[Array], rate_hz: float, share: float, derivative:
     return frequency[(power < share * power[-1]).sum(0)]
 
 
-def _noise(trials: Sequence[_Trial], rate_hz: float) -> _Noise:
+def _noise(trials: Sequence[_Trial], rate_hz: float) -> Noise:
     """Median over the longer trials of what positions and torques have in the upper half."""
     longest = max(len(t.position) for t in trials)
     long = [t for t in trials if len(t.position) >= 0.5 * longest]
@@ -294,7 +343,7 @@ def _noise(trials: Sequence[_Trial], rate_hz: float) -> _Noise:
     for signals in ([t.position for t in long], [t.torque for t in long]):
         each = [smoothing.noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
         densities.append(np.median(each, axis=0))
-    return _Noise(*densities)
+    return Noise(*densities)
 
 
 def _inertia(robot: Robot, position: Array) -> Array:
@@ -311,7 +360,7 @@ def _inertia(robot: Robot, position: Array) -> Array:
 
 
 def _widest(
-    noise: _Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
+    noise: Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
 ) -> float:
     """As wide as accelerations, compared, stay below the torques' noise, or 1 % of the torques."""
     torque = np.concatenate([t.torque for t in trials])
@@ -342,7 +391,6 @@ def _of_trial(
     smoothed_hz: float,
     slow: Array,
     robot: Robot,
-    by_command: bool,
 ) -> _Smoothed:
     def filtered(signal: Array) -> Array:
         return smoothing.smoothed(signal, rate_hz, smoothed_hz)
@@ -350,12 +398,8 @@ def _of_trial(
     position = filtered(trial.position)
     speed, acceleration = smoothing.derivatives(position, rate_hz)
     direction = filtered(np.clip(speed / slow, -1.0, 1.0))
-    torque = (
-        _actuated(robot, position, speed, filtered(trial.command))
-        if by_command
-        else filtered(trial.torque)
-    )
-    inner = _inner(len(position), rate_hz, smoothed_hz)
+    torque = filtered(trial.torque)
+    inner = inner_rows(len(position), rate_hz, smoothed_hz)
     return _Smoothed(
         trial=np.full(len(position), trial.number)[inner],
         time_s=trial.time_s[inner],
@@ -369,7 +413,7 @@ def _of_trial(
     )
 
 
-def _inner(count: int, rate_hz: float, smoothed_hz: float) -> slice:
+def inner_rows(count: int, rate_hz: float, smoothed_hz: float) -> slice:
     """Rows without those at both ends where the filter has one side."""
     edge = min(round(rate_hz / smoothed_hz), count // 3)
     return slice(edge, count - edge)
@@ -386,7 +430,7 @@ def _dahl(position: Array, presliding: float) -> Array:
     return np.array(found)
 
 
-def _actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
+def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
     """(T, J) what the model's actuators make of commands."""
     model, data = robot.model, mujoco.MjData(robot.model)
     found = np.empty_like(position)

@@ -26,7 +26,7 @@ from cablesense_robot.model import Robot
 from cablesense_robot.motion import Motion, prepared
 from cablesense_robot.protocol import next_experiment
 from cablesense_robot.recording import RobotRecording
-from cablesense_robot.simulator import RobotSimulator
+from cablesense_robot.simulator import Comparison, RobotSimulator
 
 UNIT = "floors"
 FOLDS = 5
@@ -37,12 +37,13 @@ _FAR_OFF = 3.0
 
 @dataclass(frozen=True)
 class RobotDiagnosis:
-    """A verdict, and torques measured and predicted.
+    """A verdict, and what is compared, measured and predicted.
 
     Attributes:
         amended: effects of the verdict and tolerances, as fitted.
-        measured, before, after: (Q, C) compared torques in their own units; after by fits that
-            have not seen the trial.
+        comparison: by which rows and channels.
+        before, after: (Q, C) predicted, in the channels' units; after by fits that have not seen
+            the trial.
         findings: what was done to recording and model, and what is doubtful, as sentences.
     """
 
@@ -50,8 +51,7 @@ class RobotDiagnosis:
     motion: Motion
     verdict: Verdict
     amended: dict[Term, float]
-    channels: tuple[str, ...]
-    measured: Array
+    comparison: Comparison
     before: Array
     after: Array
     findings: tuple[str, ...]
@@ -64,18 +64,21 @@ def diagnose(
     bandwidth_hz: float | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
+    forward: bool | None = None,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its model.
 
-    `beside` are effects that an amended model lists beside its MJCF.
+    `beside` are effects that an amended model lists beside its MJCF; `forward` says whether to
+    compare forward in time, by default where commands and no torques are recorded.
 
     Raises:
         RecordingError: the recording cannot be compared.
     """
     began = time.monotonic()
     progress("smoothing", 0.0)
-    motion = prepared(recording, robot, bandwidth_hz)
+    motion = prepared(recording, robot, bandwidth_hz, forward)
     simulator = RobotSimulator(robot, motion, beside or {})
+    comparison = simulator.comparison
     problem = problem_of(simulator)
     calibration = bundled_calibration()
     hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
@@ -115,31 +118,31 @@ def diagnose(
         rows_used=len(problem.trial),
         arm=robot.name,
         unit=UNIT,
-        channels=_channels(simulator, before, after),
+        channels=_channels(comparison, before, after),
+        compared=comparison.said,
     )
     progress("done", 1.0)
-    unit = simulator.unit
     return RobotDiagnosis(
         robot=robot,
         motion=motion,
         verdict=verdict,
         amended={**values, **explained.tolerances},
-        channels=tuple(robot.joints[j] for j in simulator.channels),
-        measured=problem.readings * unit,
-        before=problem.nominal * unit,
-        after=explained.held_out * unit,
+        comparison=comparison,
+        before=problem.nominal * comparison.noise,
+        after=explained.held_out * comparison.noise,
         findings=(
             *recording.notes,
-            *robot.left_out,
+            *(() if motion.forward else robot.left_out),
+            *beyond_range(recording, robot),
             *doubtful(simulator, problem.nominal),
-            _compared(motion),
+            comparison.said,
         ),
     )
 
 
 def problem_of(simulator: RobotSimulator) -> Problem:
     """The recording as the search works on it; all rows count."""
-    trial = simulator.motion.compared_trial
+    trial = simulator.comparison.trial
     count = int(trial.max()) + 1
     fold = np.arange(count) % min(FOLDS, count)
     return prepare(simulator, simulator.readings, trial, fold, np.ones(len(trial), dtype=bool))
@@ -158,9 +161,9 @@ def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
 
 
 def doubtful(simulator: RobotSimulator, predicted: Array) -> list[str]:
-    """Torques that follow the model's (Q, C), but with another sign or in another unit."""
+    """Channels that follow the model's (Q, C), but with another sign or in another unit."""
     found = []
-    for c, j in enumerate(simulator.channels):
+    for c, column in enumerate(simulator.comparison.columns):
         measured, nominal = simulator.readings[:, c], predicted[:, c]
         own, theirs = float(np.linalg.norm(measured)), float(np.linalg.norm(nominal))
         if own * theirs == 0.0:
@@ -169,18 +172,23 @@ def doubtful(simulator: RobotSimulator, predicted: Array) -> list[str]:
         ratio = own / theirs * float(np.sign(alike))
         if abs(alike) > _FOLLOWS and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
             found.append(
-                f"torque.{simulator.robot.joints[j]} is {ratio:.2g} times what the model says: "
-                "is its sign or unit another?"
+                f"{column} is {ratio:.2g} times what the model says: is its sign or unit another?"
             )
     return found
 
 
-def _compared(motion: Motion) -> str:
-    return (
-        f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} Hz, "
-        f"in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
-        f"{len(motion.compared_trial):,} rows."
-    )
+def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
+    """Commands that the model's actuators clip, where they drive what is compared."""
+    if np.isfinite(recording.torque).any():
+        return []
+    low, high = robot.model.actuator_ctrlrange.T
+    most, least = recording.command.max(0), recording.command.min(0)
+    clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
+    return [
+        f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
+        f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
+        for a in np.flatnonzero(clipped)
+    ]
 
 
 def _where(robot: Robot, values: Mapping[Term, float]) -> Where:
@@ -192,17 +200,12 @@ def _where(robot: Robot, values: Mapping[Term, float]) -> Where:
     )
 
 
-def _channels(simulator: RobotSimulator, before: Array, after: Array) -> dict[str, Channel]:
-    robot, motion = simulator.robot, simulator.motion
-    sizes = [np.sqrt((each**2).mean(0)) for each in (before, after)]
+def _channels(comparison: Comparison, before: Array, after: Array) -> dict[str, Channel]:
+    sizes = [np.sqrt((each**2).mean(0)) * comparison.floor for each in (before, after)]
+    columns = zip(comparison.names, comparison.units, *sizes, comparison.floor, strict=True)
     return {
-        robot.joints[j]: Channel(
-            unit=robot.torque_units[j],
-            before=float(sizes[0][c] * motion.floor[j]),
-            after=float(sizes[1][c] * motion.floor[j]),
-            floor=float(motion.floor[j]),
-        )
-        for c, j in enumerate(simulator.channels)
+        name: Channel(unit=unit, before=float(b), after=float(a), floor=float(floor))
+        for name, unit, b, a, floor in columns
     }
 
 
@@ -217,6 +220,5 @@ def _unlisted(
         f"Tolerances alone leave {none.held_out_rmse:.3g} floors on trials that were not fitted; "
         f"the best that listed effects do is {best.held_out_rmse:.3g} floors "
         f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
-        f"Most is left at {simulator.robot.joints[simulator.channels[worst]]}: "
-        f"{left[worst]:.3g} floors.",
+        f"Most is left at {simulator.comparison.names[worst]}: {left[worst]:.3g} floors.",
     )

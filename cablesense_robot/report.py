@@ -97,9 +97,10 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
         if named
         else [],
         "verdict": verdict,
-        "trials": int(found.motion.trial.max()) + 1,
+        "trials": int(found.comparison.trial.max()) + 1,
         "folder": folder,
         "findings": found.findings,
+        "forward": found.motion.forward,
         "overlay": overlay,
         "bars": gap_bars(verdict),
         "steps": steps(verdict),
@@ -116,31 +117,29 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
 
 
 def _overlay(found: RobotDiagnosis) -> str:
-    """Torques of the trial with the largest gap, joint by joint."""
+    """The trial with the largest gap, channel by channel."""
     import matplotlib.pyplot as plt
 
-    motion, verdict = found.motion, found.verdict
-    unit = np.array([verdict.channels[name].floor for name in found.channels])
-    gap = (((found.measured - found.before) / unit) ** 2).sum(1)
-    worst = int(np.bincount(motion.compared_trial, gap).argmax())
-    rows = motion.compared_trial == worst
+    compared = found.comparison
+    gap = (((compared.readings - found.before) / compared.floor) ** 2).sum(1)
+    worst = int(np.bincount(compared.trial, gap).argmax())
+    rows = compared.trial == worst
     figure, axes = plt.subplots(
-        len(found.channels), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(found.channels)),
+        len(compared.names), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
         sharex=True, squeeze=False, layout="constrained",
     )  # fmt: skip
     drawn = [
-        (found.measured, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
+        (compared.readings, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
     ]  # fmt: skip
     if not np.allclose(found.before, found.after):
         drawn.append((found.after, AFTER, 1.2, "amended model"))
-    for c, name in enumerate(found.channels):
+    for c, name in enumerate(compared.names):
         panel = axes[c, 0]
-        for torque, colour, width, label in drawn:
-            panel.plot(
-                motion.compared_time_s[rows], torque[rows, c], color=colour, lw=width, label=label
-            )
+        for values, colour, width, label in drawn:
+            time_s, own = compared.time_s[rows], values[rows, c]
+            panel.plot(time_s, own, color=colour, lw=width, label=label)
         panel.set_title(name, pad=2)
-        panel.set_ylabel(verdict.channels[name].unit)
+        panel.set_ylabel(compared.units[c])
         panel.grid(axis="y")
     axes[-1, 0].set_xlabel("time, s")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)

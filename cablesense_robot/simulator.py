@@ -1,57 +1,90 @@
-"""A robot as the diagnosis simulates it: a `Simulator` of the torques that a motion needs."""
+"""A robot as the diagnosis simulates it: a `Simulator` of what its motion is compared by."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.simulator import Assignment
+from cablesense_gap.simulator import Assignment, Candidate
 from cablesense_robot.catalogue import candidate, changed, known_effects
-from cablesense_robot.inverse import InverseDynamics
-from cablesense_robot.model import Robot, RobotError
+from cablesense_robot.effects.effect import PRESLIDING, Effect
+from cablesense_robot.forward import ForwardComparison
+from cablesense_robot.inverse import InverseComparison
+from cablesense_robot.model import Change, Robot, RobotError
 from cablesense_robot.motion import Motion
 
 
-class RobotSimulator:
-    """Torques of those joints that have one, each in units of its own floor.
+class Comparison(Protocol):
+    """Q rows of C channels that were measured, and that variants of a robot predict.
 
-    Where a joint is at rest, readings and predictions are zero alike; units are such that noise
-    alone has a root mean square of one over all rows.
+    Attributes:
+        names, columns, units: of the channels, as verdicts and as tables call them.
+        floor: (C,) what noise leaves of any model.
+        noise: (C,) the same, over all rows, of which some may tell nothing of a channel.
+        readings: (Q, C) in those units.
+        trial, time_s: (Q,).
+        said: how it is compared, as a sentence.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[str, ...]
+    units: tuple[str, ...]
+    floor: Array
+    noise: Array
+    readings: Array
+    trial: NDArray[np.int64]
+    time_s: Array
+    said: str
+
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""
+
+
+class RobotSimulator:
+    """What is compared, each channel in units of its own floor.
 
     Attributes: see `Simulator`, and
-        channels: (C,) numbers of the joints whose torque is compared.
-        readings: (R, C) as measured.
-        unit: (C,) of each channel, N·m or N.
+        comparison: what is compared, in its own units.
+        readings: (Q, C) as measured.
     """
 
     floor = 1.0
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is what was measured, `listed` are effects that the nominal robot has."""
-        self.robot, self.motion, self._listed = robot, motion, dict(listed)
+        self.robot, self._listed = robot, dict(listed)
+        self.comparison: Comparison = (
+            ForwardComparison(robot, motion)
+            if motion.forward
+            else InverseComparison(robot, motion)
+        )
         effects = known_effects().values()
-        offered = [(e, candidate(e, robot, motion.scale)) for e in effects]
+        offered = [(e, self._candidate(e, motion)) for e in effects]
         self.candidates = tuple(c for e, c in offered if not e.tolerance and c.places)
         self.tolerances = tuple(c for e, c in offered if e.tolerance)
-        self.channels = np.flatnonzero(motion.counts.any(0))
-        told = motion.compared(np.ones_like(motion.torque))[:, self.channels]
-        self.unit = motion.floor[self.channels] * np.sqrt((told**2).mean(0))
-        self._dynamics = InverseDynamics(robot, motion)
-        self.readings = self._as_channels(motion.torque)
+        self.readings = self.comparison.readings / self.comparison.noise
+
+    def _candidate(self, effect: Effect, motion: Motion) -> Candidate:
+        """As it is offered; forward in time friction is MuJoCo's, which gives no way."""
+        found = candidate(effect, self.robot, motion.scale)
+        if not motion.forward:
+            return found
+        return replace(
+            found, parameters=tuple(p for p in found.parameters if p.name != PRESLIDING)
+        )
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """Channels (P, R, C)."""
+        """Channels (P, Q, C)."""
         return np.array([self._predicted(variant) for variant in variants])
 
     def _predicted(self, variant: Assignment) -> Array:
         try:
-            return self._as_channels(
-                self._dynamics.torques(changed(self.robot, [self._listed, variant]))
-            )
+            change = changed(self.robot, [self._listed, variant])
+            return self.comparison.predicted(change) / self.comparison.noise
         except RobotError:
             return np.full(self.readings.shape, np.nan)
-
-    def _as_channels(self, torque: Array) -> Array:
-        return np.asarray(self.motion.compared(torque)[:, self.channels] / self.unit)

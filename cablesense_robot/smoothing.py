@@ -76,6 +76,20 @@ def noise_of_smoothed(density: Array, *bandwidths_hz: float) -> Array:
     return np.asarray(np.sqrt(density * through.sum() * frequency[1]))
 
 
+def noise_of_drift(density: Array, over_s: float, bandwidth_hz: float) -> tuple[Array, Array]:
+    """What positions' white noise makes of a course from smoothed states, after a time.
+
+    Standard deviations of where free motion from the first state ends, less the last state:
+    position and speed.
+    """
+    frequency, through = _through([bandwidth_hz])
+    w = 2.0 * np.pi * frequency
+    later = np.exp(1j * w * over_s) - 1.0
+    gains = np.abs(later - 1j * w * over_s) ** 2, w**2 * np.abs(later) ** 2
+    of_position, of_speed = ((through * gain).sum() * frequency[1] for gain in gains)
+    return np.sqrt(density * of_position), np.sqrt(density * of_speed)
+
+
 def _through(bandwidths_hz: Sequence[float]) -> tuple[Array, Array]:
     frequency = np.linspace(0.0, 6.0 * max(bandwidths_hz), 2000)
     gains = [1.0 / (1.0 + (frequency / each) ** 6) for each in bandwidths_hz]

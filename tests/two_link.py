@@ -19,6 +19,10 @@ XML = """
       </body>
     </body>
   </worldbody>
+  <actuator>
+    <motor name="shoulder" joint="shoulder"/>
+    <motor name="elbow" joint="elbow"/>
+  </actuator>
 </mujoco>
 """
 JOINTS = ("shoulder", "elbow")
@@ -73,8 +77,8 @@ def motion(rng, seconds=4.0):
     return time_s, *found
 
 
-def recorded(path, seed=0, trials=6, read=lambda torque: torque, **planted):
-    """A CSV of the pendulum with encoders of 0.1 mrad and 10 mN·m of noise in the torques."""
+def recorded(path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, **planted):
+    """A CSV of the pendulum with encoders of 0.1 mrad."""
     rng = np.random.default_rng(seed)
     tables = []
     for trial in range(trials):
@@ -84,7 +88,7 @@ def recorded(path, seed=0, trials=6, read=lambda torque: torque, **planted):
         for j, joint in enumerate(JOINTS):
             columns[f"position.{joint}"] = np.round(position[:, j] * 1e4) / 1e4
             columns[f"velocity.{joint}"] = speed[:, j]
-            columns[f"torque.{joint}"] = torque[:, j] + rng.normal(0.0, 0.01, len(time_s))
+            columns[f"torque.{joint}"] = torque[:, j] + rng.normal(0.0, noise_n_m, len(time_s))
         tables.append(pd.DataFrame(columns))
     pd.concat(tables).to_csv(path, index=False)
     return path
