@@ -26,7 +26,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtri
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
@@ -99,6 +98,9 @@ class PlausibilityCheck:
         if not largest_misfit:
             self.unchecked = "switched off (largest_misfit is 0)"
         self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * range_n
+        several = model is not None and model.kind == "multi-contact"
+        most = arm.segment_count if several else 1
+        self._limits = _limits(largest_misfit, arm.cable_count, most)
         self._cable_names = arm.cable_names
         self.withheld_until_ns = self.misfit_since_ns = 0
         self.misfit = self._worst = 0.0
@@ -178,7 +180,7 @@ class PlausibilityCheck:
         if len(contacts) > 1:
             contacts = sorted(contacts, key=lambda contact: contact.segment)
         segments = tuple([contact.segment for contact in contacts])
-        largest = self._limit(segments)
+        largest = self._limits[len(segments)]
         told_n = [c.magnitude_n * part for c in contacts for part in c.direction]
         self._fit = fit = self._fits.best(difference_n, segments, told_n, largest)
         if fit is None:
@@ -189,19 +191,6 @@ class PlausibilityCheck:
         if (off_n := math.dist(fit.force_n, told_n)) > FORCE_OFF_N:
             return f"the estimate lies {off_n:.1f} N from {_on(segments)} that would fit"
         return "" if fit.holds else self._slack_text(fit, _on(segments))
-
-    def _limit(self, segments: Sequence[int]) -> float:
-        """The largest misfit that passes with contacts on these segments.
-
-        It is stated for one. What is left over of fewer readings varies more: of noise alone
-        (M - 2 K) misfit² is above its chi-square's quantile equally rarely.
-        """
-        if len(segments) == 1:
-            return self._largest
-        count = len(self._cable_names)
-        free = np.array([max(count - 2 * len(segments), 1), max(count - 2, 1)])
-        several, one = chdtri(free, _RARE) / free
-        return self._largest * math.sqrt(several / one)
 
     def _slack_text(self, fit: Fit, where: str) -> str:
         """Which cable reads slack that would not be under the forces that fit all others."""
@@ -265,7 +254,7 @@ class PlausibilityCheck:
 
     def _hidden(self, fit: Fit, difference_n: Array) -> str:
         """Which cables' readings no others confirm in a contact, as text; else empty."""
-        hidden_n = fit.hidden_n(difference_n, self._limit(fit.pose.segments))
+        hidden_n = fit.hidden_n(difference_n, self._limits[len(fit.pose.segments)])
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
             return ""
@@ -283,7 +272,7 @@ class PlausibilityCheck:
         segments = fit.pose.segments
         if len(segments) == 1:
             return ""
-        largest = self._limit(segments)
+        largest = self._limits[len(segments)]
         for two in combinations(range(len(difference_n)), 2):
             here, there = list(two), list(two[::-1])
             other_n, taut = difference_n + self._fits.unloaded_n, fit.response.taut.copy()
@@ -310,7 +299,7 @@ class PlausibilityCheck:
         count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
         spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
-        largest = self._limit(steady.segments) * spread_n / self._fits.spread_n
+        largest = self._limits[len(steady.segments)] * spread_n / self._fits.spread_n
         mean_n = steady.sum_n / count
         fit = self._fits.best(mean_n, steady.segments, steady.force_n, largest)
         if fit is not None and fit.misfit > largest:
@@ -384,6 +373,21 @@ def _on(segments: Sequence[int]) -> str:
     if len(segments) == 1:
         return f"a force on segment {segments[0]}"
     return f"forces on segments {', '.join(map(str, segments))}"
+
+
+def _limits(of_one: float, cables: int, most: int) -> list[float]:
+    """The largest misfit that passes with so many contacts, up to `most`.
+
+    It is stated for one, and holds without any. What is left over of fewer readings varies more:
+    of noise alone (M - 2 K) misfit² is above its chi-square's quantile equally rarely.
+    """
+    if most == 1:
+        return [of_one] * 2
+    from scipy.special import chdtri  # nodes that tell single contacts start sooner without
+
+    free = np.maximum(cables - 2 * np.arange(1, most + 1), 1)
+    rare = chdtri(free, _RARE) / free
+    return [of_one, *(of_one * np.sqrt(rare / rare[0])).tolist()]
 
 
 def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
