@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_robot import smoothing
-from cablesense_robot.model import Change, Robot
+from cablesense_robot.model import Change, Robot, inverse_dynamics
 from cablesense_robot.motion import LEAST_FLOOR, Motion, actuated, inner_rows
+from cablesense_robot.play import Gaps
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
@@ -46,7 +47,10 @@ class ForwardComparison:
         self._state = position[begins], speed[begins]
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
-        self._path = _at(position, self._at), _at(speed, self._at)
+        accelerations = [smoothing.derivatives(path, rate_hz)[1] for path in motion.paths]
+        course = position, speed, np.concatenate(accelerations)
+        self._path = tuple(_at(each, self._at) for each in course)
+        self._gaps = Gaps(robot, motion)
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
         self._torque = np.concatenate(torques)
         commands = [each.command for each in motion.driven if each.command is not None]
@@ -74,24 +78,40 @@ class ForwardComparison:
         moved = np.eye(len(robot.joints)) + change.coupling
         back, true = np.linalg.inv(moved), 1.0 + change.encoder_scale
 
-        def joints(read: tuple[Array, Array]) -> tuple[Array, Array]:
-            return (read[0] - change.zero) / true @ moved.T, read[1] / true @ moved.T
+        def joints(position: Array, speed: Array) -> tuple[Array, Array]:
+            return (position - change.zero) / true @ moved.T, speed / true @ moved.T
 
         at = self._at + change.delay_s * self._rate_hz
         at = np.clip(at, self._ends[:, :1], self._ends[:, 1:])
         torque, command = _at(self._torque, at), None
         applied = (torque - change.torque_offset) / (1.0 + change.torque_scale) @ back
+        if change.play.any():
+            applied = applied - self._of_play(change)
         load = np.abs(applied).mean(1)
         if self._command is not None:  # the model's actuators act as well
             command = _at(self._command, at)
             by_model = torque
             if change.key(*_OF_READING) != robot.nominal().key(*_OF_READING):
-                by_model = self._actuated(joints(self._path), command)
+                by_model = self._actuated(joints(*self._path[:2]), command)
             applied = applied - by_model
         model = robot.varied(change)
-        ends = self._ended(model, joints(self._state), command, applied, change, load)
+        ends = self._ended(model, joints(*self._state), command, applied, change, load)
         position, speed = (each @ back.T for each in ends)
         return self._beyond_coasting(position * true + change.zero, speed * true)
+
+    def _of_play(self, change: Change) -> Array:
+        """(Q, S, J) what links need beside, as they move within gaps, of the measured motion."""
+        behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
+        model = self._robot.varied(change)
+        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        needed = [
+            inverse_dynamics(model, *(each.reshape(-1, model.nv) for each in moved))
+            for moved in (
+                self._path,
+                [each + gap for each, gap in zip(self._path, behind, strict=True)],
+            )
+        ]
+        return np.asarray((needed[1] - needed[0]).reshape(self._path[0].shape))
 
     def _actuated(self, moved: tuple[Array, Array], command: Array) -> Array:
         """(Q, S, J) what actuators give at other positions than those that were read."""

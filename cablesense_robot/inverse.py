@@ -13,12 +13,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
-from cablesense_robot.model import Change, Robot
+from cablesense_robot.model import Change, Robot, inverse_dynamics
 from cablesense_robot.motion import Course, Motion
+from cablesense_robot.play import Gaps
 
 _CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
-_OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling")
+_OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling", "play")
 _LEAST_KG = 1e-9
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
 """Of point masses, m; their inertial parameters are independent."""
@@ -31,6 +32,7 @@ class InverseDynamics:
         """`motion` is what was measured, or is asked for."""
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
+        self._gaps = Gaps(robot, motion) if isinstance(motion, Motion) else None
         self._cached: dict[tuple[bytes, ...], Array] = {}
         self._slides: dict[tuple[int, float], Array] = {}
         self._own: Array | None = None
@@ -40,7 +42,10 @@ class InverseDynamics:
         """(R, J) as the drives' torques would be read."""
         motion, nominal = self._motion, self._nominal
         drive = self._drive(change)
-        position, speed, acceleration = (each + each @ change.coupling.T for each in drive)
+        behind = self._behind(change)
+        position, speed, acceleration = (
+            each + each @ change.coupling.T + gap for each, gap in zip(drive, behind, strict=True)
+        )
         transmitted = (
             self._rigid(change, (position, speed, acceleration))
             + (change.armature - nominal.armature) * acceleration
@@ -49,7 +54,7 @@ class InverseDynamics:
         )
         # what drives a geared joint bears its torque, less what acts on it from outside
         transmitted = transmitted + (transmitted - motion.load) @ self._robot.geared
-        if change.coupling.any():  # rotors and dampers are the drives'
+        if change.coupling.any() or change.play.any():  # rotors and dampers are the drives'
             transmitted -= change.armature * acceleration + change.damping * speed
             transmitted += transmitted @ change.coupling
             transmitted += change.armature * drive[2] + change.damping * drive[1]
@@ -71,6 +76,12 @@ class InverseDynamics:
                 self._slides[key] = self._motion.slid(*key)
             found[:, j] = friction[j] * self._slides[key]
         return found
+
+    def _behind(self, change: Change) -> tuple[Array | float, ...]:
+        """By how much joints move from drives, as `_drive`; of a course that is asked for none."""
+        if self._gaps is None or not change.play.any():
+            return 0.0, 0.0, 0.0
+        return tuple(each[self._gaps.rows] for each in self._gaps.moved(change.play))
 
     def _drive(self, change: Change) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration of the drives, of what encoders read."""
@@ -182,21 +193,3 @@ class InverseComparison:
 
     def _compared(self, torque: Array) -> Array:
         return self._motion.compared(torque)[:, self._joints]
-
-
-def inverse_dynamics(
-    model: mujoco.MjModel, position: Array, speed: Array, acceleration: Array
-) -> Array:
-    """(R, J) generalised forces that a motion needs, without friction, contacts and limits."""
-    free = copy.copy(model)
-    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    data = mujoco.MjData(free)
-    found = np.empty_like(position)
-    qpos, qvel, qacc, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-    inverse = mujoco.mj_inverse
-    for row in range(len(position)):
-        qpos[:], qvel[:], qacc[:] = position[row], speed[row], acceleration[row]
-        inverse(free, data)
-        found[row] = forces
-    return found

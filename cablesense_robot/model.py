@@ -79,6 +79,7 @@ class Robot:
             inertia_kg_m2=np.einsum("bij,bj,bkj->bik", axes, model.body_inertia[own], axes),
             gravity_m_s2=model.opt.gravity.copy(),
             armature=model.dof_armature.copy(),
+            play=np.zeros(count),
             damping=model.dof_damping.copy(),
             stiffness=model.jnt_stiffness.copy(),
             friction=model.dof_frictionloss.copy(),
@@ -127,6 +128,7 @@ class Change:
             centre in the body's axes.
         gravity_m_s2: (3,) in the model's base axes.
         armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
+        play: (J,) width of the gap between drive and joint.
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         zero: (J,) what each encoder reads at the true zero.
@@ -142,6 +144,7 @@ class Change:
     inertia_kg_m2: Array
     gravity_m_s2: Array
     armature: Array
+    play: Array
     damping: Array
     stiffness: Array
     friction: Array
@@ -227,6 +230,24 @@ def load_robot(path: str | Path) -> Robot:
         geared=geared,
         left_out=left_out,
     )
+
+
+def inverse_dynamics(
+    model: mujoco.MjModel, position: Array, speed: Array, acceleration: Array
+) -> Array:
+    """(R, J) generalised forces that a motion needs, without friction, contacts and limits."""
+    free = copy.copy(model)
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+    data = mujoco.MjData(free)
+    found = np.empty_like(position)
+    qpos, qvel, qacc, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+    inverse = mujoco.mj_inverse
+    for row in range(len(position)):
+        qpos[:], qvel[:], qacc[:] = position[row], speed[row], acceleration[row]
+        inverse(free, data)
+        found[row] = forces
+    return found
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:

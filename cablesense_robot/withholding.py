@@ -21,8 +21,7 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import NONE, UNKNOWN
 from cablesense_robot.catalogue import changed, known_effects
 from cablesense_robot.effects.effect import WHOLE_ARM, Effect, Scale
-from cablesense_robot.inverse import inverse_dynamics
-from cablesense_robot.model import Change, Robot, RobotError
+from cablesense_robot.model import Change, Robot, RobotError, inverse_dynamics
 from cablesense_robot.protocol import RATE_HZ, standard_protocol
 from cablesense_robot.smoothing import derivatives
 
@@ -35,6 +34,7 @@ _SIZES = (2.0, 5.0)
 _TEETH = 9.0
 _SMOOTH_SPEED = 0.01
 _ATTEMPTS = 8
+_NOT_SIMULATED = "backlash"
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,11 @@ def withhold(
         RobotError: `only` names no effect.
         RecordingError: a place cannot be written to.
     """
-    offered = [e.name for e in known_effects().values() if not e.tolerance and e.places(robot)]
+    offered = [
+        e.name
+        for e in known_effects().values()
+        if not e.tolerance and e.name != _NOT_SIMULATED and e.places(robot)
+    ]
     for name in {part for each in only for part in each.split("+")} - {*offered, NONE, UNKNOWN}:
         raise RobotError(f"{name!r} cannot be hidden; valid: none, unknown, {', '.join(offered)}")
     course = _Course(robot)

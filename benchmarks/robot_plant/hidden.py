@@ -16,6 +16,8 @@ _T = TypeVar("_T")
 _RIGID = 1e9
 """Stiffness of a base that does not give, N·m/rad."""
 _BASE_INERTIA = 1e6
+_FLANK_RAD_S = 1000.0
+"""At which a rotor would swing on the flank of a tooth."""
 _SETTLE_SHARE = 0.3
 """Of a base's critical damping."""
 
@@ -66,6 +68,7 @@ class Kind:
             stribeck=np.array(0.0),
             stribeck_speed=np.array(0.05),
             presliding_rad=np.full(count, 0.002),
+            play_rad=none,
             cogging=none,
             cogging_phase=none,
             cogging_waves=np.full(count, 20.0),
@@ -96,6 +99,7 @@ class Hidden:
         dry, proportional: kinetic friction, N·m, and its share of the drive's torque.
         stribeck, stribeck_speed: () by how much more it is at rest, as a share, and until when.
         presliding_rad: how far a stuck joint gives until it slips.
+        play_rad: between a motor and its joint, from one flank of the teeth to the other.
         cogging, cogging_phase, cogging_waves: a ripple of torque over a turn.
         tie, tie_rad: stiffness of what catches a joint beyond an angle; its sign has the side.
         push, push_trial: torque by someone in the second half of one trial; () its number.
@@ -116,6 +120,7 @@ class Hidden:
     stribeck: Array
     stribeck_speed: Array
     presliding_rad: Array
+    play_rad: Array
     cogging: Array
     cogging_phase: Array
     cogging_waves: Array
@@ -148,6 +153,16 @@ class Hidden:
         """What pulls back at the joints, at their angles."""
         beyond = np.maximum((angle - self.tie_rad) * np.sign(self.tie), 0.0)
         return self.stiffness * angle + np.abs(self.tie) * beyond * np.sign(self.tie)
+
+    def flank_n_m(self, ahead: Array, closing: Array) -> Array:
+        """What teeth that touch pass on, by how far and how fast motors are ahead of joints."""
+        stiffness = self.armature * _FLANK_RAD_S**2
+        pressed = ahead - np.clip(ahead, -0.5 * self.play_rad, 0.5 * self.play_rad)
+        force = stiffness * pressed + 0.6 * self.armature * _FLANK_RAD_S * closing
+        return np.asarray(
+            np.where(pressed > 0.0, np.maximum(force, 0.0), np.minimum(force, 0.0))
+            * (pressed != 0.0)
+        )
 
     def on_base(self) -> Chain:
         """The chain with the base as a first link, which turns about `base_axis`."""

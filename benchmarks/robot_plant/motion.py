@@ -12,6 +12,8 @@ from robot_plant.hidden import Hidden, Kind, stacked
 STEP_S = 1e-3
 """Of the simulation and of the robots' controller."""
 TRIALS = ("sines", "points", "sines", "slow", "points", "sines")
+_STEPS_OF_PLAY = 5
+"""Within one step, where teeth touch and part."""
 _TAPER = 0.16
 """Of a trial, at both ends: how long sines take to come and to go."""
 _MOVE_S, _HOLD_S = 0.9, 0.5
@@ -165,7 +167,9 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
     angle = np.concatenate([np.zeros((count, 1)), home], 1)
     speed = np.zeros_like(angle)
     chain = robots.on_base()
-    inertia = np.swapaxes(back, 1, 2) * robots.armature[:, None, :] @ back
+    loose = robots.play_rad > 0.0  # there the rotor is a mass of its own
+    fixed = np.where(loose, 0.0, robots.armature)
+    inertia = np.swapaxes(back, 1, 2) * fixed[:, None, :] @ back
     carried = chain.mass_matrix(angle)[:, 0, 0]
     base_own, base_damping = robots.base(carried)
     extra = np.zeros((count, angle.shape[1], angle.shape[1]))
@@ -173,16 +177,32 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
     push = _push(robots, asked.time_s, kind.trial_s)
     bristle, drive = np.zeros_like(home), forward[0].copy()
     kept = np.empty((4, *asked.angle.shape))
+    steps = _STEPS_OF_PLAY if loose.any() else 1
+    step_s = STEP_S / steps
+    rotor, rotor_speed = _times(back, angle[:, 1:]), np.zeros_like(home)
 
-    def acceleration(angle: Array, speed: Array, held: Array) -> Array:
-        motor, motor_speed = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+    def motors(
+        angle: Array, speed: Array, rotor: Array, rotor_speed: Array
+    ) -> tuple[Array, Array]:
+        rigid = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        return np.where(loose, rotor, rigid[0]), np.where(loose, rotor_speed, rigid[1])
+
+    def acceleration(
+        angle: Array, speed: Array, rotor: Array, rotor_speed: Array, held: Array
+    ) -> tuple[Array, Array]:
+        """Of the chain, and of rotors with play."""
+        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
         torque = held - robots.motor_n_m(motor, motor_speed)
+        passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])
+        free = (torque - passed) / robots.armature
+        torque = np.where(loose, passed, torque)
         base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
         joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
-        return chain.accelerations(angle, speed, np.concatenate([base[:, None], joint], 1), extra)
+        whole = np.concatenate([base[:, None], joint], 1)
+        return chain.accelerations(angle, speed, whole, extra), free
 
     for k in range(len(asked.angle)):
-        motor, motor_speed = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
         error = asked.angle[k] - gain * motor - robots.zero
         command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
         kept[:, k] = motor, motor_speed, drive, command
@@ -193,10 +213,19 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
         bristle = bristle * (1.0 - slip) + motor_speed * grown
         friction = robots.kinetic_n_m(motor_speed, drive) * bristle / robots.presliding_rad
         held = drive - friction + push[k]
-        first = acceleration(angle, speed, held)
-        middle = speed + 0.5 * STEP_S * first
-        then = acceleration(angle + 0.5 * STEP_S * speed, middle, held)
-        angle, speed = angle + STEP_S * middle, speed + STEP_S * then
+        for _ in range(steps):
+            now = angle, speed, rotor, rotor_speed
+            first, turned = acceleration(*now, held)
+            middle, half = speed + 0.5 * step_s * first, rotor_speed + 0.5 * step_s * turned
+            between = (
+                angle + 0.5 * step_s * speed,
+                middle,
+                rotor + 0.5 * step_s * rotor_speed,
+                half,
+            )
+            then, turned = acceleration(*between, held)
+            angle, speed = angle + step_s * middle, speed + step_s * then
+            rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
     if not np.isfinite(angle).all():
         raise FloatingPointError("a robot flew away")
     return Motion(*kept)

@@ -10,8 +10,7 @@ from cablesense_gap.scoring import Answer, read_answers, score
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Channel
 from cablesense_robot import withholding
-from cablesense_robot.inverse import inverse_dynamics
-from cablesense_robot.model import RobotError, load_robot
+from cablesense_robot.model import RobotError, inverse_dynamics, load_robot
 from cablesense_robot.protocol import next_experiment, standard_protocol
 from cablesense_robot.smoothing import derivatives, smoothed
 

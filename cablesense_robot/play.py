@@ -1,0 +1,85 @@
+"""What joints do behind drives with play: how far, fast and hard they move within their gaps.
+
+All of it follows from measured motion and the model: a joint whose link needs a torque rests on
+the tooth that gives it; where that torque turns round, the link flies freely to the other tooth.
+"""
+
+from __future__ import annotations
+
+import copy
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_robot import smoothing
+from cablesense_robot.model import Robot, inverse_dynamics
+from cablesense_robot.motion import Motion, inner_rows
+
+_CACHED = 48
+_LEAST_KG_M2 = 1e-9
+
+
+class Gaps:
+    """Of a robot whose motion was measured at the drives."""
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._robot, self._motion = robot, motion
+        self._known: dict[tuple[int, float], Array] = {}
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """(R,) of the motion's rows among those of all trials at the recording's rate."""
+        motion, found, first = self._motion, [], 0
+        for path in motion.paths:
+            inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)
+            found.append(first + np.arange(inner.start, inner.stop, motion.step))
+            first += len(path)
+        return np.concatenate(found)
+
+    @cached_property
+    def _needed(self) -> tuple[Array, ...]:
+        """By trial, accelerations (T, J) of joints that let go of their drives, from these."""
+        model = copy.copy(self._robot.model)
+        inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
+        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        rate_hz = self._motion.rate_hz
+        return tuple(
+            -inverse_dynamics(model, path, *smoothing.derivatives(path, rate_hz)) / inertia
+            for path in self._motion.paths
+        )
+
+    def moved(self, play: Array) -> tuple[Array, Array, Array]:
+        """Positions, speeds and accelerations of joints from drives, (ΣT, J), smoothed alike."""
+        found = np.zeros((3, sum(len(path) for path in self._motion.paths), len(play)))
+        for j in np.flatnonzero(play).tolist():
+            key = j, float(play[j])
+            if key not in self._known:
+                if len(self._known) >= _CACHED:
+                    self._known.pop(next(iter(self._known)))
+                self._known[key] = self._of_joint(*key)
+            found[:, :, j] = self._known[key]
+        return found[0], found[1], found[2]
+
+    def _of_joint(self, joint: int, play: float) -> Array:
+        motion, found = self._motion, []
+        for needed in self._needed:
+            gap = _flown(needed[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
+            smooth = smoothing.smoothed(gap, motion.rate_hz, motion.smoothed_hz)
+            moved = smooth, *smoothing.derivatives(smooth, motion.rate_hz)
+            found.append(np.hstack(moved).T)
+        return np.concatenate(found, 1)
+
+
+def _flown(free: Array, reach: float, interval_s: float) -> Array:
+    """(T,) where within ±`reach` a joint is whose free acceleration from its drive is (T,)."""
+    place, speed, found = float(np.sign(free[0])) * reach, 0.0, []
+    for pulled in free.tolist():
+        speed += pulled * interval_s
+        place += speed * interval_s
+        if abs(place) >= reach:
+            place, speed = (reach if place > 0.0 else -reach), 0.0
+        found.append(place)
+    return np.array(found)
