@@ -1,11 +1,13 @@
 """Diagnoses of robots whose hidden effects an independent simulator made.
 
-    python benchmarks/robot_blind.py [--count 60] [--seed 8102] [--minutes 25] [--write]
+    python benchmarks/robot_blind.py [--count 60] [--seed 8103] [--commands] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of `robot_plant`,
 which shares nothing with what is tested. Every robot is recorded twice: the amended model of the
 first recording predicts the second. Seeds up to 8101 were used while the diagnosis was made. With
+`--commands` no torque is recorded, and causes that show in torques alone are none; with `--play`
+all that is hidden is backlash, which few joints of the other two show. With
 `--folder` it goes on where it was stopped; after `--minutes` it begins no further case, and scores
 those that are done.
 """
@@ -17,6 +19,8 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +30,16 @@ import harness
 import numpy as np
 import pandas as pd
 from robot_plant.cases import Answer as Hidden
-from robot_plant.cases import Case, drawn, record, write_answers
+from robot_plant.cases import Case, drawn, record, with_play, write_answers
 from robot_plant.kinds import KINDS
 
 from cablesense_gap.scoring import Answer, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write
-from cablesense_robot.model import load_robot
+from cablesense_robot.model import Robot, load_robot
 from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import diagnose
-from cablesense_robot.recording import read_recording
+from cablesense_robot.recording import RobotRecording, read_recording
 from cablesense_robot.simulator import RobotSimulator
 
 _LONG_ROWS = 20_000
@@ -50,9 +54,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=8102, help="of the plant")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
+    parser.add_argument("--commands", action="store_true", help="record them, and no torques")
+    parser.add_argument("--play", action="store_true", help="hide backlash alone, in two links")
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
-    cases = drawn(options.count, options.seed)
+    drawing = with_play if options.play else partial(drawn, commands=options.commands)
+    cases = drawing(options.count, options.seed)
     write_answers(cases, folder / "answers" / "answers.csv")
     until, done = time.monotonic() + 60.0 * options.minutes, {}
     _record(cases, folder, until)
@@ -60,7 +67,7 @@ def main() -> None:
         if not _place(folder, case, "second.json").exists():
             if time.monotonic() > until or not _second(folder, case).exists():
                 continue
-            _diagnose(case, folder)
+            _diagnose(case, folder, torques=not options.commands)
         verdict = read_verdict(_place(folder, case, "verdict.json"))
         removed = json.loads(_place(folder, case, "second.json").read_text())
         done[case.answer.recording] = verdict, removed
@@ -74,17 +81,20 @@ def main() -> None:
         **harness.origin("mujoco"),
         "seed": options.seed,
         "minutes_of_diagnosing": round(sum(v.seconds or 0.0 for v in verdicts.values()) / 60.0, 1),
-        f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm": _long_s(cases, folder),
+        f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm": _long_s(
+            cases, folder, torques=not options.commands
+        ),
         **scored(hidden, verdicts, {name: removed for name, (_, removed) in done.items()}),
     }
     print(json.dumps(result, indent=1))
     if options.write:
         lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
-        harness.write_result("../robot_blind/score.json", result)
+        place = "../robot_blind/" + "forward/" * options.commands + "play/" * options.play
+        harness.write_result(f"{place}score.json", result)
         answers = (folder / "answers" / "answers.csv").read_text().splitlines()
         kept = [row for row in answers if row.partition(",")[0] in {"recording", *done}]
-        harness.write_result("../robot_blind/answers.csv", "\n".join(kept) + "\n")
-        harness.write_result("../robot_blind/verdicts.jsonl", "\n".join(lines) + "\n")
+        harness.write_result(f"{place}answers.csv", "\n".join(kept) + "\n")
+        harness.write_result(f"{place}verdicts.jsonl", "\n".join(lines) + "\n")
 
 
 def scored(
@@ -161,12 +171,18 @@ def _record(cases: Sequence[Case], folder: Path, until: float) -> None:
             record(own[begin : begin + _TOGETHER], folder)
 
 
-def _diagnose(case: Case, folder: Path) -> None:
+def _read(path: Path, robot: Robot, *, torques: bool) -> RobotRecording:
+    recording = read_recording(path, robot)
+    unread = np.full_like(recording.torque, np.nan)
+    return recording if torques else replace(recording, torque=unread)
+
+
+def _diagnose(case: Case, folder: Path, *, torques: bool) -> None:
     """Leaves the verdict, and the share of the gap removed on the second recording."""
     robot = load_robot(case.kind.path)
     path = _place(folder, case, "csv.gz")
-    found = diagnose(read_recording(path, robot), robot)
-    motion = prepared(read_recording(_second(folder, case), robot), robot)
+    found = diagnose(_read(path, robot, torques=torques), robot)
+    motion = prepared(_read(_second(folder, case), robot, torques=torques), robot)
     simulator = RobotSimulator(robot, motion, {})
     variants = (simulator.predict([each])[0] for each in ({}, found.amended))
     before, after = (
@@ -177,7 +193,7 @@ def _diagnose(case: Case, folder: Path) -> None:
     _place(folder, case, "second.json").write_text(json.dumps(share))
 
 
-def _long_s(cases: Sequence[Case], folder: Path) -> float | None:
+def _long_s(cases: Sequence[Case], folder: Path, *, torques: bool) -> float | None:
     """From the file to the verdict, of an arm's recording sampled as often as that takes."""
     case = next((c for c in cases if c.kind.name == "arm_6" and "+" in c.answer.effects), None)
     if case is None:
@@ -190,7 +206,7 @@ def _long_s(cases: Sequence[Case], folder: Path) -> float | None:
         path = Path(beside) / "long.csv"
         pd.DataFrame(long).to_csv(path, index=False)
         began, robot = time.monotonic(), load_robot(case.kind.path)
-        diagnose(read_recording(path, robot), robot)
+        diagnose(_read(path, robot, torques=torques), robot)
     return round(time.monotonic() - began, 1)
 
 

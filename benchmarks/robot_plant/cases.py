@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from cablesense_base import Array
-from robot_plant.causes import LISTED, UNKNOWN, UNLISTED, Cause, Draw, in_turn, with_tolerances
+from robot_plant.causes import UNKNOWN, Cause, Draw, in_turn, pools, with_tolerances
 from robot_plant.hidden import Hidden, Kind, stacked
 from robot_plant.kinds import KINDS
 from robot_plant.motion import (
@@ -24,6 +24,7 @@ from robot_plant.motion import (
     written,
 )
 
+Drawing = Callable[[Draw], Cause]
 NONE = "none"
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
@@ -75,10 +76,14 @@ class Case:
     seeds: tuple[int, int]
 
 
-def drawn(count: int, seed: int) -> list[Case]:
-    """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects."""
+def drawn(count: int, seed: int, *, commands: bool = False) -> list[Case]:
+    """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
+
+    By `commands` causes are left out that show in torques alone.
+    """
     rng = np.random.default_rng([seed])
-    listed, unlisted = in_turn(rng, list(LISTED)), in_turn(rng, list(UNLISTED))
+    known = pools(commands=commands)
+    listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
     none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
     sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
@@ -86,9 +91,15 @@ def drawn(count: int, seed: int) -> list[Case]:
     sets += [[next(listed)] for _ in range(count - len(sets))]
     kinds = in_turn(rng, list(KINDS))
     return [
-        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1)
+        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known)
         for index, at in enumerate(rng.permutation(count))
     ]
+
+
+def with_play(count: int, seed: int) -> list[Case]:
+    """Pendulums of two links, each with backlash in one joint."""
+    known, kind = pools(commands=True), KINDS["two_links"]
+    return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
 
 
 def _different(names: Iterator[str], count: int) -> list[str]:
@@ -99,7 +110,9 @@ def _different(names: Iterator[str], count: int) -> list[str]:
     return found
 
 
-def draw_case(kind: Kind, names: list[str], seed: int, index: int) -> Case:
+def draw_case(
+    kind: Kind, names: list[str], seed: int, index: int, known: Sequence[Mapping[str, Drawing]]
+) -> Case:
     """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
     rng = np.random.default_rng([seed, index])
     nominal, joints, links = kind.nominal()
@@ -111,7 +124,8 @@ def draw_case(kind: Kind, names: list[str], seed: int, index: int) -> Case:
     causes: list[tuple[Cause, float, float]] = []
     for name in names:
         taken = [c for c, *_ in causes]
-        causes.append(_sized(draw, name, taken, plain, asked[0], without, scatter))
+        pool = next(pool for pool in known if name in pool)
+        causes.append(_sized(draw, name, pool, taken, plain, asked[0], without, scatter))
     causes.sort(key=lambda each: each[0].effect)
     robot = plain
     for cause, size, _ in causes:
@@ -140,6 +154,7 @@ def draw_case(kind: Kind, names: list[str], seed: int, index: int) -> Case:
 def _sized(
     draw: Draw,
     name: str,
+    pool: Mapping[str, Drawing],
     taken: list[Cause],
     plain: Hidden,
     asked: Reference,
@@ -147,7 +162,6 @@ def _sized(
     scatter: float,
 ) -> tuple[Cause, float, float]:
     """A cause, a size that makes about the gap wanted, and that gap."""
-    pool = LISTED if name in LISTED else UNLISTED
     known = {cause.effect for cause in taken}
     others = [n for n in pool if n not in known and _can_show(draw, n)]
     for attempt in range(_REDRAWS):

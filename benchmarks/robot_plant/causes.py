@@ -236,6 +236,11 @@ def _reach_m(draw: Draw) -> float:
     return float(np.abs(draw.robot.chain.origin_m).max())
 
 
+def _backlash(draw: Draw) -> Cause:
+    weight = draw.weighted_joints(one=True)
+    return _by_joint(draw, "backlash", "play_rad", weight, 0.04, "rad", "teeth with play")
+
+
 LISTED: dict[str, Callable[[Draw], Cause]] = {
     "base_tilt": _base_tilt,
     "encoder_scale": _encoder_scale,
@@ -333,6 +338,23 @@ UNLISTED: dict[str, Callable[[Draw], Cause]] = {
     "flexible_base": _flexible_base,
     "push": _push,
 }
+
+
+_IN_TORQUES = ("torque_delay", "torque_offset", "torque_scale", "warming", "torque_ceiling")
+
+
+def pools(*, commands: bool) -> tuple[dict[str, Callable[[Draw], Cause]], ...]:
+    """Listed and unlisted causes; without torques, by commands, those that show in motion.
+
+    Play is among the latter alone, so that seeds of recordings with torques stay what they were.
+    """
+    if not commands:
+        return LISTED, UNLISTED
+    listed, unlisted = (
+        {name: cause for name, cause in pool.items() if name not in _IN_TORQUES}
+        for pool in ({**LISTED, "backlash": _backlash}, UNLISTED)
+    )
+    return listed, unlisted
 
 
 def in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:

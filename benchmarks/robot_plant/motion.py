@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
 from robot_plant.hidden import Hidden, Kind, stacked
@@ -24,6 +25,8 @@ _FILTER_S = 0.0016
 _VELOCITY_S = 0.004
 _PRETENSION_N = 2.0
 _STRIDE = 8
+_PASSING_ROWS = 2.5
+"""That a joint takes from tooth to tooth, as what is hidden is sized."""
 
 
 class Reference(NamedTuple):
@@ -111,6 +114,13 @@ def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
     joint = [part @ robot.moved.T for part in motor]
     base = np.zeros_like(time_s)[:, None, None]
     chain = robots.on_base()
+    if robots.play_rad.any():
+        still = [np.concatenate([base, part], -1) for part in joint]
+        borne = np.sign(chain.torques_n_m(*still)[..., 1:])
+        behind = gaussian_filter1d(-0.5 * robots.play_rad * borne, _PASSING_ROWS, axis=0)
+        for part in joint:
+            part += behind
+            behind = np.gradient(behind, STEP_S * _STRIDE, axis=0)
     moment = chain.torques_n_m(*(np.concatenate([base, part], -1) for part in joint))[..., :1]
     give = [-moment / robot.base_stiffness]
     give += [np.gradient(give[0], STEP_S * _STRIDE, axis=0)]
