@@ -37,8 +37,9 @@ from cablesense_robot import smoothing
 from cablesense_robot.catalogue import changed
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import Robot, load_robot
-from cablesense_robot.motion import Motion, prepared
+from cablesense_robot.motion import Motion
 from cablesense_robot.pipeline import RobotDiagnosis, diagnose, problem_of
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import RobotRecording, read_recording
 from cablesense_robot.report import write_robot_diagnosis
 from cablesense_robot.simulator import RobotSimulator

@@ -37,8 +37,8 @@ from cablesense_gap.scoring import Answer, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write
 from cablesense_robot.model import Robot, load_robot
-from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import diagnose
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import RobotRecording, read_recording
 from cablesense_robot.simulator import RobotSimulator
 

@@ -23,7 +23,8 @@ from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import Channel, Verdict, Where
 from cablesense_robot.model import Robot
-from cablesense_robot.motion import Motion, prepared
+from cablesense_robot.motion import Motion
+from cablesense_robot.preparation import prepared
 from cablesense_robot.protocol import next_experiment
 from cablesense_robot.recording import RobotRecording
 from cablesense_robot.simulator import Comparison, RobotSimulator

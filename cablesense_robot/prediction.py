@@ -13,7 +13,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Assignment
 from cablesense_robot.catalogue import changed
 from cablesense_robot.model import Robot
-from cablesense_robot.motion import prepared
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import RobotRecording
 from cablesense_robot.simulator import Comparison, RobotSimulator
 

@@ -7,8 +7,8 @@ import pytest
 from cablesense_gap.simulator import Term
 from cablesense_robot.catalogue import changed
 from cablesense_robot.model import load_robot
-from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import diagnose
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.simulator import RobotSimulator
 

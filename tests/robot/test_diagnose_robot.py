@@ -12,8 +12,8 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.model import load_robot
-from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import diagnose, doubtful
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.simulator import RobotSimulator
 

@@ -11,8 +11,8 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Term
 from cablesense_robot.catalogue import changed
 from cablesense_robot.model import load_robot
-from cablesense_robot.motion import prepared
 from cablesense_robot.pipeline import beyond_range, diagnose
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.simulator import RobotSimulator
 

@@ -15,7 +15,8 @@ from cablesense_msgs_py.topics import CABLE_TENSIONS
 from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
-from cablesense_robot.motion import Course, prepared
+from cablesense_robot.motion import Course
+from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.smoothing import smoothed
 
