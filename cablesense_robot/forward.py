@@ -15,6 +15,7 @@ from mujoco.rollout import rollout
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_robot import smoothing
 from cablesense_robot.model import Change, Robot, inverse_dynamics
 from cablesense_robot.motion import LEAST_FLOOR, Motion, inner_rows
@@ -26,6 +27,7 @@ _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 smoothing took of the motion, longer ones forget what comes and goes."""
 _MOST_STEPS = 8_000
 """Of all windows together; those of a longer recording lie apart."""
+_FEWEST = 15
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
     mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
@@ -43,14 +45,13 @@ class ForwardComparison:
         self._step_s, self._rate_hz = 1.0 / (rate_hz * self._substeps), rate_hz
         self.span_s = span / rate_hz
         begins, self._ends, self.trial = _windows(motion, span, self._substeps)
-        speeds = [smoothing.derivatives(path, rate_hz)[0] for path in motion.paths]
-        position, speed = np.concatenate(motion.paths), np.concatenate(speeds)
+        moved = [smoothing.derivatives(path, rate_hz) for path in motion.paths]
+        speed, acceleration = (np.concatenate(each) for each in zip(*moved, strict=True))
+        position = np.concatenate(motion.paths)
         self._state = position[begins], speed[begins]
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
-        accelerations = [smoothing.derivatives(path, rate_hz)[1] for path in motion.paths]
-        course = position, speed, np.concatenate(accelerations)
-        self._path = tuple(_at(each, self._at) for each in course)
+        self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
         self._gaps = Gaps(robot, motion)
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
         self._torque = np.concatenate(torques)
@@ -86,9 +87,15 @@ class ForwardComparison:
         at = np.clip(at, self._ends[:, :1], self._ends[:, 1:])
         torque, command = _at(self._torque, at), None
         applied = (torque - change.torque_offset) / (1.0 + change.torque_scale) @ back
+        load = np.abs(applied).mean(1)
         if change.play.any():
             applied = applied - self._of_play(change)
-        load = np.abs(applied).mean(1)
+        if change.coupling.any():  # rotors and dampers are the drives'
+            _, speed, acceleration = self._path
+            at_drive = change.armature * acceleration + change.damping * speed
+            speed, acceleration = speed @ moved.T, acceleration @ moved.T
+            at_joint = change.armature * acceleration + change.damping * speed
+            applied = applied + at_joint - at_drive @ back
         if self._command is not None:  # the model's actuators act as well
             command = _at(self._command, at)
             by_model = torque
@@ -162,7 +169,11 @@ class ForwardComparison:
 def _windows(
     motion: Motion, span: int, substeps: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (Q,) among those of all trials, the trials' ends (Q, 2), and their numbers."""
+    """First rows (Q,) among those of all trials, the trials' ends (Q, 2), and their numbers.
+
+    Raises:
+        RecordingError: there are too few.
+    """
     begins, ends, numbers = [], [], []
     first = 0
     for number, path in enumerate(motion.paths):
@@ -173,7 +184,14 @@ def _windows(
         numbers.append(np.full(len(own), number))
         first += len(path)
     every = -(-sum(len(own) for own in begins) * span * substeps // _MOST_STEPS)
-    begin, end, trial = (np.concatenate(each)[::every] for each in (begins, ends, numbers))
+    begin, end, trial = (
+        np.concatenate(each)[:: max(every, 1)] for each in (begins, ends, numbers)
+    )
+    if len(begin) < _FEWEST:
+        raise RecordingError(
+            f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
+            f"trials of several seconds, for {_FEWEST} at least"
+        )
     return begin, end, np.unique(trial, return_inverse=True)[1]
 
 
