@@ -41,10 +41,16 @@ def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
 
 
 def origin(*libraries: str) -> dict[str, Any]:
-    """Where a result comes from: command line, time (UTC), machine, versions of `libraries`."""
-    script = Path(sys.argv[0]).name
+    """Where a result comes from: command line, time (UTC), machine, versions of `libraries`.
+
+    Without `--folder`: where files lie meanwhile changes no figure.
+    """
+    script, given = Path(sys.argv[0]).name, sys.argv[1:]
+    if "--folder" in given:
+        at = given.index("--folder")
+        given = given[:at] + given[at + 2 :]
     return {
-        "command": " ".join(["python", f"benchmarks/{script}", *sys.argv[1:]]),
+        "command": " ".join(["python", f"benchmarks/{script}", *given]),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
