@@ -82,7 +82,7 @@ def main() -> None:
         "seed": options.seed,
         "minutes_of_diagnosing": round(sum(v.seconds or 0.0 for v in verdicts.values()) / 60.0, 1),
         f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm": _long_s(
-            cases, folder, torques=not options.commands
+            cases, folder, until, torques=not options.commands
         ),
         **scored(hidden, verdicts, {name: removed for name, (_, removed) in done.items()}),
     }
@@ -193,10 +193,10 @@ def _diagnose(case: Case, folder: Path, *, torques: bool) -> None:
     _place(folder, case, "second.json").write_text(json.dumps(share))
 
 
-def _long_s(cases: Sequence[Case], folder: Path, *, torques: bool) -> float | None:
+def _long_s(cases: Sequence[Case], folder: Path, until: float, *, torques: bool) -> float | None:
     """From the file to the verdict, of an arm's recording sampled as often as that takes."""
     case = next((c for c in cases if c.kind.name == "arm_6" and "+" in c.answer.effects), None)
-    if case is None:
+    if case is None or time.monotonic() > until:
         return None
     table = pd.read_csv(_place(folder, case, "csv.gz"))
     at = np.linspace(0.0, len(table) - 1.0, _LONG_ROWS)
