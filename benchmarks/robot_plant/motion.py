@@ -204,7 +204,7 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
         motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
         torque = held - robots.motor_n_m(motor, motor_speed)
         passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])
-        free = (torque - passed) / robots.armature
+        free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
         torque = np.where(loose, passed, torque)
         base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
         joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
