@@ -84,8 +84,9 @@ def test_both_ways_agree_and_a_cable_may_be_turned_round(seed: int) -> None:
     one = searched(stiffness, grip, stretch, 8)
     mirrored = searched(stiffness[::-1], grip[::-1], stretch[:, ::-1], 8)
     np.testing.assert_allclose(mirrored.tension_n[:, ::-1], one.tension_n, atol=1e-5)
-    other = timed(stiffness, grip, stretch)
-    assert np.abs(other.tension_n - one.tension_n).max() < 0.01 * np.ptp(one.tension_n)
+    # what is too much at a sliding guide goes with the speed, so with one over the steps
+    fast, slow = (timed(stiffness, grip, stretch, steps).tension_n for steps in (1500, 3000))
+    assert np.abs(2.0 * slow - fast - one.tension_n).max() < 0.005 * np.ptp(one.tension_n)
 
 
 @settings(max_examples=20, deadline=None)
