@@ -240,7 +240,17 @@ def faulty(arm_name: str, number: int) -> list[Case]:
 
 
 def check_us(arm_name: str) -> dict[str, Any]:
-    """Time of a check of a stream at 100 Hz under a steady contact, µs."""
+    """Time of a check of a stream at 100 Hz under a steady contact, µs.
+
+    Of five runs the one with the least median, as `timeit` advises: the others show what else the
+    machine did.
+    """
+    runs = [_check_times_us(arm_name) for _ in range(5)]
+    least = min(runs, key=np.median)
+    return harness.origin() | harness.percentiles(least, ("median", "90 %", "99 %"), 1)
+
+
+def _check_times_us(arm_name: str) -> list[float]:
     bench = Bench(arm_name, 0)
     true = bench.tensions_n(bench.mechanism, np.array([3]), np.array([[30.0, 20.0]]))
     readings = bench.read(np.tile(true, (2000, 1)))
@@ -250,7 +260,7 @@ def check_us(arm_name: str) -> dict[str, Any]:
         begin = time.perf_counter()
         bench.check.check(difference, bench.command, contacts, (number + 1) * PERIOD_NS)
         times.append((time.perf_counter() - begin) * 1e6)
-    return harness.origin() | harness.percentiles(times, ("median", "90 %", "99 %"), 1)
+    return times
 
 
 def healthy_figures(options: Any, arm_name: str) -> dict[str, Any]:
