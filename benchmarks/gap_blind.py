@@ -98,8 +98,7 @@ def main() -> None:
     print(json.dumps(result, indent=1))
     if options.write:
         lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
-        apart = options.friction > options.count
-        kind = "_several" if options.effects else "_friction" if apart else ""
+        kind = "_several" if options.effects else "_friction" if options.friction else ""
         harness.write_result(f"../gap_blind{kind}/score.json", result)
         harness.write_result(f"../gap_blind{kind}/answers.csv", answers.read_text())
         harness.write_result(f"../gap_blind{kind}/verdicts.jsonl", "\n".join(lines) + "\n")

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_robot import smoothing
-from cablesense_robot.model import Change, Robot, inverse_dynamics
+from cablesense_robot.model import Change, Robot, actuated, inverse_dynamics
 from cablesense_robot.motion import LEAST_FLOOR, Motion, inner_rows
 from cablesense_robot.play import Gaps
-from cablesense_robot.preparation import actuated
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what

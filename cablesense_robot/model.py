@@ -128,7 +128,7 @@ class Change:
             centre in the body's axes.
         gravity_m_s2: (3,) in the model's base axes.
         armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
-        play: (J,) width of the gap between drive and joint.
+        play: (J,) width of the gap between drive and joint, in rad or m.
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         zero: (J,) what each encoder reads at the true zero.
@@ -247,6 +247,19 @@ def inverse_dynamics(
         qpos[:], qvel[:], qacc[:] = position[row], speed[row], acceleration[row]
         inverse(free, data)
         found[row] = forces
+    return found
+
+
+def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
+    """(T, J) what the model's actuators make of commands."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    found = np.empty_like(position)
+    for row in range(len(position)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = position[row], speed[row], command[row]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        found[row] = data.qfrc_actuator
     return found
 
 

@@ -21,7 +21,7 @@ from cablesense_base import Array
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_robot import smoothing
 from cablesense_robot.effects.effect import Scale
-from cablesense_robot.model import Robot
+from cablesense_robot.model import Robot, actuated
 from cablesense_robot.motion import LEAST_FLOOR, Course, Driven, Motion, Noise, inner_rows
 from cablesense_robot.recording import RobotRecording
 
@@ -301,19 +301,6 @@ def _of_trial(
         torque=torque[inner],
         moving=np.abs(speed[inner]) >= slow,
     )
-
-
-def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
-    """(T, J) what the model's actuators make of commands."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    found = np.empty_like(position)
-    for row in range(len(position)):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = position[row], speed[row], command[row]
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fwdVelocity(model, data)
-        mujoco.mj_fwdActuation(model, data)
-        found[row] = data.qfrc_actuator
-    return found
 
 
 def _passes(

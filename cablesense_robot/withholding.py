@@ -34,7 +34,6 @@ _SIZES = (2.0, 5.0)
 _TEETH = 9.0
 _SMOOTH_SPEED = 0.01
 _ATTEMPTS = 8
-_NOT_SIMULATED = "backlash"
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def withhold(
     offered = [
         e.name
         for e in known_effects().values()
-        if not e.tolerance and e.name != _NOT_SIMULATED and e.places(robot)
+        if e.simulated and not e.tolerance and e.places(robot)
     ]
     for name in {part for each in only for part in each.split("+")} - {*offered, NONE, UNKNOWN}:
         raise RobotError(f"{name!r} cannot be hidden; valid: none, unknown, {', '.join(offered)}")

@@ -124,3 +124,12 @@ def explanation(*effects: str, left: float = 1.0) -> Hypothesis:
         squares=left**2 * fitted.count,
         sizes=len(effects),
     )
+
+
+def several(count):
+    """As many effects as wanted, each with three places of its own signals."""
+    own = np.random.default_rng(3).normal(size=(count, 3, *SIGNALS.shape[1:]))
+    library = {}
+    for name, signals in zip("defgh", own, strict=False):
+        library |= linear(name, "abc", signals)
+    return library

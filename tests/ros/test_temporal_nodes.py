@@ -79,7 +79,8 @@ def test_under_friction_it_says_what_may_act_unseen():
     upper = graph.listen(WrenchStamped, "/estimator/wrench_upper")
     hidden = ForceState.HIDDEN
     graph.until(lambda: len(upper) > 50 and hidden in graph.states.values(), "what may act")
-    assert set(graph.states.values()) <= {ForceState.FREE, hidden}
+    answers = {ForceState.UNTARED, ForceState.FREE, hidden}  # the first may still be on its way
+    assert set(graph.states.values()) <= answers
     assert max(np.linalg.norm(force(wrench)) for wrench in upper) > 1.0
     assert {force(wrench) for wrench in graph.wrenches} == {(0.0, 0.0, 0.0)}
     graph.push(3, (0.0, 60.0, 0.0))
