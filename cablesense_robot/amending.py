@@ -94,7 +94,7 @@ def load_amended(path: str | Path) -> tuple[Robot, dict[Term, float]]:
             for each in listed
             for name, value in each["parameters"].items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RobotError(f"{beside}: is no list of effects ({error}); diagnose again") from error
     return robot, _checked(beside, robot, values)
 

@@ -25,7 +25,8 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
 
     Positions, velocities and efforts come from the joint states; commands from a topic whose joint
     states name the actuators, or whose numbers are as many as the actuators and whose name has
-    `command` in it, the latest before each row; trials from a topic `trial`.
+    `command` in it, the latest before each row; trials from a topic `trial`, a trial of its own
+    before the first number. Without efforts rows begin with the first command.
 
     Raises:
         RecordingError: no bag, or no joint states with the robot's joints.
@@ -100,8 +101,15 @@ class _Rows:
                 f"{path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(robot.joints)}; it "
                 f"names {there}"
             )
+        count = len(robot.joints)
+        _, torque, command = np.split(values[:, 2:], [count, 2 * count], axis=1)
+        if not np.isfinite(torque).any():  # commands drive the model, and are not known before
+            values = values[np.isfinite(command).all(axis=1).argmax() :]
         table = dict(zip(labels, values.T, strict=True))
         table["time_s"] = table["time_s"] - table["time_s"][0]
-        if np.isnan(table[_TRIAL]).any():
+        numbered = np.isfinite(table[_TRIAL])
+        if numbered.any():
+            table[_TRIAL] = np.where(numbered, table[_TRIAL], np.nanmin(table[_TRIAL]) - 1.0)
+        else:
             del table[_TRIAL]
         return table

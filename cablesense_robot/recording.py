@@ -132,21 +132,15 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
     _refuse_strangers(path, table, robot)
+    _refuse_gaps(path, table, robot)
 
     def stacked(kind: str, names: Sequence[str]) -> Array:
         nothing = np.full(rows, np.nan)
         return np.stack([table.get(f"{kind}.{name}", nothing) for name in names], axis=1)
 
-    position = stacked("position", robot.joints)
-    for joint, column in zip(robot.joints, position.T, strict=True):
-        bad = np.flatnonzero(~np.isfinite(column))
-        if bad.size:
-            raise RecordingError(
-                f"{path}: row {bad[0] + 1}, column position.{joint}: empty; every row needs one"
-            )
     return {
         "time_s": table["time_s"],
-        "position": position,
+        "position": stacked("position", robot.joints),
         "torque": stacked("torque", robot.joints),
         "command": stacked("command", robot.actuators) if robot.actuators else np.empty((rows, 0)),
     }
@@ -185,6 +179,21 @@ def _refuse_strangers(path: Path, table: dict[str, Array], robot: Robot) -> None
         f"{some_of(robot.joints, 12)}"
         + (f" and the actuators {some_of(robot.actuators, 12)}" if robot.actuators else "")
     )
+
+
+def _refuse_gaps(path: Path, table: dict[str, Array], robot: Robot) -> None:
+    """Cells without a finite number; torques and commands may be empty throughout."""
+    needed = ["time_s", "trial", *(f"position.{joint}" for joint in robot.joints)]
+    optional = [f"torque.{joint}" for joint in robot.joints]
+    optional += [f"command.{actuator}" for actuator in robot.actuators]
+    for name in (*needed, *optional):
+        gaps = np.flatnonzero(~np.isfinite(table.get(name, np.zeros(0))))
+        if gaps.size and (name in needed or not np.isnan(table[name]).all()):
+            remedy = "" if name in needed else ", or leave the column out"
+            raise RecordingError(
+                f"{path}: row {gaps[0] + 1}, column {name}: empty or not finite; fill every "
+                f"row{remedy}"
+            )
 
 
 def _trials(

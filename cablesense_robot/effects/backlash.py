@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -20,7 +20,7 @@ class Backlash(Effect):
     in_model = simulated = False
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        unit = robot.position_units[0]
+        unit = joint_unit(robot, "{position}")
         return (size("play_rad", unit, 0.3, 0.01, "from one side of the gap to the other", 0.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:

@@ -53,7 +53,7 @@ def rms(values: Array) -> float:
 def presliding(robot: Robot, scale: Scale) -> Parameter:
     """How far a joint that turns round gives before its friction slips the other way."""
     typical = rms(1e-3 * scale.position)
-    unit = " or ".join(dict.fromkeys(robot.position_units))
+    unit = joint_unit(robot, "{position}")
     about = "given before it slips the other way"
     return Parameter(
         PRESLIDING, unit, 0.02 * typical, 50.0 * typical, typical, about, typical, role="shape"
@@ -96,9 +96,15 @@ class Effect(ABC):
         """Change the robot; `at` is the number of the place among `places`."""
 
 
-def torque_unit(robot: Robot) -> str:
-    """Of the drives' generalised forces; of both kinds where the robot has both."""
-    return " or ".join(dict.fromkeys(robot.torque_units))
+def joint_unit(robot: Robot, form: str) -> str:
+    """A unit of the joints from those of their `{torque}`, `{position}` and `{inertia}`.
+
+    A robot with hinges and slides has one of each, joined by `or`.
+    """
+    inertia = {"N·m": "kg·m²", "N": "kg"}
+    kinds = zip(robot.torque_units, robot.position_units, strict=True)
+    units = (form.format(torque=t, position=p, inertia=inertia[t]) for t, p in kinds)
+    return " or ".join(dict.fromkeys(units))
 
 
 def size(

@@ -8,9 +8,9 @@ from cablesense_robot.effects.effect import (
     Parameter,
     Scale,
     Values,
+    joint_unit,
     presliding,
     size,
-    torque_unit,
 )
 from cablesense_robot.model import Change, Robot
 
@@ -25,10 +25,10 @@ class JointFriction(Effect):
     against_motion = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        most = 3.0 * scale.typical_torque
-        about = "against the motion, whatever the load"
+        most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
+        unit, about = joint_unit(robot, "{torque}"), "against the motion, whatever the load"
         return (
-            size("torque_n_m", torque_unit(robot), most, 0.05 * scale.typical_torque, about, 0.0),
+            size("torque_n_m", unit, most, typical, about, 0.0),
             presliding(robot, scale),
         )
 

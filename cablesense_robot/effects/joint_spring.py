@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -15,7 +15,7 @@ class JointSpring(Effect):
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         typical = 0.05 * scale.per(scale.position)
-        unit = f"{torque_unit(robot)}/rad"
+        unit = joint_unit(robot, "{torque}/{position}")
         about = "towards the model's spring reference"
         return (size("stiffness_n_m_rad", unit, 60.0 * typical, typical, about, 0.0),)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -15,7 +15,7 @@ class JointZero(Effect):
     in_model = False
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        unit = robot.position_units[0]
+        unit = joint_unit(robot, "{position}")
         return (size("zero_rad", unit, 0.6, 0.03, "read at the true zero"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -15,7 +15,7 @@ class RotorInertia(Effect):
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         typical = 0.05 * scale.per(scale.acceleration)
-        unit = "kg·m²" if torque_unit(robot) == "N·m" else "kg"
+        unit = joint_unit(robot, "{inertia}")
         about = "as the joint feels it"
         return (size("inertia_kg_m2", unit, 60.0 * typical, typical, about, 0.0),)
 

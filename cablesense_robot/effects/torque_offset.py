@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -15,9 +15,9 @@ class TorqueOffset(Effect):
     in_model = False
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        most = 3.0 * scale.typical_torque
-        about = "read without a torque"
-        return (size("torque_n_m", torque_unit(robot), most, 0.05 * scale.typical_torque, about),)
+        most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
+        unit = joint_unit(robot, "{torque}")
+        return (size("torque_n_m", unit, most, typical, "read without a torque"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.torque_offset[at] += values["torque_n_m"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, size, torque_unit
+from cablesense_robot.effects.effect import Effect, Parameter, Scale, Values, joint_unit, size
 from cablesense_robot.model import Change, Robot
 
 
@@ -15,7 +15,7 @@ class ViscousFriction(Effect):
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         typical = 0.05 * scale.per(scale.speed)
-        unit = f"{torque_unit(robot)} s/rad"
+        unit = joint_unit(robot, "{torque} s/{position}")
         return (size("torque_s_n_m", unit, 60.0 * typical, typical, "by the speed", 0.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:

@@ -10,8 +10,8 @@ from cablesense_robot.effects.effect import (
     Parameter,
     Scale,
     Values,
+    joint_unit,
     size,
-    torque_unit,
 )
 from cablesense_robot.model import Change, Robot
 
@@ -49,10 +49,11 @@ class DriveTolerance(Effect):
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         typical = 0.002 * scale.typical_torque
         zero = float(np.deg2rad(0.1))
+        angle, torque = (joint_unit(robot, form) for form in ("{position}", "{torque}"))
         return (
-            size("zero_rad", robot.position_units[0], 10.0 * zero, zero, "read at the true zero"),
+            size("zero_rad", angle, 10.0 * zero, zero, "read at the true zero"),
             size("share", "1", 0.1, 0.01, "read too much"),
-            size("torque_n_m", torque_unit(robot), 10.0 * typical, typical, "read without torque"),
+            size("torque_n_m", torque, 10.0 * typical, typical, "read without torque"),
             size("damping_share", "1", 0.3, 0.03, "more damping than modelled"),
             size("rotor_share", "1", 0.3, 0.03, "more inertia of the rotor than modelled"),
         )

@@ -9,7 +9,8 @@ from two_link import recorded, write_model
 
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Term
-from cablesense_robot.catalogue import changed
+from cablesense_robot.catalogue import changed, known_effects
+from cablesense_robot.effects.effect import Scale
 from cablesense_robot.model import load_robot
 from cablesense_robot.pipeline import beyond_range, diagnose
 from cablesense_robot.preparation import prepared
@@ -71,6 +72,26 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     over_s = found.span_s
     expected = np.tile([0.5 * force / mass * over_s**2, force / mass * over_s], (len(gone), 1))
     assert gone == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "damping", "play", "rotor"),
+    [
+        (["slide"], "N s/m", "m", "kg"),
+        (["hinge", "slide"], "N·m s/rad or N s/m", "rad or m", "kg·m² or kg"),
+    ],
+)
+def test_sizes_are_in_the_units_of_the_joints(tmp_path, kinds, damping, play, rotor):
+    path = tmp_path / "robot.xml"
+    joints = "".join(f"<joint name='{kind}' type='{kind}'/>" for kind in kinds)
+    body = f"<body>{joints}<geom size='0.1' mass='1'/></body>"
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    robot, typical = load_robot(path), Scale(*[np.ones(len(kinds))] * 4)
+    units = {
+        name: known_effects()[name].parameters(robot, typical)[0].unit
+        for name in ("viscous_friction", "backlash", "rotor_inertia")
+    }
+    assert units == {"viscous_friction": damping, "backlash": play, "rotor_inertia": rotor}
 
 
 @pytest.mark.parametrize(

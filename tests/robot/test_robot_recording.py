@@ -11,8 +11,9 @@ from two_link import recorded, write_model
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Term
-from cablesense_msgs_py.topics import CABLE_TENSIONS
+from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
 from cablesense_robot.amending import load_amended, write_amended
+from cablesense_robot.bag import bag_table
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
 from cablesense_robot.motion import Course
@@ -62,7 +63,12 @@ def read(tmp_path, table, robot, name="changed.csv"):
             "velocity.elbow is 57.* times what position.elbow and time_s make",
         ),
         (lambda t: t.assign(**{"torque.elbow": "much"}), "'much' is no number"),
-        (lambda t: t.assign(**{"position.elbow": np.nan}), "empty; every row needs one"),
+        (lambda t: t.assign(**{"position.elbow": np.nan}), "column position.elbow: empty"),
+        (lambda t: t.assign(time_s=t.time_s.where(t.index != 50)), "row 51, column time_s: empty"),
+        (
+            lambda t: t.assign(**{"torque.elbow": t["torque.elbow"].where(t.index != 50)}),
+            "column torque.elbow: empty or not finite; fill every row, or leave the column out",
+        ),
         (
             lambda t: t.assign(**{"position.elbow": 0.0, "position.shoulder": 0.0}),
             "no joint moves",
@@ -117,6 +123,25 @@ def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
     other.write_text(Path(robot.path).read_text().replace("elbow", "knee"))
     with pytest.raises(RecordingError, match="with the joints shoulder, knee; it names elbow"):
         read_recording(path, load_robot(other))
+
+
+@pytest.mark.slow  # loads the message types
+def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_path, table, robot):
+    path, names = tmp_path / "run.mcap", list(robot.joints)
+    with BagWriter(path) as bag:
+        for k, row in enumerate(table[:60].to_dict("records")):
+            if k == 30:
+                bag.trial(10 * k + 1, 7)
+            if k >= 20:
+                command = [row[f"torque.{name}"] for name in names]
+                bag.joint_state(JOINT_COMMANDS, 10 * k + 2, 0, names, position=command)
+            position = [row[f"position.{name}"] for name in names]
+            stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
+            bag.joint_state(CABLE_TENSIONS, 10 * k + 3, stamp_ns, names, position=position)
+    found = bag_table(path, robot)
+    assert found["time_s"][[0, -1]] == pytest.approx([0.0, table.time_s[59] - table.time_s[20]])
+    assert found["command.elbow"] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
+    assert (np.diff(found["trial"]) != 0).nonzero()[0].tolist() == [9]
 
 
 def test_trials_are_parted_by_pauses(tmp_path, table, robot):
