@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -136,7 +136,7 @@ def _outcome(found: Adaptation, first: Path) -> str:
 
 
 def _errors(errors: RecordedErrors) -> str:
-    of_loads: Any = errors.whole.errors
+    of_loads = errors.whole.errors
     return (
         f"force off by {of_loads.magnitude_mae_n:.2f} N, direction by "
         f"{of_loads.direction_mae_deg:.1f}°, segment right {of_loads.contact_accuracy:.1%}"

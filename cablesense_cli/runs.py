@@ -9,7 +9,6 @@ import typer
 
 from cablesense_base.files import output_file, output_folder
 from cablesense_cli.options import (
-    ArmOption,
     DurationOption,
     ForceOption,
     JsonOption,
@@ -29,7 +28,13 @@ from cablesense_ros.demo.run import (
 
 def demo(
     context: typer.Context,
-    arm: ArmOption = "cdsm",
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="Arm file: the name of a bundled one, or a path.",
+            show_default="cdsm; with --breathe cdsm_friction, with the model cdsm",
+        ),
+    ] = None,
     model: Annotated[
         str, typer.Option(help="Model file: a bundled name, or a path. Default: the arm's own.")
     ] = "",
@@ -82,7 +87,7 @@ def demo(
         typer.Option(
             "--breathe",
             help="The arm breathes all the time: cables slide a little at every guide, so that "
-            "friction hides no force. Default arm then: cdsm_friction, with the model cdsm.",
+            "friction hides no force.",
         ),
     ] = False,
     json_output: Annotated[
@@ -96,8 +101,8 @@ def demo(
     pushes, or of the wall, runs for a minute.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
-    if breathe and arm == "cdsm":
-        arm, model = "cdsm_friction", model or "cdsm"
+    if arm is None:
+        arm, model = ("cdsm_friction", model or "cdsm") if breathe else ("cdsm", model)
     options = DemoOptions(
         arm, model, host, port, out, seed, source, controller, breathe, not no_open
     )

@@ -18,7 +18,7 @@ from typing import Final
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.serialized import WrenchWriter, stamp_ns, wrench_writers
-from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
@@ -87,7 +87,7 @@ def _wrench_text(raw: bytes) -> str:
         (length,) = struct.unpack_from("<I", raw, 12)
         frame = raw[16 : 16 + length].rstrip(b"\0").decode()
         numbers = " ".join(map(repr, struct.unpack("<6d", raw[-48:])))
-    except (struct.error, UnicodeDecodeError, ContractError):
+    except (struct.error, UnicodeDecodeError):
         return raw.hex()
     return f"{frame} {numbers}"
 

@@ -54,9 +54,14 @@ class StateFile:
         Raises:
             StateFileError: there is a file, and it cannot be continued from.
         """
-        if self._path is None or not self._path.exists():
+        if self._path is None:
             return None
-        age_s = self._now_s() - self._path.stat().st_mtime
+        try:
+            age_s = self._now_s() - self._path.stat().st_mtime
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise StateFileError(f"{self._path}: cannot be read ({error})") from error
         if not -self._within_s <= age_s <= self._within_s:
             raise StateFileError(
                 f"{self._path}: its estimator was last alive {age_s:.0f} s ago; at most "

@@ -41,7 +41,8 @@ _SETTLE_S = 0.5
 _POLL_S = 0.0005
 _SERVICES = {EventKind.TARE: topics.TARE, EventKind.TARE_UNDO: topics.TARE_UNDO}
 _NOT_REPEATED = {EventKind.CLOCK_AHEAD, EventKind.PUBLISHER}
-_REPEATED = {EventKind.BREATH, EventKind.COMMAND, EventKind.SETTINGS, *_SERVICES}
+_COMMANDS = {EventKind.COMMAND, EventKind.POSE_CONFIRMED}
+_REPEATED = {EventKind.BREATH, EventKind.SETTINGS, *_COMMANDS, *_SERVICES}
 
 
 def replay_through_node(
@@ -279,8 +280,9 @@ class _Player:
         if any(event.kind in _REPEATED for event in state.events):
             self._await_answers()
         for event in state.events:
-            if event.kind is EventKind.COMMAND:
-                self._live.command(self._run.joint_names, event.command_rad)
+            if event.kind in _COMMANDS:
+                command_rad = event.command_rad or state.command_rad
+                self._live.command(self._run.joint_names, command_rad)
             elif event.kind is EventKind.BREATH and state.breath.mark_ns:
                 frame, stamp = breath_frame(state.breath.mark_turn), state.breath.mark_ns
                 command = self._run.joint_names, state.command_rad

@@ -29,6 +29,7 @@ from cablesense_sim.mechanism import Mechanism
 
 PLATE_MARGIN_RAD = float(np.deg2rad(2.0))
 """How far the guide plates stay apart at least."""
+_ROUNDING_RAD = 1e-9
 
 
 class Reach:
@@ -55,10 +56,10 @@ class Reach:
         )
         return np.asarray((joints * share[:, None]).reshape(-1))
 
-    def holds(self, joint_angles_rad: Array, slack_rad: float = 1e-9) -> bool:
-        """Whether these joint angles (2N,) are within reach."""
+    def holds(self, joint_angles_rad: Array) -> bool:
+        """Whether these joint angles (2N,) are within reach, but for rounding."""
         bent = np.linalg.norm(joint_angles_rad.reshape(-1, 2), axis=1)
-        return bool((bent <= self.radius_rad + slack_rad).all())
+        return bool((bent <= self.radius_rad + _ROUNDING_RAD).all())
 
 
 LONGEST_STEP_S = 1.0

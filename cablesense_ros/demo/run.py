@@ -221,11 +221,9 @@ def _play_wall(arm: Arm, options: DemoOptions, duration_s: float, console: Conso
 
 def _check_files(options: DemoOptions) -> Arm:
     """Read arm and model before anything starts: a wrong file is one line, not a silent node."""
-    from cablesense_training.inference.metadata import find_model
-    from cablesense_training.inference.temporal_estimator import open_estimator
+    from cablesense_online.models import load_model
 
-    arm = open_arm(options.arm)
-    open_estimator(find_model(options.model or arm.name), arm)
+    arm = load_model(options.arm, options.model).arm
     if options.breathe:
         from cablesense_online.breathing import breath_circle
 

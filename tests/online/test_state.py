@@ -192,6 +192,11 @@ def test_nothing_is_kept_without_a_path_nor_read_without_a_file(path):
     assert StateFile(path, 60.0).read("cdsm-1") is None
 
 
+def test_a_path_that_cannot_be_looked_at_is_refused(tmp_path):
+    with pytest.raises(StateFileError, match="cannot be read"):
+        StateFile(tmp_path / (300 * "x"), 60.0).read("cdsm-1")
+
+
 def test_a_file_of_long_ago_is_refused(path):
     written(path)
     os.utime(path, (1e9, 1e9))

@@ -6,6 +6,7 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from typer.testing import CliRunner
 
+from cablesense_cli import runs
 from cablesense_cli.app import app
 from cablesense_ros.demo import run
 from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
@@ -32,6 +33,19 @@ def test_source_and_controller_are_honoured_in_every_combination(
         assert link in commands["can_emulator"]
         assert link in commands["can_driver"]
         assert "cable_tensions:=simulated_tensions" in commands["sim"]
+
+
+def test_a_model_of_several_contacts_can_be_shown(tmp_path):
+    assert run._check_files(DemoOptions(model="cdsm_multi", out=tmp_path)).name == "cdsm"
+
+
+def test_breathing_keeps_an_arm_that_is_asked_for(tmp_path, monkeypatch):
+    played = []
+    monkeypatch.setattr(runs, "run_headless", lambda options, **_: played.append(options))
+    for asked in ([], ["--arm", "cdsm"]):
+        command = ["demo", "--headless", "--breathe", "--out", str(tmp_path), *asked]
+        assert CliRunner().invoke(app, command).exit_code == 0
+    assert [options.arm for options in played] == ["cdsm_friction", "cdsm"]
 
 
 @pytest.mark.parametrize(
