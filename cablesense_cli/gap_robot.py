@@ -102,7 +102,7 @@ def predict_robot(
         f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in found.gaps
     )
     Console().print(
-        f"{out}: {found.comparison.said} RMS from what was measured, of its RMS: {sizes}",
+        f"{out}: {found.comparison.description} Gap, of what was measured (RMS): {sizes}",
         soft_wrap=True,
     )
 

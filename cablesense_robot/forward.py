@@ -19,11 +19,11 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_robot import smoothing
 from cablesense_robot.model import Change, Robot, actuated, inverse_dynamics
 from cablesense_robot.motion import LEAST_FLOOR, Motion, inner_rows
-from cablesense_robot.play import Gaps
+from cablesense_robot.play import BacklashMotion
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
-smoothing took of the motion, longer ones forget what comes and goes."""
+smoothing took of the motion, in longer ones what comes and goes averages out."""
 _MOST_STEPS = 8_000
 """Of all windows together; those of a longer recording lie apart."""
 _FEWEST = 15
@@ -51,7 +51,7 @@ class ForwardComparison:
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
         self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
-        self._gaps = Gaps(robot, motion)
+        self._gaps = BacklashMotion(robot, motion)
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
         self._torque = np.concatenate(torques)
         commands = [each.command for each in motion.driven if each.command is not None]
@@ -63,7 +63,7 @@ class ForwardComparison:
         self.readings = self._beyond_coasting(position[begins + span], speed[begins + span])
         self.floor = self.noise = np.maximum(*_noise_and_least(motion, self.span_s))
         driven = "measured torques" if self._command is None else "recorded commands"
-        self.said = (
+        self.description = (
             f"Compared forward in time: from measured states, smoothed to "
             f"{motion.smoothed_hz:.3g} Hz, with {driven} over {len(begins):,} windows of "
             f"{1e3 * self.span_s:.3g} ms, positions and speeds out."
@@ -107,7 +107,7 @@ class ForwardComparison:
         return self._beyond_coasting(position * true + change.zero, speed * true)
 
     def _of_play(self, change: Change) -> Array:
-        """(Q, S, J) what links need beside, as they move within gaps, of the measured motion."""
+        """(Q, S, J) torques that links need beside those of the measured motion, by backlash."""
         behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
         model = self._robot.varied(change)
         model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0

@@ -14,8 +14,8 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
 from cablesense_robot.model import Change, Robot, inverse_dynamics
-from cablesense_robot.motion import Course, Motion
-from cablesense_robot.play import Gaps
+from cablesense_robot.motion import Motion, Trajectory
+from cablesense_robot.play import BacklashMotion
 
 _CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
@@ -28,11 +28,11 @@ _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3
 class InverseDynamics:
     """Torques that variants of a robot need for one motion."""
 
-    def __init__(self, robot: Robot, motion: Course) -> None:
+    def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """`motion` is what was measured, or is asked for."""
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
-        self._gaps = Gaps(robot, motion) if isinstance(motion, Motion) else None
+        self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
         self._cached: dict[tuple[bytes, ...], Array] = {}
         self._slides: dict[tuple[int, float], Array] = {}
         self._own: Array | None = None
@@ -52,7 +52,7 @@ class InverseDynamics:
             + (change.damping - nominal.damping) * speed
             + (change.stiffness - nominal.stiffness) * (position - self._robot.model.qpos_spring)
         )
-        # what drives a geared joint bears its torque, less what acts on it from outside
+        # what drives a geared joint transmits its torque, less what acts on that from outside
         transmitted = transmitted + (transmitted - motion.load) @ self._robot.geared
         if change.coupling.any() or change.play.any():  # rotors and dampers are the drives'
             transmitted -= change.armature * acceleration + change.damping * speed
@@ -66,7 +66,7 @@ class InverseDynamics:
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)
 
     def _slid(self, friction: Array, presliding: Array) -> Array:
-        """(R, J) what friction (J,) bears with the motion."""
+        """(R, J) torque of dry friction, at most (J,), along the motion."""
         found = np.zeros_like(self._motion.position)
         for j in np.flatnonzero(friction).tolist():
             key = j, float(presliding[j])
@@ -78,7 +78,7 @@ class InverseDynamics:
         return found
 
     def _behind(self, change: Change) -> tuple[Array | float, ...]:
-        """By how much joints move from drives, as `_drive`; of a course that is asked for none."""
+        """Motion of joints relative to drives, as `_drive`; zero where none was measured."""
         if self._gaps is None or not change.play.any():
             return 0.0, 0.0, 0.0
         return tuple(each[self._gaps.rows] for each in self._gaps.moved(change.play))
@@ -177,11 +177,11 @@ class InverseComparison:
         self.columns = tuple(f"torque.{name}" for name in self.names)
         self.units = tuple(robot.torque_units[j] for j in joints)
         self.floor = motion.floor[joints]
-        told = motion.compared(np.ones_like(motion.torque))[:, joints]
-        self.noise = self.floor * np.sqrt((told**2).mean(0))
+        counted = motion.compared(np.ones_like(motion.torque))[:, joints]
+        self.noise = self.floor * np.sqrt((counted**2).mean(0))
         self.readings = self._compared(motion.torque)
         self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
-        self.said = (
+        self.description = (
             f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
             f"Hz, in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
             f"{len(self.trial):,} rows."

@@ -1,4 +1,4 @@
-"""Motion as it is compared: a course of joints, and how torques along it are."""
+"""Motion as it is compared: a trajectory of joints, and torques along it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEAST_FLOOR = 0.005
 
 
 @dataclass(frozen=True)
-class Course:
+class Trajectory:
     """Motion of R rows.
 
     Attributes:
@@ -34,7 +34,7 @@ class Course:
     load: Array
 
     def slid(self, joint: int, presliding: float) -> Array:
-        """(R,) share of its dry friction, -1 to 1, that a joint bears: after Dahl.
+        """(R,) share of its dry friction, -1 to 1, that acts on a joint: after Dahl.
 
         A joint that turns round gives elastically over about `presliding`, in the position's
         unit, until it slips the other way; with none, friction turns round with the motion.
@@ -64,12 +64,12 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Motion(Course):
+class Motion(Trajectory):
     """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
 
     Attributes:
         torque: (R, J) of the drives; NaN for joints without.
-        counts: (R, J) where the torque tells something.
+        counts: (R, J) where the torque is compared: the joint moves, and its torque was measured.
         floor: (J,) what noise of torques and positions leaves of any model in what is compared.
         scale: how large torques and motion are.
         paths: by trial, the smoothed position (T, J) at the recording's rate.
@@ -104,7 +104,7 @@ class Motion(Course):
     inertia: Array
 
     def slid(self, joint: int, presliding: float) -> Array:
-        """As of a course; between rows a joint may turn round, so it goes the whole path."""
+        """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
         if presliding <= 0.0:
             return self.direction[:, joint]
         found = []
@@ -117,7 +117,7 @@ class Motion(Course):
         return np.concatenate(found)
 
     def compared(self, torque: Array) -> Array:
-        """(Q, J) of torques (R, J): what tells nothing taken out, then the low-pass."""
+        """(Q, J) of torques (R, J): those that do not count taken out, then the low-pass."""
         known = np.where(self.counts, torque, 0.0)
         ends = np.flatnonzero(np.diff(self.trial)) + 1
         parts = np.split(known, ends)

@@ -120,7 +120,7 @@ def diagnose(
         arm=robot.name,
         unit=UNIT,
         channels=_channels(comparison, before, after),
-        compared=comparison.said,
+        compared=comparison.description,
     )
     progress("done", 1.0)
     return RobotDiagnosis(
@@ -136,7 +136,7 @@ def diagnose(
             *(() if motion.forward else robot.left_out),
             *beyond_range(recording, robot),
             *doubtful(simulator, problem.nominal),
-            comparison.said,
+            comparison.description,
         ),
     )
 

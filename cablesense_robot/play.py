@@ -1,7 +1,8 @@
-"""What joints do behind drives with play: how far, fast and hard they move within their gaps.
+"""Motion of joints relative to their drives, within the gaps that backlash leaves.
 
-All of it follows from measured motion and the model: a joint whose link needs a torque rests on
-the tooth that gives it; where that torque turns round, the link flies freely to the other tooth.
+It follows from measured motion and the model. A joint lies at that end of its gap at which the
+drive gives the torque that the link needs; where that changes its sign, the link moves freely to
+the other end.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _CACHED = 48
 _LEAST_KG_M2 = 1e-9
 
 
-class Gaps:
+class BacklashMotion:
     """Of a robot whose motion was measured at the drives."""
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
@@ -40,8 +41,8 @@ class Gaps:
         return np.concatenate(found)
 
     @cached_property
-    def _needed(self) -> tuple[Array, ...]:
-        """By trial, accelerations (T, J) of joints that let go of their drives, from these."""
+    def _free_acceleration(self) -> tuple[Array, ...]:
+        """By trial, accelerations (T, J) of freely moving joints relative to their drives."""
         model = copy.copy(self._robot.model)
         inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
         model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
@@ -65,19 +66,19 @@ class Gaps:
 
     def _of_joint(self, joint: int, play: float) -> Array:
         motion, found = self._motion, []
-        for needed in self._needed:
-            gap = _flown(needed[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
+        for free in self._free_acceleration:
+            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
             smooth = smoothing.smoothed(gap, motion.rate_hz, motion.smoothed_hz)
             moved = smooth, *smoothing.derivatives(smooth, motion.rate_hz)
             found.append(np.hstack(moved).T)
         return np.concatenate(found, 1)
 
 
-def _flown(free: Array, reach: float, interval_s: float) -> Array:
-    """(T,) where within ±`reach` a joint is whose free acceleration from its drive is (T,)."""
-    place, speed, found = float(np.sign(free[0])) * reach, 0.0, []
-    for pulled in free.tolist():
-        speed += pulled * interval_s
+def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
+    """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
+    place, speed, found = float(np.sign(acceleration[0])) * reach, 0.0, []
+    for each in acceleration.tolist():
+        speed += each * interval_s
         place += speed * interval_s
         if abs(place) >= reach:
             place, speed = (reach if place > 0.0 else -reach), 0.0

@@ -3,7 +3,7 @@
 Smoothing has two stages. Positions and torques are smoothed lightly, as far as the noise of
 accelerations asks for, since a model's products of smoothed motion are not the smoothed products.
 Then what was measured and what a model predicts go through the same low-pass at the bandwidth in
-which they are compared. A joint at rest tells nothing, as dry friction may hold any torque there:
+which they are compared. A joint at rest does not count, as dry friction may hold any torque there:
 its torques are taken out of both before that.
 """
 
@@ -22,7 +22,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_robot import smoothing
 from cablesense_robot.effects.effect import Scale
 from cablesense_robot.model import Robot, actuated
-from cablesense_robot.motion import LEAST_FLOOR, Course, Driven, Motion, Noise, inner_rows
+from cablesense_robot.motion import LEAST_FLOOR, Driven, Motion, Noise, Trajectory, inner_rows
 from cablesense_robot.recording import RobotRecording
 
 MOST_ROWS = 5000
@@ -64,7 +64,7 @@ def prepared(
         _check_commands(recording, robot)
         trials = [replace(t, torque=_commanded(robot, t, most_hz)) for t in trials]
     if bandwidth_hz is None:
-        compared_hz = float(np.clip(_of_power(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
+        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
         compared_hz = bandwidth_hz
     else:
@@ -74,7 +74,7 @@ def prepared(
         )
     noise = _noise(trials, rate_hz)
     inertia = _inertia(robot, recording.position)
-    smoothed_hz = _widest(
+    smoothed_hz = _smoothing_hz(
         noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
     )
     step = max(
@@ -83,7 +83,7 @@ def prepared(
         -(-sum(len(t.position) for t in trials) // MOST_ROWS),
     )
     speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
-    slow = _slow(trials, rate_hz, smoothed_hz, speed_noise)
+    slow = _least_speed(trials, rate_hz, smoothed_hz, speed_noise)
     parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot) for t in trials]
     joined = {
         f.name: np.concatenate([getattr(p, f.name)[::step] for p in parts])
@@ -93,7 +93,7 @@ def prepared(
     tied = robot.geared.any(axis=1)
     counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque) & ~tied
     rows_hz = rate_hz / step
-    passes, kept = _passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
+    passes, kept = _low_passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
     trial = np.unique(joined["trial"], return_inverse=True)[1]
     if len(kept) < _FEWEST_ROWS:
         raise RecordingError(
@@ -101,7 +101,7 @@ def prepared(
             "of several seconds"
         )
     scale = _scale(joined, moving)
-    torque_noise = np.maximum(noise.torque, _at_rest(trials, parts, rate_hz, compared_hz))
+    torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
     floor = np.hypot(
         smoothing.noise_of_smoothed(torque_noise, compared_hz),
         inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
@@ -140,7 +140,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Smoothed(Course):
+class _Smoothed(Trajectory):
     """One trial, as `Motion`, at the recording's rate; and which joints move."""
 
     torque: Array
@@ -163,7 +163,9 @@ def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
             _interpolated(time_s, own, values[rows])
             for values in (recording.position, recording.torque, recording.command)
         )
-        found.append(_Trial(int(t), time_s, position, _cleared(torque), command, interval_s))
+        found.append(
+            _Trial(int(t), time_s, position, _without_glitches(torque), command, interval_s)
+        )
     if not found:
         raise RecordingError(
             f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
@@ -176,7 +178,7 @@ def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
     return np.array(columns).reshape(values.shape[1], len(at_s)).T
 
 
-def _cleared(torque: Array) -> Array:
+def _without_glitches(torque: Array) -> Array:
     """Without single samples that stand out from their neighbours, as a switching drive makes."""
     middle = median_filter(np.nan_to_num(torque), size=(_GLITCH_SAMPLES, 1), mode="nearest")
     off = np.abs(torque - middle)
@@ -204,19 +206,21 @@ def _commanded(robot: Robot, trial: _Trial, most_hz: float) -> Array:
     return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
 
 
-def _of_power(trials: Sequence[_Trial], rate_hz: float) -> float:
-    """The frequency up to which torques are compared: a multiple of that of the motion.
+def _comparison_hz(trials: Sequence[_Trial], rate_hz: float) -> float:
+    """The frequency, Hz, up to which torques are compared: a multiple of that of the motion.
 
     Where torques have their power below that, it is theirs; noise has no part in either. Above it
     is what drives and controllers do against noise and resonances, which no motion shows.
     """
-    moved = np.median(_reached([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
-    torques = _reached([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
+    moved = np.median(_frequency_below([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
+    torques = _frequency_below([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
     return _HARMONICS * float(min(moved, torques.max()))
 
 
-def _reached(signals: Sequence[Array], rate_hz: float, share: float, derivative: int) -> Array:
-    """(J,) below which frequency a derivative of signals has a share of its power."""
+def _frequency_below(
+    signals: Sequence[Array], rate_hz: float, share: float, derivative: int
+) -> Array:
+    """(J,) frequencies, Hz, below which a derivative of signals has a share of its power."""
     known = [np.nan_to_num(signal) for signal in signals]
     frequency, density = smoothing.mean_spectrum(known, rate_hz)
     noise = np.mean([smoothing.noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
@@ -249,10 +253,13 @@ def _inertia(robot: Robot, position: Array) -> Array:
     return np.asarray(np.mean(found, axis=0))
 
 
-def _widest(
+def _smoothing_hz(
     noise: Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
 ) -> float:
-    """As wide as accelerations, compared, stay below the torques' noise, or 1 % of the torques."""
+    """The widest bandwidth of the motion, Hz, at which the noise of accelerations is small enough.
+
+    As compared it stays below the noise of the torques, or 1 % of the torques.
+    """
     torque = np.concatenate([t.torque for t in trials])
     own = smoothing.noise_of_smoothed(noise.torque, compared_hz)
     least = np.maximum(own, 0.01 * np.nan_to_num(torque.std(0)).max())
@@ -264,7 +271,9 @@ def _widest(
     return good
 
 
-def _slow(trials: Sequence[_Trial], rate_hz: float, smoothed_hz: float, noise: Array) -> Array:
+def _least_speed(
+    trials: Sequence[_Trial], rate_hz: float, smoothed_hz: float, noise: Array
+) -> Array:
     """(J,) speeds below which the direction of motion is not known."""
     squares = [
         smoothing.derivatives(smoothing.smoothed(t.position, rate_hz, smoothed_hz), rate_hz)[0]
@@ -303,7 +312,7 @@ def _of_trial(
     )
 
 
-def _passes(
+def _low_passes(
     counts: Sequence[int], rows_hz: float, compared_hz: float
 ) -> tuple[tuple[Array, ...], NDArray[np.int64]]:
     """The low-pass of each trial as a matrix, without its ends, and which rows it leads to."""
@@ -339,13 +348,13 @@ def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
     )
 
 
-def _at_rest(
+def _noise_at_rest(
     trials: Sequence[_Trial], parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float
 ) -> Array:
     """(J,) density of the torques' noise about the bandwidth, while all joints stand still.
 
-    Noise that a filter has made is larger there than at high frequencies. What a joint that
-    sticks bears, and how it comes to rest, is slower than that, and alike in few rests.
+    Filtered noise is larger there than at high frequencies. The torque of a joint that sticks
+    changes more slowly, and differs from rest to rest.
     """
     least, found = int(_REST_S * rate_hz), []
     low_hz = max(compared_hz, 1.0 / _REST_S)

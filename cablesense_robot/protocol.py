@@ -1,4 +1,4 @@
-"""What to record of a robot, so that effects can be told apart, and what to record next."""
+"""What to record of a robot, so that effects can be distinguished, and what to record next."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cablesense_gap.simulator import Assignment
 from cablesense_robot.catalogue import changed
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import Robot
-from cablesense_robot.motion import Course
+from cablesense_robot.motion import Trajectory
 from cablesense_robot.smoothing import derivatives
 
 RATE_HZ = 100.0
@@ -94,7 +94,7 @@ def write_protocol(path: Path, robot: Robot, blocks: Sequence[Block]) -> int:
 
 
 def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) -> str:
-    """The block of the protocol in which explanations part most, as text; empty without any.
+    """The block of the protocol in which explanations differ most, as text; empty without any.
 
     `rivals` are the fitted numbers of each, `floor` (J,) the noise of each joint's torque. With
     one of them it is the block that shows most of it.
@@ -105,7 +105,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     position, number = _joined(blocks, _EVERY)
     moved = [derivatives(block.position, RATE_HZ) for block in blocks]
     speed, acceleration = (np.concatenate([each[k][::_EVERY] for each in moved]) for k in range(2))
-    course = Course(
+    trajectory = Trajectory(
         time_s=np.arange(len(position)) * _EVERY / RATE_HZ,
         trial=number,
         position=position,
@@ -114,16 +114,16 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
         direction=np.clip(speed / _SLOW_SPEED, -1.0, 1.0),
         load=np.zeros_like(position),
     )
-    dynamics = InverseDynamics(robot, course)
+    dynamics = InverseDynamics(robot, trajectory)
     weighed = rivals if len(rivals) > 1 else [{}, *rivals]
     torques = [dynamics.torques(changed(robot, [values])) / floor for values in weighed]
     pairs = [(a - b) ** 2 for a, b in combinations(torques, 2)]
     nearest = np.min([np.bincount(number, pair.mean(1)) for pair in pairs], axis=0)
     size = np.sqrt(nearest / np.bincount(number))
-    if not size.max() > 0.0:  # play, which no course that is asked for shows
+    if not size.max() > 0.0:  # backlash, which no trajectory shows that was not measured
         return ""
     best = blocks[int(size.argmax())]
-    part = "The explanations part there by" if len(rivals) > 1 else "It shows there as"
+    part = "The explanations differ there by" if len(rivals) > 1 else "It shows there as"
     return (
         f"Record several times, as {best.kind}: {best.does}. {part} {size.max():.2g} floors RMS."
     )

@@ -131,7 +131,7 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
     rows = len(table["time_s"])
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
-    _refuse_strangers(path, table, robot)
+    _refuse_other_names(path, table, robot)
     _refuse_gaps(path, table, robot)
 
     def stacked(kind: str, names: Sequence[str]) -> Array:
@@ -162,7 +162,7 @@ def _check_speeds(path: Path, robot: Robot, table: dict[str, Array], position: A
             )
 
 
-def _refuse_strangers(path: Path, table: dict[str, Array], robot: Robot) -> None:
+def _refuse_other_names(path: Path, table: dict[str, Array], robot: Robot) -> None:
     """Joints and actuators of another robot; joints without a position."""
     named = [(m[1], m[2]) for name in table if (m := _COLUMN.fullmatch(name))]
     joints = {name for kind, name in named if kind in ("position", "velocity", "torque")}

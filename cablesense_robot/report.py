@@ -63,7 +63,10 @@ def robot_headline(verdict: Verdict) -> str:
     """The first line: what, where, how sure."""
     sure, gap = percent(verdict.probability), floors(verdict.gap.before_n)
     if verdict.effects == (NONE,):
-        return f"Nothing to add: the gap of {gap} is what noise and workshop leave ({sure} sure)."
+        return (
+            f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
+            f"({sure} sure)."
+        )
     if verdict.effects == (UNKNOWN,):
         return f"Something that no known effect explains makes a gap of {gap} ({sure} sure)."
     causes = ", and from ".join(_cause(verdict, name) for name in verdict.effects)

@@ -25,10 +25,10 @@ class Comparison(Protocol):
     Attributes:
         names, columns, units: of the channels, as verdicts and as tables call them.
         floor: (C,) what noise leaves of any model.
-        noise: (C,) the same, over all rows, of which some may tell nothing of a channel.
+        noise: (C,) the same, over all rows, of which some may not count for a channel.
         readings: (Q, C) in those units.
         trial, time_s: (Q,).
-        said: how it is compared, as a sentence.
+        description: how it is compared, as a sentence.
     """
 
     names: tuple[str, ...]
@@ -39,7 +39,7 @@ class Comparison(Protocol):
     readings: Array
     trial: NDArray[np.int64]
     time_s: Array
-    said: str
+    description: str
 
     def predicted(self, change: Change) -> Array:
         """(Q, C) by a variant of the robot."""

@@ -77,7 +77,7 @@ def noise_of_smoothed(density: Array, *bandwidths_hz: float) -> Array:
 
 
 def noise_of_drift(density: Array, over_s: float, bandwidth_hz: float) -> tuple[Array, Array]:
-    """What positions' white noise makes of a course from smoothed states, after a time.
+    """What positions' white noise makes of free motion from smoothed states, after a time.
 
     Standard deviations of where free motion from the first state ends, less the last state:
     position and speed.

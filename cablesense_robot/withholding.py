@@ -31,7 +31,7 @@ _ENCODER_STEP = 2.0 * np.pi / 2**16
 _NOISE_SHARE = 0.01
 _SIZES = (2.0, 5.0)
 """Of the typical one, that hidden effects have."""
-_TEETH = 9.0
+_COGGING_PER_RAD = 9.0
 _SMOOTH_SPEED = 0.01
 _ATTEMPTS = 8
 
@@ -61,12 +61,12 @@ def withhold(
     ]
     for name in {part for each in only for part in each.split("+")} - {*offered, NONE, UNKNOWN}:
         raise RobotError(f"{name!r} cannot be hidden; valid: none, unknown, {', '.join(offered)}")
-    course = _Course(robot)
+    motion = _ProtocolMotion(robot)
     found = []
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         asked = only[k % len(only)] if only else _drawn(rng, offered)
-        hidden = _case(folder / f"case_{k + 1:03d}.csv", course, asked, rng)
+        hidden = _case(folder / f"case_{k + 1:03d}.csv", motion, asked, rng)
         found.append(hidden)
         yield hidden
     rows = [f"{h.recording},{h.effects},{h.places}" for h in found]
@@ -84,7 +84,7 @@ def _drawn(rng: np.random.Generator, offered: Sequence[str]) -> str:
     return "+".join(sorted(rng.choice(offered, several, replace=False)))
 
 
-class _Course:
+class _ProtocolMotion:
     """The protocol's motion and what the nominal robot needs for it."""
 
     def __init__(self, robot: Robot) -> None:
@@ -105,10 +105,10 @@ class _Course:
         )
 
 
-def _case(path: Path, course: _Course, asked: str, rng: np.random.Generator) -> Hidden:
+def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Generator) -> Hidden:
     import pandas as pd
 
-    robot, scale = course.robot, course.scale
+    robot, scale = motion.robot, motion.scale
     names = [] if asked in (NONE, UNKNOWN) else asked.split("+")
     for _ in range(_ATTEMPTS):
         values = [_sized(known_effects()[name], robot, scale, rng) for name in names]
@@ -119,16 +119,16 @@ def _case(path: Path, course: _Course, asked: str, rng: np.random.Generator) -> 
             for place in e.places(robot)
             for p in e.parameters(robot, scale)
         }
-        teeth = np.zeros(len(robot.joints))
+        cogging = np.zeros(len(robot.joints))
         if asked == UNKNOWN:
-            joint = int(rng.integers(len(teeth)))
-            teeth[joint] = rng.uniform(0.1, 0.3) * scale.torque[joint]
+            joint = int(rng.integers(len(cogging)))
+            cogging[joint] = rng.uniform(0.1, 0.3) * scale.torque[joint]
         hidden = changed(robot, [tolerances, *values])
-        tables = [_trial(course, k, hidden, teeth, rng) for k in range(len(course.blocks))]
+        tables = [_trial(motion, k, hidden, cogging, rng) for k in range(len(motion.blocks))]
         if all(np.isfinite(table).all() for table in tables):
             break
     else:
-        raise RobotError(f"{robot.path}: cannot be held on the protocol's course with {asked}")
+        raise RobotError(f"{robot.path}: cannot be held on the protocol's motion with {asked}")
     columns = ["time_s", "trial"]
     columns += [f"{kind}.{joint}" for kind in ("position", "torque") for joint in robot.joints]
     with written_whole(path, RecordingError) as beside:
@@ -153,32 +153,34 @@ def _sized(
 
 
 def _trial(
-    course: _Course, k: int, hidden: Change, teeth: Array, rng: np.random.Generator
+    motion: _ProtocolMotion, k: int, hidden: Change, cogging: Array, rng: np.random.Generator
 ) -> Array:
     """Rows of one block: time, trial, positions and torques as they are read."""
-    robot = course.robot
+    robot = motion.robot
     model = robot.varied(hidden)
     model.opt.timestep, model.opt.integrator = _STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data, steps = mujoco.MjData(model), round(1.0 / RATE_HZ / _STEP_S)
     apart = np.eye(len(robot.joints)) + hidden.coupling
     inertia = np.zeros((model.nv, model.nv))
-    position, speed, _ = course.moved[k]
+    position, speed, _ = motion.moved[k]
     data.qpos[:], data.qvel[:] = position[0], speed[0]
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, inertia)
     stiff = inertia.diagonal() * _RAD_S_OF_CONTROL**2
     damp = 2.0 * inertia.diagonal() * _RAD_S_OF_CONTROL
     found_position, found_torque = np.empty_like(position), np.empty_like(position)
-    asked = np.hstack([position, speed, course.torque[k]])
+    asked = np.hstack([position, speed, motion.torque[k]])
     for row in range(len(position)):
         last, now = asked[max(row - 1, 0)], asked[row]
         for step in range(1, steps + 1):
             place, rate, known = np.split(last + (now - last) * step / steps, 3)
             torque = known + stiff * (place - data.qpos) + damp * (rate - data.qvel)
             way = np.tanh(data.qvel / _SMOOTH_SPEED)
-            rubbing = hidden.load_friction * np.abs(torque) * way
-            data.qfrc_applied[:] = torque - rubbing + teeth * np.sin(_TEETH * data.qpos)
+            friction = hidden.load_friction * np.abs(torque) * way
+            data.qfrc_applied[:] = (
+                torque - friction + cogging * np.sin(_COGGING_PER_RAD * data.qpos)
+            )
             mujoco.mj_step(model, data)
         found_position[row], found_torque[row] = data.qpos, torque
     encoder = np.linalg.solve(apart, found_position.T).T
@@ -187,8 +189,8 @@ def _trial(
     at_drive = found_torque @ apart
     late = [np.interp(time_s - hidden.delay_s, time_s, own) for own in at_drive.T]
     read = (1.0 + hidden.torque_scale) * np.array(late).T + hidden.torque_offset
-    read += rng.normal(0.0, _NOISE_SHARE * course.scale.torque, read.shape)
+    read += rng.normal(0.0, _NOISE_SHARE * motion.scale.torque, read.shape)
     encoder = np.round(encoder / _ENCODER_STEP) * _ENCODER_STEP
-    begin_s = sum(block.duration_s + 1.0 for block in course.blocks[:k])
+    begin_s = sum(block.duration_s + 1.0 for block in motion.blocks[:k])
     trial = np.full(len(position), k + 1)
     return np.column_stack([begin_s + time_s, trial, encoder, read])

@@ -364,7 +364,7 @@ def in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:
 
 
 def with_tolerances(robot: Hidden, kind: Kind, rng: np.random.Generator) -> Hidden:
-    """What a usual workshop leaves: masses and torques to 1 %, centres to 1 mm, zeros to 0.1°."""
+    """Manufacturing tolerances: masses and torques to 1 %, centres to 1 mm, zeros to 0.1°."""
     chain, count = robot.chain, len(robot.damping)
     mass = 1.0 + 0.01 * rng.standard_normal(count)
     small_m = min(1e-3, 0.01 * float(np.abs(chain.origin_m).max()))

@@ -7,10 +7,10 @@ from cablesense_robot.model import Change, Robot
 
 
 class Backlash(Effect):
-    """A joint that rests on one tooth of its drive or on the other, and flies between them.
+    """A gap between drive and joint: the joint is driven at either end of it, and free between.
 
-    Positions are taken to be the drive's. Which tooth bears, and when a joint flies, follows from
-    the torque that its link needs.
+    Positions are taken to be the drive's. Where the joint is in the gap follows from the torque
+    that its link needs.
     """
 
     name = "backlash"

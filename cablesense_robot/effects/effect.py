@@ -16,7 +16,7 @@ from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
 PRESLIDING = "presliding_rad"
-"""No MJCF can say it."""
+"""A parameter that no MJCF has a place for."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class Effect(ABC):
         about: what it is, as the end of `the gap comes from …`.
         source: where its law comes from.
         advice: what someone at the robot can check or do about it.
-        tolerance: whether it is what a workshop leaves, fitted beside all others and no cause.
-        in_model: whether an MJCF can say it.
+        tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
+        in_model: whether an MJCF has a place for it.
         simulated: whether `withholding` can hide it in a recording.
         against_motion: whether it turns round with the motion, whatever the speed.
     """

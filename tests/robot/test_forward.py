@@ -38,7 +38,7 @@ def compared(recording, robot, forward=None):
 
 def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_path, robot):
     found = compared(commanded(tmp_path, robot), robot)
-    assert "forward in time" in found.said
+    assert "forward in time" in found.description
     assert found.names == (
         "position.shoulder", "position.elbow", "velocity.shoulder", "velocity.elbow",
     )  # fmt: skip
@@ -49,8 +49,8 @@ def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_
 
 def test_torques_are_inverse_unless_asked_otherwise(tmp_path, robot):
     recording = read_recording(recorded(tmp_path / "recording.csv"), robot)
-    assert "inverse dynamics" in compared(recording, robot).said
-    assert "measured torques" in compared(recording, robot, forward=True).said
+    assert "inverse dynamics" in compared(recording, robot).description
+    assert "measured torques" in compared(recording, robot, forward=True).description
 
 
 def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):

@@ -16,7 +16,7 @@ from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.bag import bag_table
 from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import RobotError, load_robot
-from cablesense_robot.motion import Course
+from cablesense_robot.motion import Trajectory
 from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.smoothing import smoothed
@@ -222,7 +222,7 @@ def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
 def course(position, speed=0.0, acceleration=0.0):
     count, joints = position.shape
     still = np.zeros_like(position)
-    return Course(
+    return Trajectory(
         time_s=np.arange(float(count)),
         trial=np.zeros(count, dtype=np.int64),
         position=position,

@@ -47,7 +47,7 @@ def test_forward_and_inverse_dynamics_agree_on_what_is_recorded(tmp_path, robot,
     needed = inverse_dynamics(robot.model, position, *derivatives(position, 100.0))
     left = (table[["torque.shoulder", "torque.elbow"]].to_numpy() - needed)[50:-50]
     size = np.sqrt((needed**2).mean(0))
-    assert (np.sqrt((left**2).mean(0)) < 0.06 * size).all()  # noise and workshop
+    assert (np.sqrt((left**2).mean(0)) < 0.06 * size).all()  # noise and tolerances
     assert read_answers(answers) == (Answer("case_001", ("none",)),)
 
 

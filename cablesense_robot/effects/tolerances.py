@@ -1,4 +1,4 @@
-"""What a usual workshop leaves: tolerances, fitted beside all others and no cause."""
+"""Manufacturing tolerances: fitted beside all effects, and never the cause of a gap."""
 
 from __future__ import annotations
 
