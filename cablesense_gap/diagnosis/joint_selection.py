@@ -8,9 +8,11 @@ leaving it out makes held-out trials worse by more than chance over the trials.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, combinations
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -34,15 +36,17 @@ _MOST_EFFECTS = 7
 _SEVERAL = 3
 _MOST_CHANGES, _MOST_EXCHANGES = 10, 2
 _TRIED, _REPLACED = 3, 5
-_PROMISING = 2.0
+_PROMISING, _EXCHANGED = 2.0, 10.0
 _STEPS_AGAIN = 3
 _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
 _FURTHER_WORTH = 1.03
 _HELPS, _BETTER, _SLIGHTLY = 1.02, 0.95, 0.99
+_MUCH_BETTER = 0.5
+"""What leaves so little is worth while without those of its effects that are idle."""
 _MOST_ADDED = 14
 _ELSEWHERE = 0.04
-"""Power of the number of places among which one is chosen."""
+"""Power of the number of choices of as many places."""
 _SIZE_WORTH = 1.005
 _CHANCE = 1.28
 """Standard deviations over trials; less may be chance."""
@@ -66,8 +70,7 @@ class JointSelection:
         """
         self._problem, self._spread, self._fit = problem, spread, fit
         self._candidates, self._known = candidates, known
-        every = problem.simulator.candidates
-        self._worth = {c.effect: max(_PLACE_WORTH, len(c.places) ** _ELSEWHERE) for c in every}
+        self._places = {c.effect: len(c.places) for c in problem.simulator.candidates}
 
     def run(
         self,
@@ -206,7 +209,7 @@ class JointSelection:
     def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
         """Each effect that others may stand in for taken out, and another one put in."""
         found = []
-        for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, 3.0)):
+        for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, _EXCHANGED)):
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
@@ -218,10 +221,15 @@ class JointSelection:
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
         smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
-        best = min(fitted, key=self._judged, default=None)
-        if best is None or self._judged(best) >= _BETTER * before:
+        most = _MUCH_BETTER * self._problem.cost_of(than)
+        worth_it = [
+            h
+            for h in fitted
+            if self._judged(h) < _BETTER * before or self._problem.cost_of(h) <= most
+        ]
+        if not worth_it:
             return None
-        best = self._without_idle(best)
+        best = self._without_idle(min(worth_it, key=self._judged))
         return best if self._judged(best) < _BETTER * before else None
 
     def _forecast(self, screened: Screened) -> float:
@@ -239,10 +247,11 @@ class JointSelection:
 
     def _penalised(self, cost: float, sites: Sequence[tuple[str, str]], count: int) -> float:
         """What is left, with a penalty for each effect, each place among many, and each number."""
-        for effect, _ in set(sites):
-            cost *= self._worth[effect]
-        cost *= _EFFECT_WORTH ** len({e for e, _ in sites}) * _FURTHER_WORTH ** len(set(sites))
-        return cost * _SIZE_WORTH**count
+        taken = Counter(effect for effect, _ in set(sites))
+        for effect, places in taken.items():
+            choices = comb(self._places[effect], places)
+            cost *= _EFFECT_WORTH * max(_PLACE_WORTH, float(choices) ** _ELSEWHERE)
+        return cost * _FURTHER_WORTH ** taken.total() * _SIZE_WORTH**count
 
     def _pruned(self, fitted: Hypothesis) -> dict[Term, float]:
         """The values in those places without which more would be left, linear about the fit."""

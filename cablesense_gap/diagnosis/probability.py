@@ -129,21 +129,27 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 
     The most probable one, unless that is an unlisted effect although listed ones are borne out,
     several, or one that depends on history or turns round with the motion, that explain more than
-    they leave: then what they leave is unexplained, and stated beside them.
+    they leave. Then it is the one of them that leaves least, and what it leaves is unexplained and
+    stated beside it.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
-    for each in ranked:
-        ratios = _left_out_ratios(problem, ranked, each.hypothesis) if each.hypothesis else {}
-        if not ratios or not _outweighs(problem, ranked, ratios, each):
-            continue
-        odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
-        exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
-        chosen = replace(each, probability=each.probability + exact)
-        rest = [r for r in ranked[1:] if r is not each]
-        return [chosen, *rest, replace(first, probability=first.probability - exact)]
-    return list(ranked)
+    borne_out = [
+        (problem.cost_of(each.hypothesis), k, ratios)
+        for k, each in enumerate(ranked)
+        if each.hypothesis
+        and (ratios := _left_out_ratios(problem, ranked, each.hypothesis))
+        and _outweighs(problem, ranked, ratios, each)
+    ]
+    if not borne_out:
+        return list(ranked)
+    _, k, ratios = min(borne_out)
+    odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
+    exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
+    chosen = replace(ranked[k], probability=ranked[k].probability + exact)
+    rest = [*ranked[1:k], *ranked[k + 1 :]]
+    return [chosen, *rest, replace(first, probability=first.probability - exact)]
 
 
 def _outweighs(

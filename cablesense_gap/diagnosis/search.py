@@ -5,7 +5,7 @@ Screening gives where a search for numbers begins; the simulator itself fits the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -36,6 +36,7 @@ Progress = Callable[[str, float], None]
 _MOST_SINGLES = 6
 _MOST_PAIRS = 4
 _MOST_EXPENSIVE_PAIRS = 4
+_MOST_STARTS, _WORTH_GROWING, _WORTH_STARTING = 2, 2.0, 0.85
 _WORTH_PAIRING = 0.8
 _FAR_BEHIND = 6.0
 """A screening that leaves so many times as much as a fit is no rival of it."""
@@ -111,13 +112,14 @@ class _Search:
         self._reselect_best(cheap)
         if barely or self._is_resolved():
             return
-        self._select_jointly({})
-        several = self._best()
-        if len(several.effects) < 3 or not self._outdoes_pairs(several):
-            self._fit(self._pairs(cheap)[:_MOST_PAIRS], "pairs of effects", 0.25)
+        self._select_jointly({}, self._best())
+        if not self._is_resolved():
+            pairs = self._pairs(cheap)[:_MOST_PAIRS]
+            self._fit(pairs, "pairs of effects", 0.25)
             self._reselect_best(cheap)
-            if self._best() is not several and not self._is_resolved():
-                self._select_jointly({})
+            for start in self._starts({pair.effects for pair in pairs}):
+                if not (self._is_resolved() or set(start.effects) < set(self._best().effects)):
+                    self._select_jointly({}, start)
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
 
@@ -199,8 +201,9 @@ class _Search:
             pairs += self._unseen([one for one in beside if one.effects not in known], single)
         self._fit(pairs, "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
-        if not self._is_resolved() and self._may_help(expensive):
-            self._select_jointly(expensive)
+        for start in self._starts_with(expensive):
+            if not self._is_resolved():
+                self._select_jointly(expensive, start)
 
     def _unseen(self, screened: Sequence[Screened], without: Hypothesis) -> list[Screened]:
         """At a usual size those that were not fitted, where that alone improves on `without`.
@@ -210,6 +213,18 @@ class _Search:
         unseen = {one.effects: one for one in reversed(screened) if one.effects not in self._found}
         most_left = (_SLIGHTLY * without.held_out_rmse) ** 2
         return [at_usual_size(self._problem, one, most_left) for one in unseen.values()]
+
+    def _starts_with(self, offered: Offered) -> list[Hypothesis]:
+        """The best explanation, if these may help it, and else the best that has one of them."""
+        best, cost_of = self._best(), self._problem.cost_of
+        with_one = sorted(
+            (h for h in self._found.values() if set(offered) & set(h.effects)), key=cost_of
+        )
+        if with_one and with_one[0] is best:
+            return [best]
+        most = min(_WORTH_GROWING * cost_of(best), _SLIGHTLY * cost_of(self._none))
+        rivals = [h for h in with_one[:1] if cost_of(h) <= most]
+        return [best, *rivals] if self._may_help(offered) else rivals
 
     def _may_help(self, offered: Offered) -> bool:
         """Whether the best explanation has one of these, or leaves what one may do."""
@@ -221,11 +236,21 @@ class _Search:
         left = [problem.cost(s.placed.mean_square, s.placed.tolerance_chi2) for s in beside]
         return min(left, default=np.inf) < _WORTH_PAIRING * problem.cost_of(best)
 
-    def _select_jointly(self, known: Offered) -> None:
-        """From the best explanation on; of `known` effects the columns are those offered."""
+    def _starts(self, pairs: Collection[tuple[str, ...]]) -> list[Hypothesis]:
+        """Of the pairs those that others may outdo only because nothing stands beside them yet."""
+        cost_of = self._problem.cost_of
+        fitted = sorted((h for e, h in self._found.items() if e in pairs), key=cost_of)
+        singles = (cost_of(h) for h in self._found.values() if len(h.effects) == 1)
+        most = min(
+            _WORTH_GROWING * cost_of(self._best()), _WORTH_STARTING * min(singles, default=0.0)
+        )
+        return [h for h in fitted if cost_of(h) <= most][:_MOST_STARTS]
+
+    def _select_jointly(self, known: Offered, start: Hypothesis) -> None:
+        """From one explanation on; of `known` effects the columns are those offered."""
         candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
         selection = JointSelection(self._problem, self._map, candidates, fit, known)
-        for k, grown in enumerate(selection.run(self._best(), self._is_explained, self._nearly)):
+        for k, grown in enumerate(selection.run(start, self._is_explained, self._nearly)):
             self._progress("several effects at once", 0.3 + 0.02 * min(k, 10))
             self._keep(grown)
         self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:1])
