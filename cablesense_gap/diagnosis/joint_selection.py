@@ -42,8 +42,6 @@ _PLACE_WORTH = 1.04
 _EFFECT_WORTH = 1.08
 _FURTHER_WORTH = 1.03
 _HELPS, _BETTER, _SLIGHTLY = 1.02, 0.95, 0.99
-_MUCH_BETTER = 0.5
-"""What leaves so little is worth while without those of its effects that are idle."""
 _MOST_ADDED = 14
 _ELSEWHERE = 0.04
 """Power of the number of choices of as many places."""
@@ -221,15 +219,10 @@ class JointSelection:
         fitted = [h for h in self._spread(self._fit, tried) if h is not None]
         smaller = [(h, v) for h in fitted if len(v := self._pruned(h)) < len(h.values)]
         fitted += [h for h in self._spread(_refitted, smaller) if h is not None]
-        most = _MUCH_BETTER * self._problem.cost_of(than)
-        worth_it = [
-            h
-            for h in fitted
-            if self._judged(h) < _BETTER * before or self._problem.cost_of(h) <= most
-        ]
-        if not worth_it:
+        best = min(fitted, key=self._judged, default=None)
+        if best is None or self._judged(best) >= _BETTER * before:
             return None
-        best = self._without_idle(min(worth_it, key=self._judged))
+        best = self._without_idle(best)
         return best if self._judged(best) < _BETTER * before else None
 
     def _forecast(self, screened: Screened) -> float:
