@@ -11,6 +11,7 @@ from gap_problem import (
     SIGNALS,
     Sums,
     amount,
+    linear,
     problem_of,
     several,
     size,
@@ -19,6 +20,7 @@ from gap_problem import (
 from cablesense_gap.diagnosis.fitting import fit
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
 from cablesense_gap.diagnosis.joint_selection import JointSelection, borne_out
+from cablesense_gap.diagnosis.places import linear_effects
 from cablesense_gap.simulator import Candidate
 
 
@@ -49,6 +51,52 @@ def test_of_four_alike_none_is_missed():
     )
     *_, found = selection.run(start, lambda h: h.held_out_rmse < 1.1 * FLOOR, lambda _: False)
     assert found.values == pytest.approx(truth, abs=0.05)
+
+
+def selected(problem, values):
+    """What the selection ends with from these values on."""
+    every = problem.simulator.candidates
+    selection = JointSelection(problem, per_item(problem), every, fit, {})
+    start = refit(problem, values, 4)
+    *_, found = [start, *selection.run(start, lambda _: False, lambda _: False)]
+    return found
+
+
+def unlike(count, seed):
+    return np.random.default_rng(seed).normal(size=(count, *SIGNALS.shape[1:]))
+
+
+def test_an_effect_in_most_of_its_places_is_one_choice():
+    """Ten choices of one place each would be refused, beside what nothing explains."""
+    places = [f"p{k}" for k in range(12)]
+    simulator = Sums(linear("gain", "ab") | linear("drift", places, unlike(12, 1)))
+    truth = {amount("gain", "b"): 3.0} | {amount("drift", place): 1.0 for place in places[:10]}
+    unexplained = 1.3 * unlike(1, 2)[0]
+    problem = problem_of(simulator, simulator.predict([truth])[0] + unexplained)
+    assert set(selected(problem, {amount("gain", "b"): 3.0}).values) == truth.keys()
+
+
+class Masked(Sums):
+    """Beside the wrong effect the right one shows nothing."""
+
+    def _one(self, variant):
+        wrong = any(term.effect == "wrong" for term in variant)
+        return super()._one({t: v for t, v in variant.items() if not (wrong and t.effect == "e")})
+
+
+def test_what_is_needed_most_may_be_the_wrong_effect():
+    """It imitates nearly all of what the right one does: nothing else is missed as much."""
+    right, other = unlike(2, 3)
+    library = linear("e", "a", [right]) | linear("wrong", "a", [right + 0.2 * other])
+    problem = problem_of(Masked(library), {amount("e", "a"): 5.0})
+    cheap, known = problem.simulator.candidates[1:], problem.simulator.candidates[0]
+    selection = JointSelection(
+        problem, per_item(problem), cheap, fit, {"e": linear_effects(problem, known)}
+    )
+    start = refit(problem, {amount("wrong", "a"): 5.0}, 4)
+    assert problem.cost_of(refit(problem, {}, 0)) > 3.0 * problem.cost_of(start)
+    *_, found = selection.run(start, lambda _: False, lambda _: False)
+    assert found.values == pytest.approx({amount("e", "a"): 5.0}, abs=0.05)
 
 
 def test_a_size_that_cannot_be_is_no_place():

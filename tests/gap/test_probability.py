@@ -298,3 +298,15 @@ def test_several_effects_are_named_beside_what_stays_unexplained():
 @pytest.mark.parametrize(("whole", "without"), [(1.8, 2.9), (0.9, 1.1)])
 def test_effects_that_leave_much_or_are_not_needed_stand_in_for_an_unlisted_one(whole, without):
     assert verdict_on(whole, without)[0].effects == UNKNOWN
+
+
+def test_of_what_is_borne_out_the_explanation_that_leaves_least_is_named():
+    """A single effect of the past is more probable than three of many numbers that do better."""
+    past = Candidate("past", ("arm",), (), history_dependent=True)
+    whole = replace(leaving(0.9, "a", "b", "c"), sizes=30)
+    pairs = [leaving(2.0, *pair) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
+    hypotheses = [leaving(3.0), leaving(1.9, "past"), whole, *pairs]
+    found = posterior(hypotheses, FLOOR, BUNDLED)
+    assert [each.effects for each in found[:2]] == [UNKNOWN, ("past",)]
+    problem = problem_of(Sums({past: lambda _: 0.0 * ONE}), {})
+    assert named(problem, found, BUNDLED)[0].effects == ("a", "b", "c")
