@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,9 +176,11 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
             if part.errors.contacts
         ]
         rows = [(what, f"{e.contacts:,}", *error_cells(e)) for what, e in parts]
-        if each.false_n == each.false_n:
+        if not math.isnan(each.false_n):
             free = (each.truth.segment == 0).sum()
-            rows.append(("released", f"{free:,}", "", "", f"{each.false_n:.3f} N told", "", ""))
+            rows.append(
+                ("released", f"{free:,}", "", "", f"{each.false_n:.3f} N estimated", "", "")
+            )
         title = f"{name} on {recording.name}, arm {opened[name].metadata.arm_identity}"
         tables.append(titled_table(title, *headings, right=headings[1:], rows=rows))
     return {name: each.as_json() for name, each in found.items()}, tables

@@ -68,7 +68,7 @@ class RecordedErrors(NamedTuple):
         answer: the model's.
         whole: errors over all rows.
         by_segment: errors over the rows with a load on each segment, by its number.
-        false_n: mean force told in rows without a load; NaN without such rows.
+        false_n: mean force estimated in rows without a load; NaN without such rows.
     """
 
     truth: ContactTruth

@@ -61,7 +61,7 @@ SEGMENT_WRENCHES: Final = "~/wrenches/segment_{}"
 """`geometry_msgs/WrenchStamped` of each segment, from a model of several contacts."""
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 """`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one, but where a
-model tells several contacts at once."""
+model estimates several contacts at once."""
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
 JOURNAL: Final = "~/journal"

@@ -1,4 +1,4 @@
-"""What is told of one sample: contact, what is known of its force, why where nothing is."""
+"""The answer to one sample: contact, what is known of its force, why where nothing is."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Answer(NamedTuple):
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
         state: the state that answers rest on from this sample on, where that has changed.
-        all: contacts that a model of several has told, the strongest first.
+        contacts: all that were estimated, the strongest first.
     """
 
     contact: Contact = NO_CONTACT
@@ -38,7 +38,7 @@ class Answer(NamedTuple):
     problem: SampleError | None = None
     new_tare: Tare | None = None
     state: EstimatorState | None = None
-    all: Sequence[Contact] = ()
+    contacts: Sequence[Contact] = ()
 
     @property
     def bounds(self) -> tuple[Contact, Contact] | None:
@@ -49,10 +49,10 @@ class Answer(NamedTuple):
 
     def on_segment(self, number: int, unknown_force: str) -> Sequence[float] | None:
         """As `wrench`, of segment `number` alone, from 1 on."""
-        for contact in self.all:
+        for contact in self.contacts:
             if contact.segment == number:
                 return contact.wrench
-        return NO_CONTACT.wrench if self.all else self.wrench(unknown_force)
+        return NO_CONTACT.wrench if self.contacts else self.wrench(unknown_force)
 
     def wrench(self, unknown_force: str) -> Sequence[float] | None:
         """Force, N, and torque, N·m, to be published (6,); none where none is.

@@ -61,7 +61,7 @@ class DriftWatch:
         self._since_ns: int | None = None
 
     def interrupt(self) -> None:
-        """The arm is touched, or moves: what was found stands until it is found otherwise."""
+        """The arm is touched, or moves: the last result stands until there is another."""
         self._count = self._touched = 0
         self._means_n.clear()
 

@@ -238,7 +238,14 @@ class Estimation:
             force = ForceState.HIDDEN if hidden else ForceState.FREE
         probabilities, contact_m = estimate.probabilities.tolist(), self._contact_m
         return Answer(
-            contact, force, stated, contact_m, probabilities, stamp_ns, state=state, all=contacts
+            contact,
+            force,
+            stated,
+            contact_m,
+            probabilities,
+            stamp_ns,
+            state=state,
+            contacts=contacts,
         )
 
     def stale(self, now_s: float) -> bool:
@@ -368,7 +375,7 @@ class Estimation:
 
     @property
     def several(self) -> bool:
-        """Whether the model tells several contacts at once."""
+        """Whether the model estimates several contacts at once."""
         return self._model.several
 
     @property

@@ -38,7 +38,7 @@ linear within 0.02 N over the first; where many cables are slack and it bends, o
 
 _MOST_POSES = 1024
 _MOST_SETS, _MOST_REFINED = 8, 8
-_REFINED_FROM = 20.0
+_REFINED_UP_TO = 20.0
 """Misfits of up to so many times the largest that passes may come from taking as linear."""
 _TAUT_SPREADS, _BARELY_SPREADS = 4.0, 3.5
 """A reading of so many times its spread is that of a taut cable; one of so many less may be."""
@@ -361,7 +361,7 @@ class ForceFits:
     def _refined(self, difference_n: Array, best: Fit, largest: float) -> Fit:
         """The fit about its own pose, by Gauss and Newton's method."""
         for _ in range(_MOST_REFINED):
-            if best.near or best.misfit > _REFINED_FROM * largest:
+            if best.near or best.misfit > _REFINED_UP_TO * largest:
                 break
             angles = best.pose.angles_rad + best.turn_rad
             pose = _Pose(self, best.pose.segments, best.force_n, angles, at_rest=False)

@@ -43,7 +43,7 @@ On the arm `cdsm` they change by less than 0.1 N over this.
 """
 
 _HALF_TURN_DEG = 179.9
-"""Half the widest interval of a direction: the ends of a whole turn could not be told apart."""
+"""Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
 
 
 AnyEstimator = Estimator | MultiEstimator | TemporalEstimator
@@ -112,7 +112,7 @@ class ContactModel:
 
     Attributes:
         in_motion: whether it estimates while the arm moves.
-        several: whether it tells several contacts at once.
+        several: whether it estimates several contacts at once.
         unchecked: why its answers cannot be checked against readings; empty where they can.
     """
 
@@ -203,7 +203,7 @@ class HistoryDependentModel(ContactModel):
     def decide(
         self, estimate: Any, threshold: float, contact_m: Sequence[float]
     ) -> tuple[Contact, ...]:
-        """See `ContactModel`; what may be no force is not told, however likely it is."""
+        """See `ContactModel`; there is none where the force's interval begins at zero."""
         contacts = super().decide(estimate, threshold, contact_m)
         return contacts if estimate.low_n > 0.0 else ()
 

@@ -14,8 +14,8 @@ A verdict depends on nothing before its sample, apart from the time that forces 
 a misfit.
 
 What fits is not proven right: a fault whose pattern is that of a force looks like that force. So
-a contact is doubted, and not vouched for, where one wrong reading would pass, and where readings
-of a steady contact do not fit it on their average, of which less is noise.
+a contact is `unconfirmed` where one wrong reading would pass, and where readings of a steady
+contact do not fit it on their average, which has less noise.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
 from cablesense_training.inference.metadata import MisfitLimit, ModelMetadata
 
 FORCE_OFF_N: Final = 5.0
-"""An estimate so far from the force that fits best is not vouched for."""
+"""An estimate may lie so far from the force that fits best, and a wrong reading move it so far."""
 
 BEYOND_TRAINING: Final = 1.25
-"""Forces up to this multiple of the model's training range are vouched for."""
+"""Estimates beyond this multiple of the model's training range give no force."""
 
 LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
 """After misfits no force is given for as long as they lasted, between these; a swing ends soon on
@@ -57,9 +57,9 @@ _STEADY_N = 1.0
 """A force that has changed by more has no average reading."""
 _LONGEST_GAP_NS = 500_000_000
 
-_RARE = 1e-7
+_FALSE_ALARM_RATE = 1e-7
 """The share of healthy samples, by noise alone, that the limits of model files let be withheld."""
-_ROUGHLY = 10.0
+_REFITTED_UP_TO = 10.0
 """A misfit of so many times the largest that passes may come from taking as linear."""
 _LEAST_SPREAD_N = 0.01
 """Of a sensor without noise and step."""
@@ -70,7 +70,7 @@ class PlausibilityCheck:
 
     Attributes:
         unchecked: why nothing is checked; empty where all is.
-        doubt: why the contact of the last sample that fits is not vouched for; empty where it is.
+        doubt: why the contact of the last sample that fits is unconfirmed; empty where it is not.
         withheld_until_ns: samples with earlier stamps give no force.
         misfit_since_ns: stamp from which on readings did not fit, where that has not passed.
         misfit: of the last sample; infinite where no equilibrium was compared with.
@@ -174,21 +174,21 @@ class PlausibilityCheck:
         force = contacts[0].magnitude_n
         if force > self._largest_force_n:
             return (
-                f"an estimate of {force:.0f} N is beyond the {self._largest_force_n:.0f} N that "
-                "are vouched for"
+                f"an estimate of {force:.0f} N is beyond {self._largest_force_n:.0f} N, "
+                f"{BEYOND_TRAINING:g} times what the model was trained on"
             )
         if len(contacts) > 1:
             contacts = sorted(contacts, key=lambda contact: contact.segment)
         segments = tuple([contact.segment for contact in contacts])
         largest = self._limits[len(segments)]
-        told_n = [c.magnitude_n * part for c in contacts for part in c.direction]
-        self._fit = fit = self._fits.best(difference_n, segments, told_n, largest)
+        estimated_n = [c.magnitude_n * part for c in contacts for part in c.direction]
+        self._fit = fit = self._fits.best(difference_n, segments, estimated_n, largest)
         if fit is None:
             return f"the arm cannot rest under {_on(segments)} of up to {force:.0f} N"
         self.misfit = fit.misfit * self._largest / largest
         if fit.misfit > largest:
             return self._described(_on(segments))
-        if (off_n := math.dist(fit.force_n, told_n)) > FORCE_OFF_N:
+        if (off_n := math.dist(fit.force_n, estimated_n)) > FORCE_OFF_N:
             return f"the estimate lies {off_n:.1f} N from {_on(segments)} that would fit"
         return "" if fit.holds else self._slack_text(fit, _on(segments))
 
@@ -236,7 +236,7 @@ class PlausibilityCheck:
         return min(misfits) <= self._largest
 
     def _doubted(self, difference_n: Array, stamp_ns: int) -> str:
-        """Why a contact that fits is not vouched for; empty where it is."""
+        """Why a contact that fits is unconfirmed; empty where it is not."""
         fit, steady = self._fit, self._steady
         if fit is None:
             self._steady = None
@@ -279,7 +279,7 @@ class PlausibilityCheck:
             other_n[here], taut[here] = other_n[there], taut[there]
             other_n -= self._fits.unloaded_n
             near: Fit | None = fit.pose.beside(other_n, taut, largest)
-            if near is not None and largest < near.misfit < _ROUGHLY * largest:
+            if near is not None and largest < near.misfit < _REFITTED_UP_TO * largest:
                 near = self._fits.best(other_n, segments, near.force_n, largest)
             if near is None or near.misfit > largest or not near.consistent:
                 continue
@@ -386,7 +386,7 @@ def _limits(of_one: float, cables: int, most: int) -> list[float]:
     from scipy.special import chdtri  # nodes that tell single contacts start sooner without
 
     free = np.maximum(cables - 2 * np.arange(1, most + 1), 1)
-    rare = chdtri(free, _RARE) / free
+    rare = chdtri(free, _FALSE_ALARM_RATE) / free
     return [of_one, *(of_one * np.sqrt(rare / rare[0])).tolist()]
 
 

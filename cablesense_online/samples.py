@@ -343,7 +343,10 @@ class InputHealth:
             kinds = ", ".join(f"{count} {kind.value}" for kind, count in self._refused.items())
             return Level.ERROR, f"samples refused: {kinds}"
         if publisher_count > 1:
-            return Level.WARN, f"{others}; the others are silent (who was killed counts for 5 s)"
+            return (
+                Level.WARN,
+                f"{others}; the others are silent (one that was killed is counted for 5 s)",
+            )
         if missing:
             return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
         return Level.OK, "receiving"

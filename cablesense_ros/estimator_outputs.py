@@ -137,7 +137,7 @@ class EstimatorOutputs:
 
     def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
         """The force in base axes, at the joints and, of several contacts, on each segment."""
-        contacts = answer.all
+        contacts = answer.contacts
         if self._base_out.subscribed:
             if contacts:
                 wrench = self._estimation.at_pose.base_wrench(contacts)
@@ -160,7 +160,7 @@ class EstimatorOutputs:
             put_probabilities(self._probabilities, answer.probabilities)
             self._probabilities_out.publish(self._probabilities)
         if self._markers and self._markers_out and self._markers_out.subscribed:
-            self._markers.put(answer.all, self._frames, _time(stamp_ns))
+            self._markers.put(answer.contacts, self._frames, _time(stamp_ns))
             self._markers_out.publish(self._markers.array)
 
 

@@ -60,7 +60,7 @@ _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
     "force_mae_n": ("force off by, mean", newtons),
     "direction_mean_deg": ("direction off by, mean", lambda value: f"{value:.2f}°"),
     "interval_coverage": ("force within the stated 95 % interval", percent),
-    "false_force_n": ("force told of the released arm, mean", newtons),
+    "false_force_n": ("force estimated on the released arm, mean", newtons),
 }
 
 

@@ -44,7 +44,7 @@ def _angle_deg(local_n: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Contact:
+class ShownContact:
     """A single force on the arm, normal to its segment; true or estimated.
 
     Attributes:
@@ -61,7 +61,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Status:
+class ShownStatus:
     """The estimator's state: level, headline, and notes for a person."""
 
     level: Level
@@ -100,36 +100,36 @@ class Snapshot:
     time_s: float
     joint_angles_rad: Array
     tensions_n: Array | None
-    true: Contact | None
+    true: ShownContact | None
     state: ForceState
-    estimate: Contact | None
+    estimate: ShownContact | None
     bounds: ForceBounds | None
     probabilities: Array | None
-    status: Status
-    more_true: tuple[Contact, ...] = ()
-    more_estimated: tuple[Contact, ...] = ()
+    status: ShownStatus
+    more_true: tuple[ShownContact, ...] = ()
+    more_estimated: tuple[ShownContact, ...] = ()
 
     @property
-    def all_true(self) -> tuple[Contact, ...]:
+    def all_true(self) -> tuple[ShownContact, ...]:
         """Every true contact, the strongest first."""
         return () if self.true is None else (self.true, *self.more_true)
 
     @property
-    def all_estimated(self) -> tuple[Contact, ...]:
+    def all_estimated(self) -> tuple[ShownContact, ...]:
         """Every estimated contact, the strongest first."""
         return () if self.estimate is None else (self.estimate, *self.more_estimated)
 
     @property
     def answered(self) -> bool:
-        """Whether the estimator told a contact, or that none can be seen."""
-        return self.state in _STATED
+        """Whether the estimator gave a contact, or that none can be seen."""
+        return self.state in _ANSWERED
 
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
-_TOLD = (ForceState.CONTACT, ForceState.UNCONFIRMED)
-_STATED = (*_TOLD, ForceState.FREE, ForceState.HIDDEN)
+_IN_CONTACT = (ForceState.CONTACT, ForceState.UNCONFIRMED)
+_ANSWERED = (*_IN_CONTACT, ForceState.FREE, ForceState.HIDDEN)
 _LEAST_FELT_N = 1e-3
 _HARMLESS = frozenset({"cables", "cable_tensions"})
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
@@ -228,7 +228,7 @@ class LiveArm:
             self._estimate, self._estimate_s = estimate, now_s
 
     def on_segment_wrench(self, message: Any, now_s: float) -> None:
-        """Takes one of the estimator's `wrenches`, of a model that tells several contacts."""
+        """Takes one of the estimator's `wrenches`, of a model of several contacts."""
         segment = self.frames.segment_number(message.header.frame_id)
         with self._lock:
             self._of_segments[segment] = now_s, _force_n(message)
@@ -267,7 +267,7 @@ class LiveArm:
                     level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
                     self._health[part] = (now_s, level, status.message)
 
-    def content_with(self, part: str) -> bool:
+    def reports_ok(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
         latest = self._health.get(part)
         return latest is not None and latest[1] is Level.OK
@@ -296,11 +296,11 @@ class LiveArm:
             command = self._motion.advance(elapsed_s)
             fresh = now_s - self._state_s <= STALE_S
             state = self._state if fresh else ForceState.SILENT
-            told = state in _TOLD and now_s - self._estimate_s <= STALE_S
-            estimates = self._estimated(command, now_s) if told else ()
+            touched = state in _IN_CONTACT and now_s - self._estimate_s <= STALE_S
+            estimates = self._estimated(command, now_s) if touched else ()
             true = self._true(command)
             bounds = None
-            if state in _STATED and (now_s - self._bounds_s <= STALE_S).all():
+            if state in _ANSWERED and (now_s - self._bounds_s <= STALE_S).all():
                 low, high = self._bounds_n
                 angles = (_angle_deg(low), _angle_deg(high)) if low.any() else None
                 low_n, high_n = np.linalg.norm(self._bounds_n, axis=1).tolist()
@@ -308,7 +308,7 @@ class LiveArm:
             status = self._status(state, estimates, bounds, now_s)
             if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
                 note = f"{CABLE_TENSIONS} has two publishers; those of one are shown"
-                status = Status(Level.ERROR, status.headline, (note, *status.notes))
+                status = ShownStatus(Level.ERROR, status.headline, (note, *status.notes))
             measured = self._joint_angles_rad
             return Snapshot(
                 time_s=self._tensions_s if self._tensions_n is not None else now_s,
@@ -324,7 +324,7 @@ class LiveArm:
                 more_estimated=estimates[1:],
             )
 
-    def _true(self, command_rad: Array) -> tuple[Contact, ...]:
+    def _true(self, command_rad: Array) -> tuple[ShownContact, ...]:
         """Of the loads what can be felt of them."""
         felt = [
             (n, np.array([0.0, float(y), float(z)]))
@@ -334,8 +334,8 @@ class LiveArm:
         ]
         return self._contacts(command_rad, felt)
 
-    def _estimated(self, command_rad: Array, now_s: float) -> tuple[Contact, ...]:
-        """Of each segment, from a model that tells several; else the one contact."""
+    def _estimated(self, command_rad: Array, now_s: float) -> tuple[ShownContact, ...]:
+        """Of each segment, from a model of several contacts; else the one contact."""
         several = [
             (n, local_n)
             for n, (since_s, local_n) in self._of_segments.items()
@@ -346,28 +346,30 @@ class LiveArm:
 
     def _contacts(
         self, command_rad: Array, forces: list[tuple[int, Array]]
-    ) -> tuple[Contact, ...]:
+    ) -> tuple[ShownContact, ...]:
         found = (self._contact(command_rad, *each) for each in forces)
         return tuple(sorted(found, key=lambda contact: -contact.magnitude_n))
 
-    def _contact(self, command_rad: Array, segment: int, local_n: Array) -> Contact:
+    def _contact(self, command_rad: Array, segment: int, local_n: Array) -> ShownContact:
         force = segment_rotations(self.mechanism, command_rad)[segment - 1] @ local_n
-        return Contact(segment, _angle_deg(local_n), float(np.linalg.norm(local_n)), force)
+        return ShownContact(segment, _angle_deg(local_n), float(np.linalg.norm(local_n)), force)
 
     def _status(
         self,
         state: ForceState,
-        estimates: tuple[Contact, ...],
+        estimates: tuple[ShownContact, ...],
         bounds: ForceBounds | None,
         now_s: float,
-    ) -> Status:
+    ) -> ShownStatus:
         """With the estimator's warnings as notes; where there are none, its first status."""
         if self._tensions_n is None:
-            return Status(Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",))
+            return ShownStatus(
+                Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",)
+            )
         if (age_s := now_s - self._tensions_s) > STALE_S:
-            return Status(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
+            return ShownStatus(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
         if not np.isfinite(self._state_s):
-            return Status(Level.STALE, "Waiting for the estimator", ("nothing has come yet",))
+            return ShownStatus(Level.STALE, "Waiting for the estimator", ("nothing has come yet",))
         present = [
             (level, part, text)
             for part, (since_s, level, text) in self._health.items()
@@ -390,4 +392,4 @@ class LiveArm:
                 if each is Level.ERROR or (each is Level.WARN and part not in _HARMLESS)
             )
             level = max([level, *doubts])
-        return Status(level, headline, notes)
+        return ShownStatus(level, headline, notes)

@@ -22,7 +22,7 @@ from cablesense_online.page.drawing import (
     css,
     segment_rgb,
 )
-from cablesense_online.page.live_arm import Snapshot, Status
+from cablesense_online.page.live_arm import ShownStatus, Snapshot
 from cablesense_online.page.score import Errors
 from cablesense_sim.mechanism import Mechanism
 
@@ -220,7 +220,7 @@ def visitors_html(visitor: int, commander: int, count: int) -> str:
     return _panel(f"<div id='cablesense-visitors'>{text}</div>")
 
 
-def status_html(status: Status) -> str:
+def status_html(status: ShownStatus) -> str:
     """The estimator's state as a coloured badge with its notes."""
     notes = "".join(f"<div class='note'>{escape(note)}</div>" for note in status.notes)
     return _panel(

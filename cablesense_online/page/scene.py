@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from cablesense_base import Array
 from cablesense_online.page import drawing, panel
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
-from cablesense_online.page.live_arm import Contact, ForceBounds
+from cablesense_online.page.live_arm import ForceBounds, ShownContact
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
@@ -89,7 +89,7 @@ class ArmScene:
             self._colours = colours
             self._cables.colors = colours
 
-    def forces(self, true: Sequence[Contact], estimated: Sequence[Contact]) -> None:
+    def forces(self, true: Sequence[ShownContact], estimated: Sequence[ShownContact]) -> None:
         """Shows these true and estimated forces, and no others."""
         for arrows, contacts, label, aside_m in (
             (self._true, true, "true", -drawing.ARROWS_APART_M / 2),
@@ -105,7 +105,7 @@ class ArmScene:
                     f"{label} {panel.force_text(contact.magnitude_n)}",
                 )
 
-    def interval(self, estimate: Contact | None, bounds: ForceBounds | None) -> None:
+    def interval(self, estimate: ShownContact | None, bounds: ForceBounds | None) -> None:
         """Shows the stated 95 % intervals of an estimate as the wedge that its arrow begins in."""
         if estimate is None or bounds is None:
             self._interval.visible = False

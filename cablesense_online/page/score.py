@@ -8,7 +8,7 @@ from itertools import zip_longest
 import numpy as np
 
 from cablesense_msgs_py.messages import ForceState
-from cablesense_online.page.live_arm import Contact, Snapshot
+from cablesense_online.page.live_arm import ShownContact, Snapshot
 
 SETTLING_S = 1.0
 """A comparison waits this long after a change: the arm swings and the estimate follows."""
@@ -16,7 +16,7 @@ STILL_N = 0.01
 STILL_RAD = 0.003
 """Load and pose that change by less stand still."""
 GUESS_DEG = 90.0
-"""The direction error of a contact that was missed or told of another segment: a guess's mean."""
+"""Direction error of a contact that was missed, or found on another segment: a guess's mean."""
 
 
 def angle_error_deg(a_deg: float, b_deg: float) -> float:
@@ -33,8 +33,8 @@ class Errors:
         unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
         segment_right: share, 0 … 1, of moments with the right segments, or rightly none.
         angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
-        magnitude_mae_n: over contacts, true ones or told. Where a true one and one that was told
-            are not on one segment, all of the greater force is wrong.
+        magnitude_mae_n: over contacts, true or estimated. Where a true and an estimated one are on
+            different segments, all of the greater force is the error.
     """
 
     count: int
@@ -44,7 +44,7 @@ class Errors:
     magnitude_mae_n: float | None
 
 
-def _by_segment(snapshot: Snapshot) -> list[Contact]:
+def _by_segment(snapshot: Snapshot) -> list[ShownContact]:
     return sorted(snapshot.all_true, key=lambda contact: contact.segment)
 
 
@@ -79,17 +79,17 @@ class Score:
             self._unanswered += 1
             return True
         true = {each.segment: each for each in snapshot.all_true}
-        told = {each.segment: each for each in snapshot.all_estimated}
+        estimated = {each.segment: each for each in snapshot.all_estimated}
         self._count += 1
-        self._right += true.keys() == told.keys()
+        self._right += true.keys() == estimated.keys()
         self._touched += len(true)
-        for segment in true.keys() & told.keys():
-            right, answer = true.pop(segment), told.pop(segment)
+        for segment in true.keys() & estimated.keys():
+            right, answer = true.pop(segment), estimated.pop(segment)
             self._pressed += 1
             self._turned_deg += angle_error_deg(right.angle_deg, answer.angle_deg)
             self._off_n += abs(right.magnitude_n - answer.magnitude_n)
         self._turned_deg += GUESS_DEG * len(true)
-        for pair in zip_longest(true.values(), told.values()):
+        for pair in zip_longest(true.values(), estimated.values()):
             self._pressed += 1
             self._off_n += max(each.magnitude_n for each in pair if each is not None)
         return True

@@ -28,7 +28,7 @@ from cablesense_online.page.drawing import (
     tension_rgb,
     unit,
 )
-from cablesense_online.page.live_arm import Contact, Snapshot
+from cablesense_online.page.live_arm import ShownContact, Snapshot
 from cablesense_ros.demo.pushes import PushRecord, PushResult, summary
 from cablesense_ros.demo.wall import DEADBAND_N, WallRecord, pressed_segment
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
@@ -158,7 +158,7 @@ def _draw_plates(axes: Any, mechanism: Mechanism, joints: Array, rotations: Arra
             axes.scatter(*origin, color="#bcc4d0", s=26, zorder=3)
 
 
-def _draw_arrow(axes: Any, point: Array, contact: Contact, colour: str) -> None:
+def _draw_arrow(axes: Any, point: Array, contact: ShownContact, colour: str) -> None:
     """A shaft, and a zigzag between a cone's rim and its tip, so dense that it looks solid."""
     tail, tip = arrow_tail_m(point, contact.force_base_n, 0.0)
     along = unit(tip - tail)

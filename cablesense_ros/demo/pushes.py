@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from cablesense_base import Array, CableSenseError
-from cablesense_online.page.live_arm import Contact, LiveArm, Snapshot
+from cablesense_online.page.live_arm import LiveArm, ShownContact, Snapshot
 from cablesense_online.page.score import angle_error_deg
 from cablesense_ros.arm_client import ArmClient, record
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
@@ -165,7 +165,7 @@ class PushResult:
     """
 
     push: ScriptedPush
-    estimate: Contact | None
+    estimate: ShownContact | None
     sample_count: int
 
     @property
@@ -200,7 +200,7 @@ def push_results(script: Sequence[ScriptedPush], record: PushRecord) -> list[Pus
     return results
 
 
-def _median(contacts: Sequence[Contact | None]) -> Contact | None:
+def _median(contacts: Sequence[ShownContact | None]) -> ShownContact | None:
     """Of those on the segment that most are on; None where most are of no contact."""
     segments = [contact.segment if contact else 0 for contact in contacts]
     usual = max(set(segments), key=segments.count, default=0)
@@ -210,7 +210,9 @@ def _median(contacts: Sequence[Contact | None]) -> Contact | None:
     angles = np.deg2rad([contact.angle_deg for contact in same])
     angle = np.rad2deg(np.arctan2(np.median(np.sin(angles)), np.median(np.cos(angles)))) % 360.0
     force = np.median([contact.force_base_n for contact in same], axis=0)
-    return Contact(usual, float(angle), float(np.median([c.magnitude_n for c in same])), force)
+    return ShownContact(
+        usual, float(angle), float(np.median([c.magnitude_n for c in same])), force
+    )
 
 
 def summary(results: Sequence[PushResult]) -> dict[str, Any]:
@@ -229,7 +231,7 @@ def summary(results: Sequence[PushResult]) -> dict[str, Any]:
 def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
     """Everything that the table shows, as plain values."""
 
-    def plain(contact: ScriptedPush | Contact) -> dict[str, float]:
+    def plain(contact: ScriptedPush | ShownContact) -> dict[str, float]:
         return {name: getattr(contact, name) for name in ("segment", "angle_deg", "magnitude_n")}
 
     return {
@@ -273,7 +275,7 @@ def results_table(results: Sequence[PushResult]) -> Table:
     return table
 
 
-def _contact(contact: ScriptedPush | Contact) -> str:
+def _contact(contact: ScriptedPush | ShownContact) -> str:
     return f"{contact.segment} {contact.angle_deg:6.1f}° {contact.magnitude_n:6.1f} N"
 
 

@@ -182,7 +182,7 @@ def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Con
             wait(lambda: client.connected, otherwise="simulator and estimator did not come up")
             client.command(script[0].command_rad)
             wait(estimated, otherwise="no estimate came")
-            wait(lambda: live.content_with("tare"), otherwise="the estimator took no tare")
+            wait(lambda: live.reports_ok("tare"), otherwise="the estimator took no tare")
         done = TextColumn("{task.completed:.0f} of {task.total:.0f} s")
         columns = TextColumn("pushing the arm"), BarColumn(), done, TimeRemainingColumn()
         with Progress(*columns, console=console, transient=True) as bar:

@@ -52,13 +52,13 @@ def test_a_model_of_several_contacts_tells_each_the_strongest_first():
     loaded = solve_equilibrium(MECHANISM, np.zeros(8), forces_n(np.zeros(8))).tensions_n
     answer = feed.sample(loaded)
     assert answer.force in (ForceState.CONTACT, ForceState.UNCONFIRMED)
-    assert [contact.segment for contact in answer.all] == [2, 4]
-    assert answer.contact == answer.all[0]
-    for found, true in zip(answer.all, CONTACTS, strict=True):
+    assert [contact.segment for contact in answer.contacts] == [2, 4]
+    assert answer.contact == answer.contacts[0]
+    for found, true in zip(answer.contacts, CONTACTS, strict=True):
         assert found.magnitude_n == pytest.approx(true.magnitude_n, abs=1.5)
         assert found.angle_deg == pytest.approx(true.angle_deg, abs=3.0)
     free = feed.sample(UNLOADED)
     assert free.force is ForceState.FREE
-    assert not free.all
+    assert not free.contacts
     assert "readings fit" in feed.estimation.plausibility.status().message
     assert ARM.segment_count + 1 == len(free.probabilities)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.page.live_arm import Contact, Snapshot, Status
+from cablesense_online.page.live_arm import ShownContact, ShownStatus, Snapshot
 from cablesense_online.page.score import GUESS_DEG, Score, angle_error_deg
 
-FINE = Status(Level.OK, "fine")
+FINE = ShownStatus(Level.OK, "fine")
 
 
 def contact(segment=2, angle=350.0, newtons=40.0):
-    return Contact(segment, angle, newtons, np.array([0.0, 0.0, newtons]))
+    return ShownContact(segment, angle, newtons, np.array([0.0, 0.0, newtons]))
 
 
 def moment(time_s, true, estimate, pose=0.0, state=None):

@@ -28,7 +28,7 @@ def off_n(contact, segment, angle_deg, magnitude_n):
 
 def most_off_n(answer, told):
     """How far the worst of several contacts is from the true force on its segment."""
-    found = {contact.segment: contact for contact in answer.all}
+    found = {contact.segment: contact for contact in answer.contacts}
     return max(
         off_n(found.get(segment, NO_CONTACT), segment, *told.get(segment, (0.0, 0.0)))
         for segment in {*found, *told}

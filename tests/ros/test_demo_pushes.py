@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.page.live_arm import Contact, Snapshot, Status
+from cablesense_online.page.live_arm import ShownContact, ShownStatus, Snapshot
 from cablesense_ros.demo.pushes import (
     PushRecord,
     PushResult,
@@ -31,7 +31,7 @@ def recorded(script, estimate_of, unknown=None):
         estimate = estimate_of(push) if push else None
         pose = np.zeros(8)
         state = unknown or (ForceState.CONTACT if estimate else ForceState.FREE)
-        status = Status(Level.OK, "fine")
+        status = ShownStatus(Level.OK, "fine")
         tensions = np.full(12, 50.0)
         snapshots.append(
             Snapshot(time_s, pose, tensions, None, state, estimate, None, None, status)
@@ -40,7 +40,7 @@ def recorded(script, estimate_of, unknown=None):
 
 
 def exact(push):
-    return Contact(push.segment, push.angle_deg, push.magnitude_n, np.zeros(3))
+    return ShownContact(push.segment, push.angle_deg, push.magnitude_n, np.zeros(3))
 
 
 def test_a_minute_visits_every_segment_straight_and_bent():
@@ -83,7 +83,7 @@ def test_exact_estimates_have_no_error():
 def test_directions_are_averaged_across_north():
     script = make_script(4, 4.0, seed=0)
     flip = iter([359.0, 1.0] * 1000)
-    record = recorded(script, lambda p: Contact(p.segment, next(flip), 10.0, np.zeros(3)))
+    record = recorded(script, lambda p: ShownContact(p.segment, next(flip), 10.0, np.zeros(3)))
     (result,) = push_results(script, record)
     angle = result.estimate.angle_deg
     assert min(angle, 360.0 - angle) <= 1.0
@@ -91,7 +91,7 @@ def test_directions_are_averaged_across_north():
 
 def test_a_wrong_segment_has_no_direction_error():
     script = make_script(4, 4.0, seed=0)
-    wrong = Contact(script[0].segment + 1, 0.0, 10.0, np.zeros(3))
+    wrong = ShownContact(script[0].segment + 1, 0.0, 10.0, np.zeros(3))
     (result,) = push_results(script, recorded(script, lambda _: wrong))
     assert not result.segment_right
     assert result.angle_error_deg is None
@@ -140,7 +140,7 @@ def test_the_picture_is_whole_and_not_empty(tmp_path):
 
     script = make_script(4, 12.0, seed=0)
     force = np.array([0.0, 20.0, -30.0])
-    record = recorded(script, lambda p: Contact(p.segment, p.angle_deg, p.magnitude_n, force))
+    record = recorded(script, lambda p: ShownContact(p.segment, p.angle_deg, p.magnitude_n, force))
     path = tmp_path / "demo.png"
     results = push_results(script, record)
     draw_pushes(path, mechanism_of(open_arm("cdsm")), record, results)
