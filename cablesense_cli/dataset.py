@@ -11,7 +11,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from cablesense_base import CableSenseError
 from cablesense_base.files import output_file
 from cablesense_cli.options import (
     ArmOption,
@@ -83,15 +82,8 @@ def dataset(
     Example: cablesense dataset --pose random --samples 20000 --workers 2 --out data.parquet
     """
     from cablesense_sim.arm import find_arm, load_arm
-
-    try:
-        from cablesense_training.data.parquet import produce_dataset
-        from cablesense_training.data.protocols import protocol_from_options
-    except ModuleNotFoundError as error:
-        raise CableSenseError(
-            f"datasets need {error.name}, which is not installed; in a checkout run `make setup`, "
-            "or pip install '.[train]'"
-        ) from error
+    from cablesense_training.data.parquet import produce_dataset
+    from cablesense_training.data.protocols import protocol_from_options
 
     if pose == "straight":
         refuse_given(context, ["pose_range_deg"], "with --pose straight")

@@ -213,10 +213,12 @@ def train_for(
         errors = contact_errors(recording, arm, answering)
         off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
         turned = np.abs(angle_difference_deg(errors.answer.angle_deg, errors.truth.angle_deg))
-        told = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)
+        found = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)
+        if not found.any():  # no error to widen by; such a model is then judged and not used
+            return
         stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
         for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
-            ratio = error[told] / (NORMAL_95 * std[told])
+            ratio = error[found] / (NORMAL_95 * std[found])
             trained.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
 
     train_model(

@@ -143,13 +143,13 @@ def contact_errors(
         )
 
     free = truth.segment == 0
-    told_n = answer.force_n[free]
+    false_n = answer.force_n[free]
     return RecordedErrors(
         truth,
         answer,
         errors(np.ones(len(taken), dtype=bool)),
         {int(n): errors(truth.segment == n) for n in np.unique(truth.segment) if n},
-        float(told_n.mean()) if told_n.size else float("nan"),
+        float(false_n.mean()) if false_n.size else float("nan"),
     )
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from cablesense_base import Array, CableSenseError, some_of
 from cablesense_gap.recordings.mcap_file import raw_messages
 from cablesense_gap.recordings.mcap_messages import BagTypes
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.recording import MAX_NUMBERS, RecordingError
 from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
 from cablesense_msgs_py.serialized import require_bounded
+from cablesense_msgs_py.topics import ContractError
 from cablesense_robot.model import Robot
 
 _TRIAL = "trial"
@@ -29,16 +30,22 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
     before the first number. Without efforts rows begin with the first command.
 
     Raises:
-        RecordingError: no bag, or no joint states with the robot's joints.
+        RecordingError: no bag, one too large, or no joint states with the robot's joints.
     """
     types, rows = BagTypes(), _Rows(robot)
     try:
         for raw in raw_messages(path):
-            if raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE):
+            if raw.kind not in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE):
+                continue
+            try:
                 require_bounded(raw.data)
-                rows.take(raw.topic, raw.log_ns, types.message(raw.kind, raw.data))
-    except CableSenseError as error:
-        raise RecordingError(f"{path}: {error}") from error
+            except ContractError as error:
+                raise RecordingError(f"{path}: {raw.topic}: {error}") from error
+            rows.take(raw.topic, raw.log_ns, types.message(raw.kind, raw.data))
+            if rows.numbers > MAX_NUMBERS:
+                raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
+    except CableSenseError:
+        raise
     except Exception as error:  # a broken file raises anything in a parser
         line = " ".join(str(error).split())[:200] or type(error).__name__
         raise RecordingError(f"{path}: cannot be read as rosbag2 ({line})") from error
@@ -52,6 +59,11 @@ class _Rows:
         self._values = array("d")
         self._command = np.full(len(robot.actuators), np.nan)
         self._trial = np.nan
+
+    @property
+    def numbers(self) -> int:
+        """How many are kept."""
+        return len(self._values)
 
     def take(self, topic: str, log_ns: int, message: Any) -> None:
         """One message; those that are not of this robot are passed over."""

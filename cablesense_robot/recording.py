@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_gap.recordings.mcap_file import is_bag
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.recording import MAX_NUMBERS, RecordingError
 from cablesense_robot.bag import bag_table
 from cablesense_robot.model import Robot
 
@@ -92,7 +92,7 @@ def _files(path: Path) -> list[Path]:
         raise RecordingError(
             f"{path}: no such file; give a .csv, .csv.gz or .mcap file, or a folder"
         )
-    files = sorted(f for f in path.iterdir() if f.name.endswith(_ENDINGS))
+    files = sorted(f for f in path.iterdir() if f.name.endswith(_ENDINGS) and f.is_file())
     if not files:
         raise RecordingError(f"{path}: holds no .csv and no .csv.gz file, and is no rosbag2")
     return files
@@ -106,10 +106,16 @@ def _table(path: Path) -> dict[str, Array]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(path, skipinitialspace=True, index_col=False, low_memory=False)
+            columns = len(pd.read_csv(path, index_col=False, nrows=0).columns)
+            most_rows = MAX_NUMBERS // max(1, columns)  # a packed file may hold any number
+            table = pd.read_csv(
+                path, skipinitialspace=True, index_col=False, low_memory=False, nrows=most_rows + 1
+            )
     except (OSError, ValueError, EOFError, pd.errors.ParserWarning) as error:
         line = " ".join(str(error).split())[:200]
         raise RecordingError(f"{path}: cannot be read as CSV text ({line})") from error
+    if len(table) > most_rows:
+        raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
     found = {}
     for column in table:
         numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)

@@ -253,12 +253,6 @@ class Processes:
         text = f"{otherwise} within {within_s:g} s; logs are in {self._log_dir}"
         return wait_until(found, within_s, text, self.check)
 
-    def run_until_one_ends(self) -> None:
-        """Wait until a child ends, and raise that as a `ProcessError`."""
-        while True:
-            self.check()
-            time.sleep(_POLL_S)
-
 
 def handle_end_signals(handler: Any) -> dict[signal.Signals, Any]:
     """One handler of SIGINT, SIGTERM and SIGHUP, but where nohup has this ignored.

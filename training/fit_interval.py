@@ -95,12 +95,12 @@ def _calibrate(interval: StatedInterval, answered: Answered) -> None:
     untouched = (~touched[by_none]).cumsum(0) / torch.arange(1, len(none) + 1)
     certain = torch.nonzero(untouched <= _FALSE_SHARE)
     interval.surely.fill_(none[by_none[certain[-1, 0]]] if len(certain) else 0.0)
-    told = none < interval.surely
+    stated_contact = none < interval.surely
     for end, (beyond, quantile) in enumerate(
         (
-            ((stated.low - true)[told], 1.0 - _EITHER_SIDE),
+            ((stated.low - true)[stated_contact], 1.0 - _EITHER_SIDE),
             ((true - stated.high)[touched], 1.0 - _EITHER_SIDE),
-            (_log_ratio(stated, answered)[told & touched], 1.0 - 2.0 * _EITHER_SIDE),
+            (_log_ratio(stated, answered)[stated_contact & touched], 1.0 - 2.0 * _EITHER_SIDE),
         )
     ):
         if len(beyond):

@@ -223,15 +223,6 @@ def is_bag(path: Path) -> bool:
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     """Topic, time in ns and content of the messages to read, in the order they came."""
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file")
-    files = path.iterdir() if path.is_dir() else [path]
-    size = sum(file.stat().st_size for file in files)
-    if size > MAX_FILE_BYTES:
-        raise RecordingError(
-            f"{path}: {size / 1e9:.1f} GB; a recording has at most {MAX_FILE_BYTES / 1e9:g} GB: "
-            "record the contract's topics alone"
-        )
     types = BagTypes()
     found: dict[str, str] = {}
     others: set[str] = set()
@@ -275,7 +266,18 @@ def raw_messages(path: Path) -> Iterator[RawMessage]:
     """Of a file, also one that breaks off; of a folder, its files in the order of their numbers.
 
     A folder without MCAP files is left to `rosbags`, which unpacks without bound.
+
+    Raises:
+        RecordingError: no such file, over `MAX_FILE_BYTES`, no MCAP, or damaged before its end.
     """
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file")
+    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]))
+    if size > MAX_FILE_BYTES:
+        raise RecordingError(
+            f"{path}: {size / 1e9:.1f} GB; a recording has at most {MAX_FILE_BYTES / 1e9:g} GB: "
+            "record the needed topics alone"
+        )
     inside = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     for file in inside if path.is_dir() else [path]:
         messages = McapMessages(file)

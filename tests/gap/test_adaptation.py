@@ -13,13 +13,14 @@ from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
-from cablesense_gap.adaptation import AdaptationError, adapt, kept_apart
+from cablesense_gap.adaptation import AdaptationError, adapt, kept_apart, train_for
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.temporal_estimator import open_estimator
 
 PROTOCOL = small_recording()
 SHIPPED = find_model("cdsm_lab")
@@ -94,6 +95,21 @@ def test_an_arm_that_differs_gets_an_estimator_that_knows_it(tmp_path: Path, dia
     before, after = (each.whole.errors.magnitude_mae_n for each in (found.before, found.after))
     assert after < 0.1 * before
     assert found.diagnosis.verdict.estimator.use == "after"
+
+
+@pytest.mark.slow  # exports a model
+def test_a_model_that_finds_no_load_of_the_recording_is_trained_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for name, value in (("_SAMPLES", 256), ("_EPOCHS", 1), ("_TEST_SAMPLES", 64)):
+        monkeypatch.setattr(adaptation, name, value)
+    loaded = PROTOCOL.load_segment > 0
+    elsewhere = replace(
+        recorded(LAB), load_segment=np.where(loaded, PROTOCOL.load_segment % 4 + 1, 0)
+    )
+    second = tmp_path / "second.onnx"
+    train_for(having(GAIN), open_estimator(SHIPPED), elsewhere, second, "by a test")
+    assert open_estimator(second).metadata.arm.effects
 
 
 def test_where_nothing_is_found_nothing_is_trained(tmp_path: Path, diagnosed_as):

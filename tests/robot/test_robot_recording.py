@@ -8,10 +8,13 @@ import pandas as pd
 import pytest
 from two_link import recorded, write_model
 
+from cablesense_gap.recordings import mcap_file
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
+from cablesense_robot import bag as bag_module
+from cablesense_robot import recording
 from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.bag import bag_table
 from cablesense_robot.inverse import InverseDynamics
@@ -123,6 +126,26 @@ def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
     other.write_text(Path(robot.path).read_text().replace("elbow", "knee"))
     with pytest.raises(RecordingError, match="with the joints shoulder, knee; it names elbow"):
         read_recording(path, load_robot(other))
+
+
+@pytest.mark.slow  # loads the message types
+def test_a_recording_that_is_too_large_or_not_there_is_refused_in_one_line(
+    tmp_path, table, robot, monkeypatch
+):
+    path = tmp_path / "run.mcap"
+    with pytest.raises(RecordingError, match=r"^\S*run\.mcap: no such file$"):
+        read_recording(path, robot)
+    with BagWriter(path) as bag:
+        bag.joint_state(CABLE_TENSIONS, 1, 1, robot.joints, position=[0.0, 0.0])
+    for module in (bag_module, recording):
+        monkeypatch.setattr(module, "MAX_NUMBERS", 5)
+    with pytest.raises(RecordingError, match=r"^\S*run\.mcap: more than 5 numbers; split it$"):
+        read_recording(path, robot)
+    with pytest.raises(RecordingError, match="more than 5 numbers; split it"):
+        read(tmp_path, table, robot, "packed.csv.gz")
+    monkeypatch.setattr(mcap_file, "MAX_FILE_BYTES", 10)
+    with pytest.raises(RecordingError, match=r"^\S*run\.mcap: 0\.0 GB; a recording has at most"):
+        read_recording(path, robot)
 
 
 @pytest.mark.slow  # loads the message types

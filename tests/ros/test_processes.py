@@ -53,7 +53,7 @@ def test_a_child_that_dies_is_named_with_its_code_and_last_words(tmp_path):
         Processes({"page": python(SLEEPER), "sim": dying}, tmp_path) as processes,
         pytest.raises(ProcessError, match=r"sim ended with code 3 \(no such arm\)") as caught,
     ):
-        processes.run_until_one_ends()
+        processes.wait_until(lambda: None, 10.0, "none ended")
     assert caught.value.exit_code == 1
     assert gone(processes["page"].pid)
 
@@ -62,7 +62,7 @@ def test_a_child_that_is_killed_is_named_with_the_signal(tmp_path):
     with Processes({"estimator": python(SLEEPER)}, tmp_path) as processes:
         os.kill(processes["estimator"].pid, signal.SIGKILL)
         with pytest.raises(ProcessError, match="estimator ended by signal SIGKILL"):
-            processes.run_until_one_ends()
+            processes.wait_until(lambda: None, 10.0, "none ended")
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_children_die_with_their_parent(tmp_path, number, code):
         with Processes({{"a": child}}, Path({str(tmp_path)!r})) as processes:
             processes.wait_for_line("a", "up", 10.0)
             print(processes["a"].pid, flush=True)
-            processes.run_until_one_ends()
+            processes.wait_until(lambda: None, 60.0, "not ended")
         """
     )
     process = subprocess.Popen(

@@ -181,12 +181,6 @@ class TemporalEstimator(OpenedModel):
             idle |= {SPEED: still, ACCELERATION: still}
             state = self._session.run({**_contiguous(idle), STATE: state}, [NEXT_STATE])[-1]
         state = self._layout.tared(state)
-        inputs = {
-            TENSION: tension_differences_n,
-            COMMAND: joint_commands_rad,
-            SPEED: joint_speeds_rad_s,
-            ACCELERATION: joint_accelerations_rad_s2,
-        }
         ticks = []
         for tick in range(tension_differences_n.shape[1]):
             now = _contiguous({name: values[:, tick] for name, values in inputs.items()})
