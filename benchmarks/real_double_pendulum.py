@@ -7,9 +7,10 @@ dfki-ric-underactuated-lab/double_pendulum (BSD 3-Clause, Copyright (c) 2022, DF
 Underactuated Robotics Lab), resampled at 200 Hz. The nominal models are the
 `config/robots/double_pendulum_….xml`: published masses, lengths and inertias, no friction. Every
 other run of a design is diagnosed; the amended model is judged on the runs between, by the
-torques that their motion needs. `mujoco.sysid` fits all parameters to the same runs, over
-short windows from measured states, and is judged alike; without its libraries
-(`pip install mujoco[sysid]`) it is left out.
+torques that their motion needs. The makers' software sets both encoders to zero before each run,
+wherever friction lets the pendulum hang, so every run has zeros of its own, with every model.
+`mujoco.sysid` fits all parameters to the same runs, over short windows from measured states, and
+is judged alike; without its libraries (`pip install mujoco[sysid]`) it is left out.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import argparse
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +51,7 @@ MODELS = Path(__file__).parents[1] / "config" / "robots"
 DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
 _WINDOW_S, _STEP_S, _STATES_HZ = 0.5, 0.005, 10.0
 _FITTING_STEPS = 12
+_SPEEDS = (0.05, 0.2, 0.5, 1.0, 3.0, 10.0)
 _FRICTION = "joint_friction.joint_{}.torque_n_m"
 
 
@@ -77,11 +81,12 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
             converted(options.data, own, Path(folder) / name)
             halves.append(read_recording(Path(folder) / name, robot))
         fitted, judged = halves
-    diagnosis = diagnose(fitted, robot)
+    diagnosis = diagnose(fitted, robot, zeroed=True)
     if options.report is not None:
         write_robot_diagnosis(options.report / DESIGNS[design], diagnosis, {})
     verdict = diagnosis.verdict
-    motion = prepared(judged, robot, diagnosis.motion.compared_hz)
+    motion = prepared(judged, robot, diagnosis.motion.compared_hz, zeroed=True)
+    as_read = replace(motion, zeroed=False)
     return {
         "diagnosed": runs[::2],
         "judged": runs[1::2],
@@ -91,6 +96,7 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
         "held-out error in floors, dry and viscous friction, N·m and N·m·s": _both_frictions(
             robot, diagnosis.motion
         ),
+        "lost along the motion, N·m, by speed": _lost(robot, diagnosis),
         "parameters": {
             name: [round(estimate.value, 4), *(round(end, 4) for end in estimate.ci95)]
             for name, estimate in verdict.parameters.items()
@@ -98,11 +104,11 @@ def _of_design(design: str, options: argparse.Namespace) -> dict[str, Any]:
         "seconds": round(verdict.seconds or 0.0, 1),
         "compared up to, Hz": round(motion.compared_hz, 2),
         "torque error on judged runs, N·m": {
-            "torque itself": _sizes(motion, motion.torque),
-            "published model": _sizes(motion, motion.torque - _torques(robot, motion)),
-            "amended model": _sizes(
-                motion, motion.torque - _torques(robot, motion, diagnosis.amended)
-            ),
+            "torque itself": _sizes(motion, motion.compared(motion.torque)),
+            "published model, zeros as they are read": _errors(robot, as_read),
+            "amended model, zeros as they are read": _errors(robot, as_read, diagnosis.amended),
+            "published model": _errors(robot, motion),
+            "amended model": _errors(robot, motion, diagnosis.amended),
             **_of_sysid(robot, fitted, motion),
         },
     }
@@ -150,14 +156,31 @@ def _both_frictions(robot: Robot, motion: Motion) -> dict[str, list[float]]:
     return found
 
 
-def _torques(robot: Robot, motion: Motion, effects: Assignment | None = None) -> Array:
-    """(R, J) by a model and effects."""
-    return InverseDynamics(robot, motion).torques(changed(robot, [effects or {}]))
+def _lost(robot: Robot, diagnosis: RobotDiagnosis) -> dict[str, list[float]]:
+    """Median of what torques have along the motion beyond the amended model without friction."""
+    motion = diagnosis.motion
+    rest = {t: v for t, v in diagnosis.amended.items() if t.effect != "joint_friction"}
+    without = InverseDynamics(robot, motion).torques(changed(robot, [rest]))
+    lost, speed = (motion.torque - without) * np.sign(motion.speed), np.abs(motion.speed)
+    return {
+        f"{low} to {high} rad/s": [
+            round(float(np.median(own[(least >= low) & (least < high)])), 3)
+            for own, least in zip(lost.T, speed.T, strict=True)
+        ]
+        for low, high in pairwise(_SPEEDS)
+    }
 
 
-def _sizes(motion: Motion, torque: Array) -> list[float]:
+def _errors(robot: Robot, motion: Motion, effects: Assignment | None = None) -> list[float]:
+    """Of a model and effects."""
+    simulator = RobotSimulator(robot, motion, effects or {})
+    left = simulator.readings - simulator.predict([{}])[0]
+    return _sizes(motion, left * simulator.comparison.noise)
+
+
+def _sizes(motion: Motion, compared: Array) -> list[float]:
     """Root mean square of what is compared, joint by joint, and of both together."""
-    square = (motion.compared(torque) ** 2).mean(0) / motion.counts.mean(0)
+    square = (compared**2).mean(0) / motion.counts.mean(0)
     return [round(float(np.sqrt(each)), 4) for each in (*square, square.mean())]
 
 
@@ -171,9 +194,10 @@ def _of_sysid(robot: Robot, fitted: RobotRecording, motion: Motion) -> dict[str,
         path = Path(folder) / "identified.xml"
         spec.compile()
         path.write_text(spec.to_xml(), encoding="utf-8")
-        other = load_robot(path)
-        error = motion.torque - _torques(other, motion)
-    return {"mujoco.sysid": _sizes(motion, error), "mujoco.sysid found": values}
+        return {
+            "mujoco.sysid": _errors(load_robot(path), motion),
+            "mujoco.sysid found": values,
+        }
 
 
 def _identified(spec: mujoco.MjSpec, fitted: RobotRecording) -> Mapping[str, float]:

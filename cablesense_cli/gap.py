@@ -16,6 +16,7 @@ from cablesense_cli.gap_robot import (
     BandwidthOption,
     ForwardOption,
     ModelOption,
+    ZeroedOption,
     diagnose_robot,
     predict_robot,
     print_robot_protocol,
@@ -45,6 +46,7 @@ def diagnose(
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
     forward: ForwardOption = None,
+    zeroed: ZeroedOption = False,
     workers: WorkersOption = 2,
     force: ForceOption = False,
     json_output: JsonOption = False,
@@ -68,11 +70,12 @@ def diagnose(
             bandwidth,
             forward,
             workers,
+            zeroed=zeroed,
             force=force,
             json_output=json_output,
         )
         return
-    refuse_given(context, ["bandwidth", "forward"], "without --model")
+    refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
     from cablesense_gap.pipeline import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
@@ -120,6 +123,7 @@ def predict(
     model: ModelOption = None,
     bandwidth: BandwidthOption = None,
     forward: ForwardOption = None,
+    zeroed: ZeroedOption = False,
     settle: Annotated[
         int,
         typer.Option(
@@ -140,10 +144,17 @@ def predict(
     if model is not None:
         refuse_given(context, ["arm", "settle"], "with --model")
         predict_robot(
-            recording, model, out, bandwidth, forward, force=force, json_output=json_output
+            recording,
+            model,
+            out,
+            bandwidth,
+            forward,
+            zeroed=zeroed,
+            force=force,
+            json_output=json_output,
         )
         return
-    refuse_given(context, ["bandwidth", "forward"], "without --model")
+    refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
     from cablesense_base import CableSenseError
     from cablesense_gap.arm_simulator import counted_rows, find_amended
     from cablesense_gap.recordings.checks import read_recording

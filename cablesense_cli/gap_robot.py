@@ -35,6 +35,13 @@ ForwardOption = Annotated[
         show_default="forward where commands and no torques are recorded",
     ),
 ]
+ZeroedOption = Annotated[
+    bool,
+    typer.Option(
+        "--zeroed",
+        help="With --model: encoders were set to zero where each trial begins, wherever that was.",
+    ),
+]
 
 
 def diagnose_robot(
@@ -45,6 +52,7 @@ def diagnose_robot(
     forward: bool | None,
     workers: int,
     *,
+    zeroed: bool,
     force: bool,
     json_output: bool,
 ) -> None:
@@ -64,7 +72,9 @@ def diagnose_robot(
         def show(doing: str, done: float) -> None:
             progress.update(task, description=doing.replace("_", " "), completed=done)
 
-        found = diagnose(recorded, robot, beside, bandwidth_hz, show, workers, forward)
+        found = diagnose(
+            recorded, robot, beside, bandwidth_hz, show, workers, forward, zeroed=zeroed
+        )
     write_robot_diagnosis(out, found, beside)
     if json_output:
         print_json(found.verdict.model_dump(mode="json", exclude_none=True))
@@ -82,6 +92,7 @@ def predict_robot(
     bandwidth_hz: float | None,
     forward: bool | None,
     *,
+    zeroed: bool,
     force: bool,
     json_output: bool,
 ) -> None:
@@ -92,7 +103,8 @@ def predict_robot(
 
     robot, beside = load_amended(model)
     output_file(out, force=force, inputs=(recording, robot.path))
-    found = predicted(read_recording(recording, robot), robot, beside, bandwidth_hz, forward)
+    recorded = read_recording(recording, robot)
+    found = predicted(recorded, robot, beside, bandwidth_hz, forward, zeroed=zeroed)
     write_prediction(out, found)
     if json_output:
         gaps = {name: gap for name, _, gap, _ in found.gaps}

@@ -80,6 +80,7 @@ class Motion(Trajectory):
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
         compared_trial, compared_time_s: (Q,) of those.
         forward: whether the comparison is to go forward in time.
+        zeroed: whether encoders were set to zero where each trial begins.
         driven: by trial, at the recording's rate: times, drives' torques (T, J), and, where these
             are what the model's actuators make of them, commands (T, A).
         noise: of what was measured.
@@ -99,6 +100,7 @@ class Motion(Trajectory):
     compared_trial: NDArray[np.int64]
     compared_time_s: Array
     forward: bool
+    zeroed: bool
     driven: tuple[Driven, ...]
     noise: Noise
     inertia: Array

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.budget import rest_of, shares
+from cablesense_gap.diagnosis.gauss_newton import final_refinement, refit
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -32,6 +34,9 @@ from cablesense_robot.simulator import Comparison, RobotSimulator
 UNIT = "floors"
 FOLDS = 5
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
+_AT_ZERO = 0.002
+"""Of a joint's span."""
+_STEPS = 12
 _FAR_OFF = 3.0
 """Standard deviations that one tolerance among many may be off."""
 
@@ -66,23 +71,27 @@ def diagnose(
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     forward: bool | None = None,
+    *,
+    zeroed: bool = False,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its model.
 
     `beside` are effects that an amended model lists beside its MJCF; `forward` says whether to
-    compare forward in time, by default where commands and no torques are recorded.
+    compare forward in time, by default where commands and no torques are recorded. With `zeroed`,
+    where encoders were set to zero where each trial begins, each trial has the zeros that fit it.
 
     Raises:
         RecordingError: the recording cannot be compared.
     """
     began = time.monotonic()
     progress("smoothing", 0.0)
-    motion = prepared(recording, robot, bandwidth_hz, forward)
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
     simulator = RobotSimulator(robot, motion, beside or {})
     comparison = simulator.comparison
     problem = problem_of(simulator)
     calibration = bundled_calibration()
-    hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
+    searched = with_other_names(problem, robot, search(problem, progress, workers))
+    hypotheses = [_with_outliers(problem, each) for each in searched]
     found = posterior(hypotheses, problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
@@ -135,6 +144,7 @@ def diagnose(
             *recording.notes,
             *(() if motion.forward else robot.left_out),
             *beyond_range(recording, robot),
+            *(() if zeroed else begun_at_zero(recording)),
             *doubtful(simulator, problem.nominal),
             comparison.description,
         ),
@@ -147,6 +157,37 @@ def problem_of(simulator: RobotSimulator) -> Problem:
     count = int(trial.max()) + 1
     fold = np.arange(count) % min(FOLDS, count)
     return prepare(simulator, simulator.readings, trial, fold, np.ones(len(trial), dtype=bool))
+
+
+def with_other_names(
+    problem: Problem, robot: Robot, hypotheses: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Beside all, the best explanation with other names for what is off about links in it.
+
+    A wrong mass, a shifted centre and a payload change the same ten numbers of a link, each as
+    its own law allows. A search that begins with one of them finds numbers for it that leave
+    little, and then nothing that another one could add; so each is fitted in place of another.
+    """
+    best = min(hypotheses, key=problem.cost_of)
+    known = {h.effects: h for h in hypotheses}
+    of_links = [c for c in problem.simulator.candidates if c.places == robot.bodies]
+    others = [c for c in of_links if c.effect not in best.effects]
+    for one, other in product(best.effects, others):
+        places = dict.fromkeys(t.place for t in best.values if t.effect == one)
+        if not set(places) <= set(robot.bodies):
+            continue
+        kept = {term: value for term, value in best.values.items() if term.effect != one}
+        new = {
+            Term(other.effect, place, p.name): p.default
+            for place in places
+            for p in other.parameters
+        }
+        fitted = refit(problem, kept | new, _STEPS)
+        if fitted is not None:
+            fitted, _ = final_refinement(problem, fitted)
+            rival = known.setdefault(fitted.effects, fitted)
+            known[fitted.effects] = min(rival, fitted, key=problem.cost_of)
+    return list(known.values())
 
 
 def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
@@ -190,6 +231,16 @@ def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
         f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
         for a in np.flatnonzero(clipped)
     ]
+
+
+def begun_at_zero(recording: RobotRecording) -> list[str]:
+    """Whether all trials begin where all joints read zero: by chance, or because they were set."""
+    position = recording.position
+    begun = np.diff(recording.trial, prepend=recording.trial[0] - 1) != 0
+    at_zero = np.abs(position[begun]) <= _AT_ZERO * np.ptp(position, axis=0)
+    if begun.sum() < 2 or not at_zero.all():
+        return []
+    return ["All trials begin at zero; if encoders were set to zero there, say so with --zeroed."]
 
 
 def _where(robot: Robot, values: Mapping[Term, float]) -> Where:

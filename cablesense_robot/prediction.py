@@ -11,7 +11,6 @@ from cablesense_base import Array
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.simulator import Assignment
-from cablesense_robot.catalogue import changed
 from cablesense_robot.model import Robot
 from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import RobotRecording
@@ -38,15 +37,18 @@ def predicted(
     beside: Assignment,
     bandwidth_hz: float | None = None,
     forward: bool | None = None,
+    *,
+    zeroed: bool = False,
 ) -> Prediction:
     """By the model and the effects beside it; arguments as of `diagnose`.
 
     Raises:
         RecordingError: the recording cannot be compared.
     """
-    motion = prepared(recording, robot, bandwidth_hz, forward)
-    compared = RobotSimulator(robot, motion, {}).comparison
-    found = compared.predicted(changed(robot, [beside]))
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+    simulator = RobotSimulator(robot, motion, beside)
+    compared = simulator.comparison
+    found = simulator.predict([{}])[0] * compared.noise
     sizes = [np.sqrt((each**2).mean(0)) for each in (compared.readings - found, compared.readings)]
     gaps = zip(compared.names, compared.units, *(s.tolist() for s in sizes), strict=True)
     return Prediction(compared, found, tuple(gaps))

@@ -47,6 +47,8 @@ def prepared(
     robot: Robot,
     bandwidth_hz: float | None = None,
     forward: bool | None = None,
+    *,
+    zeroed: bool = False,
 ) -> Motion:
     """The recording's motion and torques; by default compared as far as torques have power.
 
@@ -121,6 +123,7 @@ def prepared(
         compared_trial=trial[kept],
         compared_time_s=joined["time_s"][kept],
         forward=by_command if forward is None else forward,
+        zeroed=zeroed,
         driven=tuple(
             Driven(t.time_s, t.torque, t.command if by_command else None) for t in trials
         ),

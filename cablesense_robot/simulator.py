@@ -10,13 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.simulator import Assignment, Candidate
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_robot.catalogue import candidate, changed, known_effects
 from cablesense_robot.effects.effect import PRESLIDING, Effect
 from cablesense_robot.forward import ForwardComparison
 from cablesense_robot.inverse import InverseComparison
 from cablesense_robot.model import Change, Robot, RobotError
 from cablesense_robot.motion import Motion
+
+_ZERO = "joint_zero"
+_PROBED, _USUAL = 0.01, 0.1
+"""Rad or m of a zero: to see what it does, and as far as trials' own are off."""
+
+
+_Zeros = tuple[NDArray[np.bool_], Array, Array]
 
 
 class Comparison(Protocol):
@@ -64,10 +71,17 @@ class RobotSimulator:
             else InverseComparison(robot, motion)
         )
         effects = known_effects().values()
-        offered = [(e, self._candidate(e, motion)) for e in effects]
+        offered = [
+            (e, self._candidate(e, motion))
+            for e in effects
+            if not (motion.zeroed and e.name == _ZERO)
+        ]
         self.candidates = tuple(c for e, c in offered if not e.tolerance and c.places)
         self.tolerances = tuple(c for e, c in offered if e.tolerance)
         self.readings = self.comparison.readings / self.comparison.noise
+        self._zeros: tuple[_Zeros, ...] = ()
+        if motion.zeroed:
+            self._zeros = self._of_zeros()
 
     def _candidate(self, effect: Effect, motion: Motion) -> Candidate:
         """As it is offered; forward in time friction is MuJoCo's, which gives no way."""
@@ -85,6 +99,25 @@ class RobotSimulator:
     def _predicted(self, variant: Assignment) -> Array:
         try:
             change = changed(self.robot, [self._listed, variant])
-            return self.comparison.predicted(change) / self.comparison.noise
+            found = self.comparison.predicted(change) / self.comparison.noise
         except RobotError:
             return np.full(self.readings.shape, np.nan)
+        for rows, by_zeros, fitting in self._zeros:
+            zeros = fitting @ (self.readings - found)[rows].ravel()
+            found[rows] += (by_zeros @ zeros).reshape(-1, found.shape[1])
+        return found
+
+    def _of_zeros(self) -> tuple[_Zeros, ...]:
+        """By trial its rows, what zeros (J,) make of them, and the zeros that fit a residual."""
+        trial, joints = self.comparison.trial, self.robot.joints
+        ends = [
+            [self._predicted({Term(_ZERO, joint, "zero_rad"): off}) for joint in joints]
+            for off in (_PROBED, -_PROBED)
+        ]
+        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
+        found: list[_Zeros] = []
+        for rows in (trial == number for number in np.unique(trial)):
+            own = by_zero[:, rows].reshape(len(joints), -1).T
+            known = own.T @ own + np.eye(len(joints)) / _USUAL**2
+            found.append((rows, own, np.asarray(np.linalg.solve(known, own.T))))
+        return tuple(found)

@@ -25,6 +25,7 @@ from cablesense_cli.options import OptionError, refuse_given
         ("gap protocol --force", "--force"),
         ("gap diagnose r.csv --out d --bandwidth 5", "--bandwidth"),
         ("gap predict r.csv --out d --forward", "--forward"),
+        ("gap predict r.csv --out d --zeroed", "--zeroed"),
         ("gap diagnose r.csv --out d --model m.xml --arm my_arm", "--arm"),
         ("gap predict r.csv --out p.csv --model m.xml --settle 9", "--settle"),
         ("gap protocol --model m.xml --force", "--force"),

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
@@ -12,7 +13,8 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_robot.amending import load_amended, write_amended
 from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import diagnose, doubtful
+from cablesense_robot.pipeline import begun_at_zero, diagnose, doubtful
+from cablesense_robot.prediction import predicted
 from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
 from cablesense_robot.simulator import RobotSimulator
@@ -116,6 +118,33 @@ def test_torques_of_the_other_sign_are_told(tmp_path, model):
     doubts = doubtful(simulator, simulator.predict([{}])[0])
     assert len(doubts) == 1
     assert doubts[0].startswith("torque.elbow is -")
+
+
+def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp_path, model):
+    path = recorded(tmp_path / "recording.csv", friction=(0.1, 0.08))
+    table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
+    hung = 0.05 * np.random.default_rng(2).standard_normal((6, 2))
+    table[joints] -= hung[table["trial"]]
+    table.to_csv(path, index=False)
+    robot, found = load_robot(model), {}
+    sizes = zip(("shoulder", "elbow"), (0.1, 0.08), strict=True)
+    friction = {Term("joint_friction", joint, "torque_n_m"): size for joint, size in sizes}
+    for zeroed in (False, True):
+        gaps = predicted(read_recording(path, robot), robot, friction, zeroed=zeroed).gaps
+        found[zeroed] = max(gap for _, _, gap, _ in gaps)
+    assert found[False] > 3.0 * found[True]
+    assert found[True] < 0.012  # N·m
+
+
+def test_trials_that_begin_at_zero_are_told(tmp_path, model):
+    robot = load_robot(model)
+    path = recorded(tmp_path / "recording.csv")
+    assert not begun_at_zero(read_recording(path, robot))
+    table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
+    table[joints] -= table.groupby("trial")[joints].transform("first")
+    table.to_csv(path, index=False)
+    (said,) = begun_at_zero(read_recording(path, robot))
+    assert "--zeroed" in said
 
 
 @pytest.mark.slow
