@@ -88,8 +88,9 @@ class JointSelection:
             better = self._best_of(self._grown(best, offered), best)
             if better is None and nearly(best):
                 break
-            if better is None and len(best.effects) < _SEVERAL:
-                better = self._best_of(self._added(best, offered), best)
+            if better is None:
+                few = len(best.effects) < _SEVERAL
+                better = self._best_of(self._added(best, offered, two=few), best)
             if better is None and exchanges < _MOST_EXCHANGES:
                 exchanges += 1
                 better = self._best_of(self._exchanged(best, offered), best)
