@@ -207,7 +207,7 @@ def train_for(
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
             difference_n = taken.tensions_n - tare_n
             if isinstance(trained, UnlaggedClosedForm):
-                difference_n = trained.undone_n(difference_n, tare_n)
+                difference_n = trained.undone_n(difference_n, tare_n, taken.time_s)
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)

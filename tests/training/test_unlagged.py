@@ -38,6 +38,24 @@ def test_what_lags_is_known_from_its_past(share: float) -> None:
         np.testing.assert_allclose(found_n[0].numpy(), tension_n, atol=1e-9)
 
 
+def test_a_recording_is_undone_by_its_own_times() -> None:
+    arm = lagging(0.0, "arm")
+    network = UnlaggedClosedForm.for_arm(arm)
+    true_n = np.cumsum(np.random.default_rng(0).normal(0.0, 5.0, (40, 12)), axis=0)
+    true_n -= true_n[0]
+    tares_n = np.zeros_like(true_n)
+    tares_n[:3] = np.nan
+    time_s = tick_s(arm) * np.arange(len(true_n))
+    read_n = sensed_along_n(entries_of(arm), time_s, true_n[:, None])[:, 0]
+    found_n = network.undone_n(read_n - read_n[3] - tares_n, tares_n, time_s)
+    assert np.isnan(found_n[:3]).all()
+    later = slice(5, None)  # that the tare was taken while the sensors lagged has been forgotten
+    np.testing.assert_allclose(found_n[later], true_n[later] - read_n[3], atol=1e-9)
+    # over several ticks it takes the reading to have held, as the estimator does
+    slow_n = network.undone_n(read_n, np.zeros_like(read_n), 3.0 * time_s)
+    np.testing.assert_allclose(slow_n, read_n, atol=1e-9)
+
+
 def test_noise_grows_where_a_sensor_lags_and_there_alone() -> None:
     arm = lagging(0.0, "cable_3")
     network = UnlaggedClosedForm.for_arm(arm)

@@ -88,6 +88,37 @@ _EARLY = 0.25
 """A tick may come so much early, in ticks: stamps jitter."""
 
 
+class TickClock:
+    """Counts the whole ticks of a model between samples, whenever these come.
+
+    Args:
+        tick_s: how long a tick is.
+    """
+
+    def __init__(self, tick_s: float) -> None:
+        self._tick_s = tick_s
+        self._last_s: float | None = None
+
+    def ticks(self, time_s: float) -> int | None:
+        """How many a sample at this time completes; none where the past ends or has not begun.
+
+        It ends where time runs back by over half a tick, or leaps by more than `LONGEST_GAP_S`.
+        """
+        if self._last_s is None:
+            return None
+        passed_s = time_s - self._last_s
+        if not -0.5 * self._tick_s <= passed_s <= LONGEST_GAP_S:
+            return None
+        return max(0, math.floor(passed_s / self._tick_s + _EARLY))
+
+    def advance(self, time_s: float, ticks: int | None) -> None:
+        """Go on by what `ticks` has said of this time."""
+        if self._last_s is None or ticks is None:
+            self._last_s = time_s
+        else:  # from where the tick is due, not from where it came: early ones would add up
+            self._last_s += ticks * self._tick_s
+
+
 class TemporalEstimator(OpenedModel):
     """A single-contact model that carries a state from tick to tick; for one thread at a time.
 
@@ -105,12 +136,12 @@ class TemporalEstimator(OpenedModel):
             memory, self.metadata.hidden, arm.cable_count, arm.joint_count
         )
         self._state = np.zeros((1, memory))
-        self._tick_s: float | None = None
+        self._clock = TickClock(self.metadata.tick_s)
 
     def forget(self) -> None:
         """Begin without a past."""
         self._state = np.zeros_like(self._state)
-        self._tick_s = None
+        self._clock = TickClock(self.metadata.tick_s)
 
     def tare(self) -> None:
         """Tension differences count from now on; what commands have drawn before stays known."""
@@ -128,13 +159,14 @@ class TemporalEstimator(OpenedModel):
 
         The state goes on by whole ticks of the model, at the model's rate however often samples
         come; one that comes sooner is answered from the state of the last tick and leaves it
-        alone. Time that runs back by over half a tick, or leaps by more than `LONGEST_GAP_S`,
-        begins a new past.
+        alone. Where `TickClock` has the past end, a new one begins.
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
         """
-        ticks = self._ticks(time_s)
+        ticks = self._clock.ticks(time_s)
+        if ticks is None:
+            self.forget()
         joints = self.metadata.arm.joint_count
         inputs = {
             TENSION: self._tensions(tension_difference_n, 1),
@@ -143,13 +175,11 @@ class TemporalEstimator(OpenedModel):
             ACCELERATION: finite_table(joint_acceleration_rad_s2, joints, "accelerations", 1),
         }
         answers = [self._state]
-        for _ in range(max(1, ticks)):
+        for _ in range(ticks or 1):
             answers = self._answers_of({**inputs, STATE: answers[-1]})
-        if ticks:
+        if ticks != 0:
             self._state = answers[-1]
-            # from where the tick is due, not from where it came: early ones would add up
-            due_s = time_s if self._tick_s is None else self._tick_s + ticks * self.metadata.tick_s
-            self._tick_s = due_s
+            self._clock.advance(time_s, ticks)
         return Estimate.of_outputs([answer[0] for answer in answers[:-1]])
 
     def estimate_sequences(
@@ -192,16 +222,6 @@ class TemporalEstimator(OpenedModel):
     def _answers_of(self, inputs: dict[str, Array]) -> list[Array]:
         """What is stated, and the next state last."""
         return finite_answers(self._session, inputs, [*self._stated, NEXT_STATE])
-
-    def _ticks(self, time_s: float) -> int:
-        """How many ticks have passed since the last; at least one at the first sample."""
-        if self._tick_s is None:
-            return 1
-        passed_s = time_s - self._tick_s
-        if not -0.5 * self.metadata.tick_s <= passed_s <= LONGEST_GAP_S:
-            self.forget()
-            return 1
-        return max(0, math.floor(passed_s / self.metadata.tick_s + _EARLY))
 
 
 def _contiguous(inputs: dict[str, Array]) -> dict[str, Array]:

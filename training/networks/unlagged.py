@@ -25,7 +25,7 @@ from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.effects.sensor_lag import SensorLag, lag_shares
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.errors import TrainingError
-from cablesense_training.inference.temporal_estimator import TemporalState
+from cablesense_training.inference.temporal_estimator import TemporalState, TickClock
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.corrected import CorrectedClosedForm, statics
 from cablesense_training.networks.layers import SingleContactOutput
@@ -81,15 +81,24 @@ class UnlaggedClosedForm(CorrectedClosedForm):
         tension = (reading_n - kept) / (1.0 - self.second - self.across)
         return tension, torch.cat([reading_n, tension + self.first * (through - tension)], dim=-1)
 
-    def undone_n(self, differences_n: Array, tare_n: Array) -> Array:
-        """(R, M) tensions of a recording's differences, from each tare (R, M) on; NaN without."""
+    def undone_n(self, differences_n: Array, tare_n: Array, time_s: Array) -> Array:
+        """(R, M) tensions of a recording's differences at its times (R,); NaN without a tare.
+
+        From each tare (R, M) on, by ticks, as `TemporalEstimator` answers.
+        """
         settled = torch.zeros(1, self.own_state, dtype=torch.float64)
-        state, found = settled, differences_n.copy()
+        state, found, clock = settled, differences_n.copy(), TickClock(self.tick_s)
         for row, difference_n in enumerate(differences_n):
-            if not np.isfinite(difference_n).all() or (tare_n[row] != tare_n[row - 1]).any():
+            ticks = clock.ticks(float(time_s[row]))
+            if ticks is None or (tare_n[row] != tare_n[row - 1]).any():
                 state = settled
-            tension_n, state = self.undo(torch.as_tensor(difference_n)[None], state)
+            following = state
+            for _ in range(ticks or 1):
+                tension_n, following = self.undo(torch.as_tensor(difference_n)[None], following)
             found[row] = tension_n[0].numpy()
+            if ticks != 0:
+                state = following
+                clock.advance(float(time_s[row]), ticks)
         return found
 
     def tick(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor]:
