@@ -42,7 +42,6 @@ _FAR_BEHIND = 6.0
 """A screening that leaves so many times as much as a fit is no rival of it."""
 _RESOLVED = 0.04
 _BARELY = 1.25
-_OUTDOES = 0.25
 _SLIGHTLY = 0.95
 """What leaves more than this share of the gap, as screened, is not the cause by itself."""
 _ALIKE = 1.02
@@ -125,11 +124,6 @@ class _Search:
 
     def _best(self) -> Hypothesis:
         return min([self._none, *self._found.values()], key=self._problem.cost_of)
-
-    def _outdoes_pairs(self, several: Hypothesis) -> bool:
-        """Whether an explanation leaves so little that no pair of effects is its rival."""
-        cost_of = self._problem.cost_of
-        return self._is_explained(several) or cost_of(several) <= _OUTDOES * cost_of(self._none)
 
     def _explore_history_dependent(self, cheap: Offered, best: float) -> None:
         """By the sketch, if there is one; what comes of it is judged on all rows."""
