@@ -86,11 +86,15 @@ def main() -> None:
         print(f"no case was done in time; go on with --folder {folder}")
         return
     rough = [answer for answer in truth if "capstan_friction" in answer.effects]
+    seconds = [verdict.seconds for verdict in verdicts.values()]
     result = {
         **harness.origin(),
         "arm": ARM,
         "seed": options.seed,
-        "minutes": round((time.time() - began) / 60.0, 1),
+        "seconds_of_a_diagnosis": {
+            "median": round(np.median(seconds)),
+            "most": round(max(seconds)),
+        },
         **as_json(score(verdicts, [a for a in truth if a in everything[: options.count]])),
         "second_recording": _second({a.recording: done[a.recording][1] for a in truth}, truth),
         **({"friction": as_json(score(verdicts, rough))} if rough else {}),
