@@ -11,7 +11,7 @@ import numpy as np
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_robot.catalogue import changed, in_model, known_effects
-from cablesense_robot.effects.effect import PRESLIDING
+from cablesense_robot.effects.effect import PRESLIDING, SIDE
 from cablesense_robot.model import Robot, RobotError, load_robot, read_spec
 
 AMENDED_MODEL, BESIDE_MODEL = "amended_model.xml", "amended_model.json"
@@ -31,7 +31,7 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
     left = dict(beside)
     for term, value in values.items():
         if term not in in_model(values):  # what is found again comes on top
-            known = 0.0 if term.parameter == PRESLIDING else left.get(term, 0.0)
+            known = 0.0 if term.parameter in (PRESLIDING, SIDE) else left.get(term, 0.0)
             left[term] = known + value
     listed: dict[tuple[str, str], dict[str, float]] = {}
     for term, value in left.items():

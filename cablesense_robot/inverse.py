@@ -60,7 +60,8 @@ class InverseDynamics:
             transmitted += change.armature * drive[2] + change.damping * drive[1]
         dry = self._slid(change.friction, change.presliding)
         by_load = self._slid(change.load_friction, change.load_presliding)
-        at_drive = transmitted * np.exp(by_load * np.sign(transmitted)) + dry
+        loss = by_load * np.sign(transmitted)
+        at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side + dry
         if change.delay_s:
             at_drive = self._later(at_drive, change.delay_s)
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)

@@ -86,6 +86,7 @@ class Robot:
             load_friction=np.zeros(count),
             presliding=np.zeros(count),
             load_presliding=np.zeros(count),
+            load_side=np.zeros(count),
             zero=np.zeros(count),
             encoder_scale=np.zeros(count),
             coupling=np.zeros((count, count)),
@@ -131,6 +132,7 @@ class Change:
         play: (J,) width of the gap between drive and joint, in rad or m.
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
+        load_side: (J,) whether the latter counts by the drive's torque, 1, or by the joint's, -1.
         zero: (J,) what each encoder reads at the true zero.
         encoder_scale: (J,) by how much, as a share, an encoder reads too much.
         coupling: (J, J) by how much joint i moves with encoder j.
@@ -151,6 +153,7 @@ class Change:
     load_friction: Array
     presliding: Array
     load_presliding: Array
+    load_side: Array
     zero: Array
     encoder_scale: Array
     coupling: Array

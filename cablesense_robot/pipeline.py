@@ -22,7 +22,7 @@ from cablesense_gap.diagnosis.probability import (
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_size
-from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_gap.verdict import Channel, Verdict, Where
 from cablesense_robot.model import Robot
 from cablesense_robot.motion import Motion
@@ -36,7 +36,7 @@ FOLDS = 5
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 _AT_ZERO = 0.002
 """Of a joint's span."""
-_STEPS = 12
+_STEPS, _RENAMED = 12, 3
 _FAR_OFF = 3.0
 """Standard deviations that one tolerance among many may be off."""
 
@@ -90,8 +90,8 @@ def diagnose(
     comparison = simulator.comparison
     problem = problem_of(simulator)
     calibration = bundled_calibration()
-    searched = with_other_names(problem, robot, search(problem, progress, workers))
-    hypotheses = [_with_outliers(problem, each) for each in searched]
+    hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
+    hypotheses = with_other_names(problem, robot, hypotheses)
     found = posterior(hypotheses, problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
@@ -162,32 +162,39 @@ def problem_of(simulator: RobotSimulator) -> Problem:
 def with_other_names(
     problem: Problem, robot: Robot, hypotheses: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Beside all, the best explanation with other names for what is off about links in it.
+    """Beside all, the most probable ones with other names for what is off about links in them.
 
     A wrong mass, a shifted centre and a payload change the same ten numbers of a link, each as
     its own law allows. A search that begins with one of them finds numbers for it that leave
     little, and then nothing that another one could add; so each is fitted in place of another.
     """
-    best = min(hypotheses, key=problem.cost_of)
+    calibration = bundled_calibration()
+
+    def judged(one: Hypothesis) -> float:
+        numbers = calibration.size / calibration.power * one.sizes
+        return float(np.log(problem.cost_of(one)) + numbers)
+
     known = {h.effects: h for h in hypotheses}
-    of_links = [c for c in problem.simulator.candidates if c.places == robot.bodies]
-    others = [c for c in of_links if c.effect not in best.effects]
-    for one, other in product(best.effects, others):
-        places = dict.fromkeys(t.place for t in best.values if t.effect == one)
-        if not set(places) <= set(robot.bodies):
-            continue
-        kept = {term: value for term, value in best.values.items() if term.effect != one}
-        new = {
-            Term(other.effect, place, p.name): p.default
-            for place in places
-            for p in other.parameters
-        }
-        fitted = refit(problem, kept | new, _STEPS)
-        if fitted is not None:
-            fitted, _ = final_refinement(problem, fitted)
-            rival = known.setdefault(fitted.effects, fitted)
-            known[fitted.effects] = min(rival, fitted, key=problem.cost_of)
+    ranked = [r.hypothesis for r in posterior(hypotheses, problem.floor, calibration)]
+    best = [h for h in ranked if h is not None and h.effects][:_RENAMED]
+    of_links = {c.effect: c for c in problem.simulator.candidates if c.places == robot.bodies}
+    for begun in best:
+        names = set(begun.effects)
+        for one, other in product(names & set(of_links), set(of_links) - names):
+            fitted = refit(problem, _renamed(begun, one, of_links[other]), _STEPS)
+            if fitted is not None:
+                fitted = _with_outliers(problem, final_refinement(problem, fitted)[0])
+                rival = known.setdefault(fitted.effects, fitted)
+                known[fitted.effects] = min(rival, fitted, key=judged)
     return list(known.values())
+
+
+def _renamed(begun: Hypothesis, one: str, other: Candidate) -> dict[Term, float]:
+    """Values to begin with, of another effect in the places of one."""
+    places = dict.fromkeys(term.place for term in begun.values if term.effect == one)
+    kept = {term: value for term, value in begun.values.items() if term.effect != one}
+    new = {Term(other.effect, at, p.name): p.default for at in places for p in other.parameters}
+    return kept | new
 
 
 def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:

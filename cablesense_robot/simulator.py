@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_robot.catalogue import candidate, changed, known_effects
-from cablesense_robot.effects.effect import PRESLIDING, Effect
+from cablesense_robot.effects.effect import Effect
 from cablesense_robot.forward import ForwardComparison
 from cablesense_robot.inverse import InverseComparison
 from cablesense_robot.model import Change, Robot, RobotError
@@ -88,9 +88,7 @@ class RobotSimulator:
         found = candidate(effect, self.robot, motion.scale)
         if not motion.forward:
             return found
-        return replace(
-            found, parameters=tuple(p for p in found.parameters if p.name != PRESLIDING)
-        )
+        return replace(found, parameters=tuple(p for p in found.parameters if p.role == "size"))
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, Q, C)."""

@@ -15,8 +15,8 @@ from cablesense_sim.effects.effect import WHOLE_ARM as WHOLE_ARM
 from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
-PRESLIDING = "presliding_rad"
-"""A parameter that no MJCF has a place for."""
+PRESLIDING, SIDE = "presliding_rad", "side"
+"""No MJCF has a word for these."""
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,20 @@ from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
 
 from cablesense_cli.app import app
+from cablesense_gap.diagnosis.gauss_newton import refine, refit
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_robot.amending import load_amended, write_amended
+from cablesense_robot.catalogue import changed
+from cablesense_robot.inverse import InverseDynamics
 from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import begun_at_zero, diagnose, doubtful
+from cablesense_robot.pipeline import (
+    begun_at_zero,
+    diagnose,
+    doubtful,
+    problem_of,
+    with_other_names,
+)
 from cablesense_robot.prediction import predicted
 from cablesense_robot.preparation import prepared
 from cablesense_robot.recording import read_recording
@@ -111,6 +120,30 @@ def test_a_mass_at_the_end_is_found_on_the_lower_link(tmp_path, model):
     assert verdict.where.bodies == ("lower",)
 
 
+@pytest.mark.slow  # fits both from the nominal robot on
+def test_a_mass_that_a_shifted_centre_stands_for_is_tried_under_its_own_name(tmp_path, model):
+    path = recorded(tmp_path / "recording.csv", seed=4, payload=0.3)
+    robot = load_robot(model)
+    problem = problem_of(RobotSimulator(robot, prepared(read_recording(path, robot), robot), {}))
+    shifted = {Term("link_centre", "lower", f"{axis}_m"): 0.0 for axis in "xyz"}
+    begun = [refine(problem, {}, [[]]), refit(problem, shifted, 12)]
+    found = {h.effects: problem.cost_of(h) for h in with_other_names(problem, robot, begun)}
+    assert found["payload",] < 0.5 * found["link_centre",]
+
+
+def test_losses_count_by_the_drives_torque_or_by_the_joints(tmp_path, model):
+    robot, part = load_robot(model), 0.2
+    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    dynamics, place = InverseDynamics(robot, motion), ("load_friction", "elbow")
+    needed = dynamics.torques(robot.nominal())[:, 1]
+    slides = np.abs(np.abs(motion.direction[:, 1]) - 1.0) < 1e-3
+    way = np.sign(motion.direction[:, 1] * needed)[slides]
+    for side, law in ((1.0, 1.0 / (1.0 - part * way)), (-1.0, 1.0 + part * way)):
+        values = {Term(*place, "share"): np.arctanh(part), Term(*place, "side"): side}
+        given = dynamics.torques(changed(robot, [values]))[:, 1]
+        assert given[slides] == pytest.approx(law * needed[slides], rel=2e-3)
+
+
 def test_torques_of_the_other_sign_are_told(tmp_path, model):
     path = recorded(tmp_path / "recording.csv", read=lambda torque: torque * [1.0, -1.0])
     robot = load_robot(model)
@@ -121,9 +154,9 @@ def test_torques_of_the_other_sign_are_told(tmp_path, model):
 
 
 def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp_path, model):
-    path = recorded(tmp_path / "recording.csv", friction=(0.1, 0.08))
+    path = recorded(tmp_path / "recording.csv", trials=3, friction=(0.1, 0.08))
     table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
-    hung = 0.05 * np.random.default_rng(2).standard_normal((6, 2))
+    hung = 0.05 * np.random.default_rng(2).standard_normal((3, 2))
     table[joints] -= hung[table["trial"]]
     table.to_csv(path, index=False)
     robot, found = load_robot(model), {}
