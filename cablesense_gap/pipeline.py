@@ -54,8 +54,8 @@ from cablesense_gap.verdict import (
     Where,
     removed_fraction,
 )
-from cablesense_sim.arm import Arm
-from cablesense_sim.replay import replay_arm
+from cablesense_sim.arm import Arm, ArmFileError
+from cablesense_sim.replay import reading_variance_n2, replay_arm
 
 FOLDS = 5
 NEGLIGIBLE = 0.1
@@ -131,9 +131,15 @@ def diagnose(
 
     Raises:
         RecordingError: the recording cannot be used.
+        ArmFileError: the arm's sensors are perfect.
         EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
     """
     began = time.monotonic()
+    if reading_variance_n2(arm.sensors) == 0.0:
+        raise ArmFileError(
+            f"{arm.identity}: noise_std_n and step_n of its sensors are both 0; a gap is judged "
+            "by what the sensors add to a reading, so one of them must be above 0"
+        )
     whole = recording
     refuse_unusable(whole, check_recording(whole, arm))
     rows = rows_to_use(whole)

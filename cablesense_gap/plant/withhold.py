@@ -62,8 +62,14 @@ def withhold(
     commands, loads and past. The same seed makes the same files, whatever the number of processes.
 
     Raises:
-        PlantError: an unknown kind in `only`, or a place that cannot be written to.
+        PlantError: an unknown kind in `only`, sensors that are perfect, or a place that cannot be
+            written to.
     """
+    if nominal.floor_n == 0.0:
+        raise PlantError(
+            "noise_std_n and step_n of the arm's sensors are both 0; sizes are drawn by what the "
+            "sensors add to a reading, so one of them must be above 0"
+        )
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:

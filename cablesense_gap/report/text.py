@@ -48,7 +48,7 @@ def earlier_sentence(earlier: Earlier) -> str:
     """What of one effect that the arm file listed still stands."""
     name = earlier.effect.replace("_", " ") + _at(earlier.places)
     numbers = [
-        f"{key} {estimate.value:.3g} {estimate.unit} (was {earlier.was[key]:.3g})"
+        f"{key} {_with_unit(f'{estimate.value:.3g}', estimate)} (was {earlier.was[key]:.3g})"
         for key, estimate in earlier.now.items()
     ]
     after = f": {', '.join(numbers)}" if numbers and earlier.outcome == "changed" else ""
@@ -135,12 +135,16 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
                 " ".join(place or effect_places(verdict, effect_name)).replace("_", " "),
                 parameter_name,
                 known.about if known else "",
-                value if estimate.unit == "1" else f"{value} {estimate.unit}",
+                _with_unit(value, estimate),
                 interval,
                 bool(known and known.past),
             )
         )
     return found
+
+
+def _with_unit(value: str, estimate: Estimate) -> str:
+    return value if estimate.unit == "1" else f"{value} {estimate.unit}"
 
 
 def _known_within(estimate: Estimate, parameter: Parameter | None) -> tuple[str, str]:

@@ -124,6 +124,12 @@ def test_what_a_workshop_leaves_is_no_effect():
     assert verdict.parameters == {}
 
 
+def test_perfect_sensors_are_refused_before_the_search():
+    sensors = LAB.sensors.model_copy(update={"noise_std_n": 0.0, "step_n": 0.0})
+    with pytest.raises(CableSenseError, match="noise_std_n and step_n of its sensors are both 0"):
+        diagnose(PROTOCOL, LAB.model_copy(update={"sensors": sensors}))
+
+
 def test_a_load_that_the_nominal_arm_cannot_bear_is_refused_in_a_line():
     load_n = PROTOCOL.load_n.copy()
     load_n[25:40] = [0.0, 1500.0, 0.0]

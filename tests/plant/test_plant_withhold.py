@@ -118,6 +118,9 @@ def test_the_verb_makes_the_same_files_in_more_processes(folder: Path, tmp_path:
 def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PlantError, match="no effect 'sag'"):
         list(withhold(tmp_path, tmp_path / "a.csv", NOMINAL, 1, 0, ("sag",)))
+    perfect = replace(NOMINAL, noise_std_n=0.0, step_n=0.0)
+    with pytest.raises(PlantError, match="are both 0"):
+        list(withhold(tmp_path, tmp_path / "a.csv", perfect, 1, 0, ("none",)))
     (tmp_path / "file").write_text("")
     with pytest.raises(PlantError, match="cannot be written"):
         list(withhold(tmp_path / "file", tmp_path / "a.csv", NOMINAL, 1, 0, ("none",)))
