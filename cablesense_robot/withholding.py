@@ -25,7 +25,11 @@ from cablesense_robot.model import Change, Robot, RobotError, inverse_dynamics
 from cablesense_robot.protocol import RATE_HZ, standard_protocol
 from cablesense_robot.smoothing import derivatives
 
-_STEP_S = 0.001
+_STEP_S, _STEP_OF_TEETH_S = 1e-3, 5e-4
+_TEETH_RAD_S = 500.0
+"""At which a rotor would swing on a tooth."""
+_LEAST_ROTOR = 0.04
+"""Of a joint's inertia, where the model has no rotor to speak of."""
 _RAD_S_OF_CONTROL = 30.0
 _ENCODER_STEP = 2.0 * np.pi / 2**16
 _NOISE_SHARE = 0.01
@@ -54,11 +58,7 @@ def withhold(
         RobotError: `only` names no effect.
         RecordingError: a place cannot be written to.
     """
-    offered = [
-        e.name
-        for e in known_effects().values()
-        if e.simulated and not e.tolerance and e.places(robot)
-    ]
+    offered = [e.name for e in known_effects().values() if not e.tolerance and e.places(robot)]
     for name in {part for each in only for part in each.split("+")} - {*offered, NONE, UNKNOWN}:
         raise RobotError(f"{name!r} cannot be hidden; valid: none, unknown, {', '.join(offered)}")
     motion = _ProtocolMotion(robot)
@@ -158,9 +158,12 @@ def _trial(
     """Rows of one block: time, trial, positions and torques as they are read."""
     robot = motion.robot
     model = robot.varied(hidden)
-    model.opt.timestep, model.opt.integrator = _STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    data, steps = mujoco.MjData(model), round(1.0 / RATE_HZ / _STEP_S)
+    loose = hidden.play > 0.0  # there the rotor is a mass of its own
+    step_s = _STEP_OF_TEETH_S if loose.any() else _STEP_S
+    model.opt.timestep = step_s
+    data, steps = mujoco.MjData(model), round(1.0 / RATE_HZ / step_s)
     apart = np.eye(len(robot.joints)) + hidden.coupling
     inertia = np.zeros((model.nv, model.nv))
     position, speed, _ = motion.moved[k]
@@ -169,20 +172,29 @@ def _trial(
     mujoco.mj_fullM(model, data, inertia)
     stiff = inertia.diagonal() * _RAD_S_OF_CONTROL**2
     damp = 2.0 * inertia.diagonal() * _RAD_S_OF_CONTROL
+    rotor = np.maximum(model.dof_armature, _LEAST_ROTOR * inertia.diagonal())
+    model.dof_armature[loose] = model.dof_damping[loose] = 0.0
+    drive, turning = data.qpos.copy(), data.qvel.copy()
     found_position, found_torque = np.empty_like(position), np.empty_like(position)
     asked = np.hstack([position, speed, motion.torque[k]])
     for row in range(len(position)):
         last, now = asked[max(row - 1, 0)], asked[row]
         for step in range(1, steps + 1):
             place, rate, known = np.split(last + (now - last) * step / steps, 3)
-            torque = known + stiff * (place - data.qpos) + damp * (rate - data.qvel)
-            way = np.tanh(data.qvel / _SMOOTH_SPEED)
-            friction = hidden.load_friction * np.abs(torque) * way
-            data.qfrc_applied[:] = (
-                torque - friction + cogging * np.sin(_COGGING_PER_RAD * data.qpos)
-            )
+            drive = np.where(loose, drive, data.qpos)
+            turning = np.where(loose, turning, data.qvel)
+            torque = known + stiff * (place - drive) + damp * (rate - turning)
+            friction = hidden.load_friction * np.abs(torque) * np.tanh(turning / _SMOOTH_SPEED)
+            applied = torque - friction + cogging * np.sin(_COGGING_PER_RAD * drive)
+            pressed = drive - data.qpos
+            pressed -= np.clip(pressed, -0.5 * hidden.play, 0.5 * hidden.play)
+            closing = _TEETH_RAD_S**2 * pressed + _TEETH_RAD_S * (turning - data.qvel)
+            passed = rotor * np.where(pressed * closing > 0.0, closing, 0.0)
+            data.qfrc_applied[:] = np.where(loose, passed, applied)
+            turning += step_s / rotor * (applied - hidden.damping * turning - passed)
+            drive = drive + step_s * turning
             mujoco.mj_step(model, data)
-        found_position[row], found_torque[row] = data.qpos, torque
+        found_position[row], found_torque[row] = np.where(loose, drive, data.qpos), torque
     encoder = np.linalg.solve(apart, found_position.T).T
     encoder = encoder * (1.0 + hidden.encoder_scale) + hidden.zero
     time_s = np.arange(len(position)) / RATE_HZ

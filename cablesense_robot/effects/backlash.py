@@ -17,7 +17,7 @@ class Backlash(Effect):
     about = "backlash"
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 38, 2002"
     advice = "Hold the drive and move the joint by hand: gears, couplings, belts that are slack."
-    in_model = simulated = False
+    in_model = False
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         unit = joint_unit(robot, "{position}")

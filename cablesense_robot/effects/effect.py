@@ -70,7 +70,6 @@ class Effect(ABC):
         advice: what someone at the robot can check or do about it.
         tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
         in_model: whether an MJCF has a place for it.
-        simulated: whether `withholding` can hide it in a recording.
         against_motion: whether it turns round with the motion, whatever the speed.
     """
 
@@ -80,7 +79,6 @@ class Effect(ABC):
     advice: ClassVar[str] = ""
     tolerance: ClassVar[bool] = False
     in_model: ClassVar[bool] = True
-    simulated: ClassVar[bool] = True
     against_motion: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:

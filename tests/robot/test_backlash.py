@@ -1,14 +1,18 @@
 """Play between a drive and its joint, planted as teeth that are stiff springs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from cablesense_gap.simulator import Term
+from cablesense_robot import withholding
 from cablesense_robot.catalogue import changed
 from cablesense_robot.model import load_robot
 from cablesense_robot.pipeline import diagnose
 from cablesense_robot.preparation import prepared
+from cablesense_robot.protocol import standard_protocol
 from cablesense_robot.recording import read_recording
 from cablesense_robot.simulator import RobotSimulator
 
@@ -71,6 +75,21 @@ def test_play_shows_in_torques_and_in_motion(recording, forward):
         left.append(np.sqrt((off**2).mean()))
     assert left[2] == min(left)
     assert left[2] < 0.35 * left[0]
+
+
+@pytest.mark.slow  # steps teeth through time
+def test_hidden_play_is_between_a_drive_and_the_tooth_that_bears(tmp_path, monkeypatch):
+    (tmp_path / "hinge.xml").write_text(XML)
+    robot = load_robot(tmp_path / "hinge.xml")
+    slow = next(b for b in standard_protocol(robot) if b.kind == "slow sweep")
+    through = replace(slow, position=slow.position[300:900])  # from one side to the other
+    monkeypatch.setattr(withholding, "standard_protocol", lambda _: [through])
+    list(withholding.withhold(tmp_path, tmp_path / "answers.csv", robot, 1, 0, ["backlash"]))
+    table = pd.read_csv(tmp_path / "case_001.csv")
+    torque = table["torque.hinge"]
+    ahead = table["position.hinge"] - np.arcsin(np.clip(torque / WEIGHT, -1.0, 1.0))
+    bears = [ahead[(torque * side > 0.1) & (torque * side < 0.5)] for side in (1.0, -1.0)]
+    assert 0.02 - 0.005 < bears[0].median() - bears[1].median() < 0.05 + 0.005  # of such size
 
 
 @pytest.mark.slow
