@@ -49,7 +49,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ARM = "cdsm_lab"
 SETTLED_ROWS = 60
-"""Of a second recording, which the states that remember are estimated from."""
+"""Of a second recording, from which history-dependent states are estimated."""
 _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 

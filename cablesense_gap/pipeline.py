@@ -40,7 +40,7 @@ from cablesense_gap.experiments import next_experiment
 from cablesense_gap.recordings.channels import stiffness_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
+from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_gap.unlisted import describe_unlisted, repeat_largest_trial
@@ -269,7 +269,7 @@ def problem_of(
     used &= ~np.isin(recording.trial, list(unseen))
     folds = folds_of(recording, unseen)
     problem = prepare(simulator, recording.tensions_n, recording.trial, folds, used)
-    rows = rows_of_the_way(recording)
+    rows = rows_along_path(recording)
     if len(rows) > _SKETCH_SHARE * len(recording):
         return problem
     return sketched(problem, ArmSimulator(simulator.arm, recording.rows(rows)), rows)

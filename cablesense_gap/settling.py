@@ -1,4 +1,4 @@
-"""A new recording has a past of its own: the states that remember, from its first rows.
+"""A new recording has a past of its own: history-dependent states, from its first rows.
 
 Where in its play an actuator stands, what friction carries, how far creep has gone and where a
 zero has drifted to belong to a recording, and not to the arm.

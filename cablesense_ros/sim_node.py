@@ -139,7 +139,7 @@ class SimNode(Node):
         loads = (f"segment_{n}: {force_n:.1f}" for n, force_n in simulated.loads_n.items())
         values = {
             "real time factor": f"{factor:.3f}",
-            "time let go (s)": f"{simulated.pacer.skipped_s:.3f}",
+            "time skipped (s)": f"{simulated.pacer.skipped_s:.3f}",
             "rate (Hz)": f"{self._rate_hz:g}",
             "loads (N)": ", ".join(loads) or "none",
             "messages refused": str(self._refuse.count),

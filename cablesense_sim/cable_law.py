@@ -435,7 +435,10 @@ def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
 
 @compiled
 def _hold(cable: Cables, lengths_m: Array, held: Array) -> bool:
-    """Whether the cable is taut; tensions (K,) if nothing passed, in place. Slack ones forget."""
+    """Whether the cable is taut; tensions (K,) if nothing passed, in place.
+
+    A slack cable loses its state of friction.
+    """
     whole = 0.0
     for k in range(len(held)):
         stretch = lengths_m[k] - cable.natural_m[k]

@@ -25,7 +25,7 @@ class JointMotion:
     The curve is the fifth-order polynomial that starts with the present angle, speed and
     acceleration and ends at rest (Flash and Hogan 1985), so the actuators never jump: a jump of
     half a degree would pull some cables of a stiff arm with thousands of newtons. An acceleration
-    harder than a move of this duration has from rest is let go at once: after a short step it
+    larger than that of a move of this duration from rest is limited to it: after a short step it
     would carry a long move far beyond its target.
     """
 

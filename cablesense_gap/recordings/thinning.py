@@ -5,14 +5,14 @@ same. So rows are chosen, never averaged, since the noise of a reading must stay
 sensors. Kept are
 
 - of each trial the first row and the last,
-- rows where the command or the load turns back, and both sides of their leaps: what friction,
-  backlash and creep remember is made there,
+- rows where the command or the load turns back, and both sides of their leaps: the
+  states of friction, backlash and creep are set there,
 - of all others as many as there is room for, at equal distances in their order.
 
 A turn or leap counts from a hundredth of the recording's largest on, and from twice as much as
 often as there are too many for half of the room. Of too many trials, whole ones are left out.
 
-Fewer rows suffice to choose among effects that depend on the past (`rows_of_the_way`).
+Fewer rows suffice to choose among effects that depend on the past (`rows_along_path`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OTHER_SEGMENT = 100.0
 
 _MOVING_STRIDE, _RESTING_STRIDE = 3, 10
 _STRAIGHT_ON = 0.9
-"""Cosine between two steps of commands and load, from which on they go the same way."""
+"""Cosine between two steps of commands and load, from which on they go in the same direction."""
 
 Rows = NDArray[np.int64]
 
@@ -57,8 +57,8 @@ def rows_to_use(recording: Recording) -> Rows:
     return np.union1d(kept, even)
 
 
-def rows_of_the_way(recording: Recording) -> Rows:
-    """(K,) ascending rows that lead an arm whose friction remembers along nearly the same way.
+def rows_along_path(recording: Recording) -> Rows:
+    """(K,) ascending rows that take an arm with friction along nearly the same path.
 
     Kept are the first and the last row of each trial, turns, rows where commands and load go on in
     another direction or stop, every third row of those that move and every tenth at rest.
@@ -67,8 +67,8 @@ def rows_of_the_way(recording: Recording) -> Rows:
     steps = np.diff(columns)
     size = np.linalg.norm(steps, axis=0)
     moves = np.abs(steps).max(axis=0) >= 1.0
-    way = np.where(moves, steps / np.maximum(size, 1.0), 0.0)
-    bends = (way[:, 1:] * way[:, :-1]).sum(axis=0) < _STRAIGHT_ON
+    direction = np.where(moves, steps / np.maximum(size, 1.0), 0.0)
+    bends = (direction[:, 1:] * direction[:, :-1]).sum(axis=0) < _STRAIGHT_ON
     kept = np.ones(len(recording), dtype=bool)
     kept[1:-1] = bends & (moves[1:] | moves[:-1])
     other_trial = np.flatnonzero(np.diff(recording.trial))
@@ -114,7 +114,7 @@ def _turned(values: Array, rows: Rows, least: float) -> Rows:
         return rows
     change = np.diff(values[rows])
     moves = np.flatnonzero(change)
-    # the last row of each stretch at an end of the way, before it turns back, and the last of all
+    # the last row of each stretch before it turns back, and the last of all
     ends = rows[np.append(moves[1:][np.diff(np.sign(change[moves])) != 0.0], len(rows) - 1)]
     found: list[int] = []
     way, high, low = 0, (-np.inf, 0), (np.inf, 0)

@@ -39,7 +39,7 @@ MOST_CLIENTS = 10
 MOST_MESSAGE_BYTES = 16_384
 """Camera and values of controls take some hundred."""
 PING_EVERY_S, SILENT_S = 5.0, 10.0
-"""A browser that does not answer for so long has left: what it pushes is let go."""
+"""A browser that does not answer for so long has left: its force is taken off."""
 _LONGEST_TEXT = 100
 
 Answer = Callable[[ServerConnection, Request], Response | None]

@@ -65,16 +65,16 @@ class _Lagging(Sensing):
         passed = np.maximum(np.diff(time_s, prepend=self._time_s), 0.0)
         lags = (lag[:, None] for lag in self._lags)
         first, second, across = (share[..., None] for share in lag_shares(passed, *lags))
-        filtered = _remembered(first, (1.0 - first) * tensions_n, self._filtered_n)
+        filtered = _low_passed(first, (1.0 - first) * tensions_n, self._filtered_n)
         before = np.concatenate([self._filtered_n[:, None], filtered[:, :-1]], axis=1)
         added = (1.0 - second) * tensions_n + across * (before - tensions_n)
-        reading = _remembered(second, added, self._reading_n)
+        reading = _low_passed(second, added, self._reading_n)
         self._filtered_n, self._reading_n = filtered[:, -1], reading[:, -1]
         self._time_s = float(time_s[-1])
         return np.where(chosen(self._place, tensions_n.shape[-1]), reading, tensions_n)
 
 
-def _remembered(kept: Array, added: Array, start: Array) -> Array:
+def _low_passed(kept: Array, added: Array, start: Array) -> Array:
     """y_r = kept_r y_(r-1) + added_r along the second axis of (P, R, M), from `start` (P, M) on.
 
     Rows of twice as many steps at a time: Hillis and Steele, Data parallel algorithms, CACM 1986.

@@ -181,5 +181,5 @@ def test_a_candidate_has_all_its_numbers_in_each_place():
     assert tilt.terms("base") == (Term("tilt", "base", "roll"), Term("tilt", "base", "pitch"))
 
 
-def test_what_is_not_said_to_remember_does_not():
+def test_what_is_not_said_to_depend_on_history_does_not():
     assert not Candidate("tilt", ("arm",), (size("roll"),)).history_dependent

@@ -136,7 +136,7 @@ def test_every_known_effect_is_a_candidate_or_a_tolerance():
     assert not any(known_effects()[c.effect].tolerance for c in arm.candidates)
 
 
-def test_effects_that_remember_say_so():
+def test_history_dependent_effects_say_so():
     assert {c.effect for c in simulator().candidates if c.history_dependent} == HISTORY_DEPENDENT
 
 

@@ -1,4 +1,4 @@
-"""States that remember, from the first rows of a new recording."""
+"""History-dependent states, from the first rows of a new recording."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cablesense_gap.recordings import thinning
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_of_the_way, rows_to_use
+from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
 
 
 def recording(command, load_z_n, trial=None) -> Recording:
@@ -90,7 +90,7 @@ def test_the_way_keeps_turns_and_stops_and_few_rows_between():
     up, down = np.linspace(0.0, 1.0, 12), np.linspace(1.0, 0.0, 12)
     load_n = np.concatenate([up, np.ones(40), down, np.zeros(30)])
     trial = np.repeat([3, 8], [12 + 40, 12 + 30])
-    rows = rows_of_the_way(recording(np.zeros(len(load_n)), load_n, trial))
+    rows = rows_along_path(recording(np.zeros(len(load_n)), load_n, trial))
     for corner in (0, 11, 51, 52, 63, len(load_n) - 1):
         assert corner in rows
     assert np.diff(rows).max() <= 10
@@ -99,6 +99,6 @@ def test_the_way_keeps_turns_and_stops_and_few_rows_between():
 
 
 def test_of_a_recording_in_which_nothing_moves_there_is_a_way_too():
-    rows = rows_of_the_way(recording(np.zeros(50), np.zeros(50)))
+    rows = rows_along_path(recording(np.zeros(50), np.zeros(50)))
     assert rows[0] == 0
     assert rows[-1] == 49
