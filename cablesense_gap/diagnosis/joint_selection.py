@@ -32,20 +32,21 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 Spread = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 Fit = Callable[[Problem, Screened], Hypothesis | None]
 
-_MOST_EFFECTS = 7
+_MOST_EFFECTS, _MOST_ADDED = 7, 14
+"""In one explanation, and effects and places that are added to it at once."""
+_MOST_CHANGES, _MOST_EXCHANGES, _STEPS_AGAIN = 10, 2, 3
 _SEVERAL = 3
-_MOST_CHANGES, _MOST_EXCHANGES = 10, 2
+"""Beside fewer effects two at once are tried as well."""
 _TRIED, _REPLACED = 3, 5
+"""Of those screened the most promising ones are fitted."""
 _PROMISING, _EXCHANGED = 2.0, 10.0
-_STEPS_AGAIN = 3
-_PLACE_WORTH = 1.04
-_EFFECT_WORTH = 1.08
-_FURTHER_WORTH = 1.03
+"""What leaves at most so many times as much is tried, and can be missed for another effect."""
 _HELPS, _BETTER, _SLIGHTLY = 1.02, 0.95, 0.99
-_MOST_ADDED = 14
-_ELSEWHERE = 0.04
-"""Power of the number of choices of as many places."""
-_SIZE_WORTH = 1.005
+"""By how much each added one makes what is left smaller, and what is left as a share of before."""
+_EFFECT_WORTH, _FURTHER_WORTH, _SIZE_WORTH = 1.08, 1.03, 1.005
+"""By which factor an effect, a place and a number each make what is left smaller, to be kept."""
+_PLACE_WORTH, _ELSEWHERE = 1.04, 0.04
+"""The least factor for an effect's places, and the power of the number of choices of as many."""
 _CHANCE = 1.28
 """Standard deviations over trials; less may be chance."""
 

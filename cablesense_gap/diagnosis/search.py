@@ -33,23 +33,25 @@ from cablesense_gap.simulator import Assignment, Candidate, Simulator
 Progress = Callable[[str, float], None]
 """Called with what is under way, and which share of the whole is done."""
 
-_MOST_SINGLES = 6
-_MOST_PAIRS = 4
-_MOST_EXPENSIVE_PAIRS = 4
+_MOST_SINGLES, _MOST_PAIRS, _MOST_EXPENSIVE_PAIRS, _MOST_REPLACED = 6, 4, 4, 4
+"""That are fitted after a screening."""
 _MOST_STARTS, _WORTH_GROWING, _WORTH_STARTING = 2, 2.0, 0.85
+"""Pairs from which others are added: they leave at most so many times as much as the best
+explanation, and so much of what the best single effect leaves."""
 _WORTH_PAIRING = 0.8
+"""Pairs with history, as screened, leave at most so much of what the best explanation leaves."""
 _FAR_BEHIND = 6.0
 """A screening that leaves so many times as much as a fit is no rival of it."""
-_RESOLVED = 0.04
-_BARELY = 1.25
+_RESOLVED, _BARELY = 0.04, 1.25
+"""Of the gap, and of the floor: where no more is left, nothing further is sought."""
 _SLIGHTLY = 0.95
 """What leaves more than this share of the gap, as screened, is not the cause by itself."""
 _ALIKE = 1.02
+"""Of two fits of the same effects that leave so nearly the same, the likelier numbers are kept."""
 _LEAST_SHOWN = 0.5
 """Floors, of the part of an effect beside others."""
 _FAR_OFF = 5.0
 """Standard deviations of a tolerance."""
-_MOST_REPLACED = 4
 _BORNE_OUT = 1.6
 """Effects without which so much more is left are certain to be needed."""
 
