@@ -21,6 +21,7 @@ from cablesense_gap.recorded_contacts import (
     RecordedErrors,
     contact_errors,
     recorded_errors,
+    tares_from_before,
     tares_n,
 )
 from cablesense_gap.recordings.recording import Recording
@@ -205,9 +206,12 @@ def train_for(
         assert isinstance(trained, CorrectedClosedForm)
 
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-            difference_n = taken.tensions_n - tare_n
             if isinstance(trained, UnlaggedClosedForm):
+                tare_n = tares_from_before(taken, tare_n)
+                difference_n = taken.tensions_n - tare_n
                 difference_n = trained.undone_n(difference_n, tare_n, taken.time_s)
+            else:
+                difference_n = taken.tensions_n - tare_n
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)

@@ -60,6 +60,19 @@ def tares_n(recording: Recording) -> Array:
     return tare
 
 
+def tares_from_before(recording: Recording, tare_n: Array) -> Array:
+    """(R, M) tares that begin one row sooner, where the arm is unloaded at the same command.
+
+    What depends on history then has seen the unloaded arm when the load comes.
+    """
+    still = (np.diff(recording.command_rad, axis=0) == 0.0).all(axis=1)
+    begins = (tare_n[1:] != tare_n[:-1]).any(axis=1) & np.isfinite(tare_n[1:]).all(axis=1)
+    before = np.flatnonzero(begins & still & (recording.load_segment[:-1] == 0))
+    found = tare_n.copy()
+    found[before] = tare_n[before + 1]
+    return found
+
+
 class RecordedErrors(NamedTuple):
     """A model's answers on the contacts of a recording, and their errors.
 
@@ -155,6 +168,7 @@ def contact_errors(
 
 def _along(recording: Recording, tare_n: Array, estimator: TemporalEstimator) -> ContactAnswer:
     """Answers on all rows (R,), row after row, each tare (R, M) taken when it counts first."""
+    tare_n = tares_from_before(recording, tare_n)
     tared = np.asarray(np.isfinite(tare_n).all(axis=1))
     still = np.zeros(recording.command_rad.shape[1])
     estimator.forget()

@@ -81,8 +81,8 @@ class TemporalState:
 
 TEMPORAL_OUTPUTS = (*OUTPUTS, NEXT_STATE)
 
-LONGEST_GAP_S = 1.0
-"""After a longer pause of the samples the past is forgotten."""
+LONGEST_GAP_S, _LONGEST_GAP_TICKS = 1.0, 2.0
+"""After a pause of the samples that is longer than both the past is forgotten."""
 
 _EARLY = 0.25
 """A tick may come so much early, in ticks: stamps jitter."""
@@ -102,12 +102,14 @@ class TickClock:
     def ticks(self, time_s: float) -> int | None:
         """How many a sample at this time completes; none where the past ends or has not begun.
 
-        It ends where time runs back by over half a tick, or leaps by more than `LONGEST_GAP_S`.
+        It ends where time runs back by over half a tick, or leaps by more than `LONGEST_GAP_S` and
+        two ticks.
         """
         if self._last_s is None:
             return None
         passed_s = time_s - self._last_s
-        if not -0.5 * self._tick_s <= passed_s <= LONGEST_GAP_S:
+        longest_s = max(LONGEST_GAP_S, _LONGEST_GAP_TICKS * self._tick_s)
+        if not -0.5 * self._tick_s <= passed_s <= longest_s:
             return None
         return max(0, math.floor(passed_s / self._tick_s + _EARLY))
 

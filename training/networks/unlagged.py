@@ -7,7 +7,8 @@ holds in between, from two numbers for each cable,
 
 with y the reading, x what the first lag has let through, primes at the tick before, and f, s and a
 the shares that a tick leaves (`sensor_lag.lag_shares`). Noise grows by 1 / (1 - s - a), so ticks
-are no shorter than a twelfth of the longest lag.
+are no shorter than a twelfth of the longest lag. Without a past, at the first tick after a start,
+a pause or a tare, sensors count as settled: T = y.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class UnlaggedClosedForm(CorrectedClosedForm):
         self.tick_s = tick_s(arm)
         for name, shares in zip(("first", "second", "across"), _shares(arm), strict=True):
             self.register_buffer(name, torch.as_tensor(shares))
-        self.own_state = 2 * arm.cable_count
+        self.own_state = 2 * arm.cable_count + 1
         self.memory = TemporalState(self.own_state, 0, arm.cable_count, arm.joint_count).size
 
     @classmethod
@@ -75,23 +76,30 @@ class UnlaggedClosedForm(CorrectedClosedForm):
         return cls(arm, statics(settled_sensors(arm), tare_samples, unexplained_n2=added_n2))
 
     def undo(self, reading_n: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
-        """Tensions (B, M) of readings less a tare, and the next state, (B, 2M) as `before`."""
-        read, through = before.chunk(2, dim=-1)
+        """Tensions (B, M) of readings less a tare, and the next state, (B, 2M + 1) as `before`.
+
+        The state's last number is one where there is a past, and zero before that.
+        """
+        cables = reading_n.shape[-1]
+        read, through, known = before.split([cables, cables, 1], dim=-1)
+        read, through = (reading_n + known * (each - reading_n) for each in (read, through))
         kept = self.second * read + self.across * through
         tension = (reading_n - kept) / (1.0 - self.second - self.across)
-        return tension, torch.cat([reading_n, tension + self.first * (through - tension)], dim=-1)
+        now_known = 0.0 * known + 1.0  # the exporter takes ones_like for one row
+        through = tension + self.first * (through - tension)
+        return tension, torch.cat([reading_n, through, now_known], dim=-1)
 
     def undone_n(self, differences_n: Array, tare_n: Array, time_s: Array) -> Array:
         """(R, M) tensions of a recording's differences at its times (R,); NaN without a tare.
 
         From each tare (R, M) on, by ticks, as `TemporalEstimator` answers.
         """
-        settled = torch.zeros(1, self.own_state, dtype=torch.float64)
-        state, found, clock = settled, differences_n.copy(), TickClock(self.tick_s)
+        no_past = torch.zeros(1, self.own_state, dtype=torch.float64)
+        state, found, clock = no_past, differences_n.copy(), TickClock(self.tick_s)
         for row, difference_n in enumerate(differences_n):
             ticks = clock.ticks(float(time_s[row]))
             if ticks is None or (tare_n[row] != tare_n[row - 1]).any():
-                state = settled
+                state = no_past
             following = state
             for _ in range(ticks or 1):
                 tension_n, following = self.undo(torch.as_tensor(difference_n)[None], following)
