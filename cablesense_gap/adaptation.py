@@ -140,6 +140,8 @@ def adapt_to(
 def kept_apart(recording: Recording) -> tuple[int, ...]:
     """Numbers of the trials that the estimators are judged on: the fold with the most loads.
 
+    Where that is all loads, one trial of them, so that the others are left to learn from.
+
     Raises:
         AdaptationError: fewer than two trials have a load that can be estimated.
     """
@@ -153,7 +155,10 @@ def kept_apart(recording: Recording) -> tuple[int, ...]:
             "record load cycles (cablesense gap protocol)"
         )
     fold = int(np.bincount(folds[loaded]).argmax())
-    return tuple(int(number) for number in numbers[folds == fold])
+    apart = folds == fold
+    if apart[loaded].all():
+        apart = np.arange(len(numbers)) == np.flatnonzero(loaded)[-1]
+    return tuple(int(number) for number in numbers[apart])
 
 
 def that_can_be_undone(arm: Arm) -> Arm:

@@ -75,6 +75,13 @@ def test_the_trials_kept_apart_have_loads_and_leave_each_segment_to_learn_from()
     assert PROTOCOL.load_segment[~seen].any()
 
 
+def test_loads_of_one_fold_are_not_all_kept_apart(monkeypatch: pytest.MonkeyPatch):
+    numbers = np.unique(PROTOCOL.trial)
+    loaded = [bool(PROTOCOL.load_segment[PROTOCOL.trial == n].any()) for n in numbers]
+    monkeypatch.setattr(adaptation, "folds_of", lambda _: np.where(loaded, 0, 1))
+    assert kept_apart(PROTOCOL) == (numbers[loaded][-1],)
+
+
 def test_a_recording_without_loads_is_refused():
     idle = replace(
         PROTOCOL, load_segment=np.zeros_like(PROTOCOL.load_segment), load_n=0.0 * PROTOCOL.load_n
