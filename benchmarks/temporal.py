@@ -7,8 +7,8 @@ Memoryless estimators get the set-point at every tick, which is more than the no
 there they are silent until the arm rests again, and that is a row of its own. Long sequences show
 whether the state stays right; under friction there are several, as a late start weighs more than
 the time since. Stated intervals are judged by what the load does, as friction hides most of it
-while it falls and after it went. `--write` puts `temporal.json`, `temporal.md` and a picture into
-`benchmarks/results/`; of one arm alone, with its name behind `temporal`.
+while it falls and after it went. `--write` puts `temporal_ARM.json`, `.md` and a picture of each
+arm into `benchmarks/results/`.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ CASES = (
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = harness.parser(__doc__, "results/temporal.*")
+    parser = harness.parser(__doc__, "results/temporal_*")
     names = [case.arm for case in CASES]
     parser.add_argument("--arm", choices=names, help="only this one")
     parser.add_argument("--without-long", action="store_true", help="no long sequences")
@@ -98,22 +98,20 @@ def main() -> None:
     cases = [case for case in CASES if options.arm in (None, case.arm)]
     if options.without_long:
         cases = [case._replace(long_sequences=0) for case in cases]
-    result: dict[str, Any] = {
-        **harness.origin(),
-        "seeds": [SEED, LONG_SEED],
-        "protocol": asdict(protocol),
-        "arms": {},
-    }
-    size = (4.5 * len(cases), 3.4)
-    figure, axes = plt.subplots(1, len(cases), figsize=size, layout="constrained", squeeze=False)
-    for case, axis in zip(cases, axes[0], strict=True):
-        result["arms"][case.arm] = _arm(case, protocol, options.workers, axis)
-    text = _tables(result)
-    print(text)
-    if options.write:
-        name = "_".join(filter(None, ["temporal", options.arm]))
-        harness.write_result(f"{name}.json", result)
-        figure.savefig(harness.write_result(f"{name}.md", text).with_suffix(".png"), dpi=150)
+    for case in cases:
+        figure, axis = plt.subplots(figsize=(4.5, 3.4), layout="constrained")
+        result: dict[str, Any] = {
+            **harness.origin(),
+            "seeds": [SEED, LONG_SEED],
+            "protocol": asdict(protocol),
+            "arms": {case.arm: _arm(case, protocol, options.workers, axis)},
+        }
+        text = _tables(result)
+        print(text)
+        if options.write:
+            name = f"temporal_{case.arm}"
+            harness.write_result(f"{name}.json", result)
+            figure.savefig(harness.write_result(f"{name}.md", text).with_suffix(".png"), dpi=150)
 
 
 def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict[str, Any]:
