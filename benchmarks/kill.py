@@ -201,7 +201,7 @@ def main() -> int:
     given = parser.parse_args()
     result = harness.origin("rclpy") | measure(given.times)
     harness.publish("kill.json", result, given)
-    return 0
+    return 0 if all(result["bars"].values()) else 1
 
 
 if __name__ == "__main__":
