@@ -229,16 +229,9 @@ def _by_pauses(time_s: Array, position: Array) -> NDArray[np.int64]:
     interval = np.diff(time_s, prepend=time_s[0])
     typical = float(np.median(interval[1:]))
     window = max(1, round(0.1 / max(typical, 1e-6)))
-    moved = (
-        np.abs(position[window:] - position[:-window]).max(0, initial=0.0)
-        if len(position) > window
-        else np.zeros(position.shape[1])
-    )
+    moved = np.abs(position[window:] - position[:-window])
     far = np.zeros(len(time_s), dtype=bool)
-    if len(position) > window:
-        far[: len(position) - window] = (
-            np.abs(position[window:] - position[:-window]) > _STILL_SHARE * moved + 1e-9
-        ).any(1)
+    far[: len(moved)] = (moved > _STILL_SHARE * moved.max(0, initial=0.0) + 1e-9).any(1)
     begins = np.flatnonzero(interval > max(5.0 * typical, _STILL_S))
     edges = np.flatnonzero(np.diff(far.astype(int), prepend=1, append=1))
     rests = [
@@ -247,8 +240,7 @@ def _by_pauses(time_s: Array, position: Array) -> NDArray[np.int64]:
         if time_s[min(b, len(time_s) - 1)] - time_s[a] >= _STILL_S and a > 0 and b < len(time_s)
     ]
     marks = np.zeros(len(time_s), dtype=np.int64)
-    marks[begins] = 1
-    marks[rests] = 1
+    marks[[*begins, *rests]] = 1
     return np.cumsum(marks)
 
 
