@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.simulator import Assignment, Candidate, Term
+from cablesense_gap.simulator import Assignment, Candidate
 from cablesense_robot.catalogue import candidate, changed, known_effects
 from cablesense_robot.effects.effect import Effect
 from cablesense_robot.forward import ForwardComparison
@@ -18,10 +18,8 @@ from cablesense_robot.inverse import InverseComparison
 from cablesense_robot.model import Change, Robot, RobotError
 from cablesense_robot.motion import Motion
 
-_ZERO = "joint_zero"
 _PROBED, _USUAL = 0.01, 0.1
 """Rad or m of a zero: to see what it does, and as far as trials' own are off."""
-
 
 _Zeros = tuple[NDArray[np.bool_], Array, Array]
 
@@ -72,9 +70,7 @@ class RobotSimulator:
         )
         effects = known_effects().values()
         offered = [
-            (e, self._candidate(e, motion))
-            for e in effects
-            if not (motion.zeroed and e.name == _ZERO)
+            (e, self._candidate(e, motion)) for e in effects if not (motion.zeroed and e.of_zeros)
         ]
         self.candidates = tuple(c for e, c in offered if not e.tolerance and c.places)
         self.tolerances = tuple(c for e, c in offered if e.tolerance)
@@ -108,10 +104,13 @@ class RobotSimulator:
     def _of_zeros(self) -> tuple[_Zeros, ...]:
         """By trial its rows, what zeros (J,) make of them, and the zeros that fit a residual."""
         trial, joints = self.comparison.trial, self.robot.joints
-        ends = [
-            [self._predicted({Term(_ZERO, joint, "zero_rad"): off}) for joint in joints]
-            for off in (_PROBED, -_PROBED)
-        ]
+
+        def read(joint: int, off: float) -> Array:
+            change = changed(self.robot, [self._listed])
+            change.zero[joint] += off
+            return self.comparison.predicted(change) / self.comparison.noise
+
+        ends = [[read(k, off) for k in range(len(joints))] for off in (_PROBED, -_PROBED)]
         by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
         found: list[_Zeros] = []
         for rows in (trial == number for number in np.unique(trial)):

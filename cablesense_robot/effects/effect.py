@@ -71,6 +71,7 @@ class Effect(ABC):
         tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
         in_model: whether an MJCF has a place for it.
         against_motion: whether it turns round with the motion, whatever the speed.
+        of_zeros: whether encoders that are zeroed where each trial begins leave none to find.
     """
 
     name: ClassVar[str]
@@ -80,6 +81,7 @@ class Effect(ABC):
     tolerance: ClassVar[bool] = False
     in_model: ClassVar[bool] = True
     against_motion: ClassVar[bool] = False
+    of_zeros: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Where it can sit: joints, bodies, or `arm` for the whole robot."""

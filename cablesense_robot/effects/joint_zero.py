@@ -13,6 +13,7 @@ class JointZero(Effect):
     about = "a joint zero that is off"
     advice = "Home the joint anew, against a mark or a level."
     in_model = False
+    of_zeros = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         unit = joint_unit(robot, "{position}")
