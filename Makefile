@@ -81,8 +81,9 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
 	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev]'
-	@echo 'Compiling the law of friction (half a minute, once) …'
+	@echo 'Compiling statics and the law of friction (half a minute, once) …'
 	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
+	@$(BIN)/python -c 'from cablesense_sim import *; solve_equilibrium(mechanism_of(open_arm("cdsm")), [[0.0] * 8] * 999)'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.rest_search import hessian_n_m, rounding_n_m, search_rest
+from cablesense_sim.rest_search import hessian_n_m, rounding_m, rounding_n_m, search_rest
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -34,6 +34,8 @@ MAX_FORCE_N = 1e6
 
 _CHUNK = 512
 """Cases that are searched together: enough for NumPy, and few enough for a processor's cache."""
+_MANY = 256
+"""So many are worth compiled code."""
 
 
 class EquilibriumError(CableSenseError):
@@ -99,17 +101,13 @@ def solve_equilibrium(
     rest = rest - mechanism.pretension_n / mechanism.stiffness_n_m
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
     cases = (rest, forces, start)
-    parts = [
-        search_rest(mechanism, enough, *(case[i : i + _CHUNK] for case in cases))
-        for i in range(0, max(len(command), 1), _CHUNK)
-    ]
-    angles, tensions, residual, iterations = (np.concatenate(p) for p in zip(*parts, strict=True))
+    angles, tensions, residual, iterations = _searched(mechanism, enough, *cases)
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
         tensions_n=tensions.reshape(*leading, mechanism.cable_count),
         residual_n_m=residual.reshape(leading),
-        iterations=iterations.reshape(leading),
+        iterations=iterations.reshape(leading).astype(np.int64),
     )
 
 
@@ -180,6 +178,24 @@ def tension_sensitivity(
     stiffness = mechanism.stiffness_n_m * (tensions_n > 0.0)
     gain = (stiffness[..., None] * jacobian) @ moved
     return gain.reshape(*gain.shape[:-1], mechanism.segment_count, 3)
+
+
+def _searched(
+    mechanism: Mechanism, enough_n_m: float, rest: Array, forces: Array, start: Array
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """As `search_rest`, of any number of cases."""
+    if len(start) < _MANY:
+        return search_rest(mechanism, enough_n_m, rest, forces, start)
+    from cablesense_sim.rest_batch import whole_steps_to_rest  # compiled: few need not wait
+
+    arms, rounding = kinematics.load_arms(mechanism, forces), rounding_m(mechanism)
+    found = whole_steps_to_rest(mechanism, enough_n_m, rounding, rest, arms, start)
+    left = np.flatnonzero(np.isinf(found[2]))
+    for rows in np.split(left, range(_CHUNK, len(left), _CHUNK)):
+        searched = search_rest(mechanism, enough_n_m, rest[rows], forces[rows], start[rows])
+        for values, own in zip(found, searched, strict=True):
+            values[rows] = own
+    return found
 
 
 def _checked(

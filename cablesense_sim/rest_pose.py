@@ -90,51 +90,87 @@ def posed(plates: Plates, angles_rad: Array) -> Pose:
         np.empty((arms, joints, 3)),
         np.empty((arms, 2 * joints, 3)),
     )
-    o = plates.offset_m
     for p in range(arms):
-        ex, ey, ez = np.eye(3)
-        for n in range(joints):
-            a, b = angles_rad[p, 2 * n], angles_rad[p, 2 * n + 1]
-            cos_a, sin_a, cos_b, sin_b = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
-            for m in range(cables):
+        cos, sin = np.cos(angles_rad[p]), np.sin(angles_rad[p])
+        turn_axes(cos, sin, pose.axis[p], pose.joint_axis[p])
+        for m in range(cables):
+            for n in range(joints):
                 if plates.passes[m, n] == 0.0:
                     continue
-                y, z, v, w = plates.holes_m[p, m, n]
-                x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
-                along, across = o * cos_a + z * sin_a, o * sin_a - z * cos_a
-                squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
-                squared += 2.0 * (x1 * along + w * across - y * y1)
-                span = np.sqrt(max(squared, _TOUCHING_M**2))
-                by_a, by_b = (w * along - x1 * across) / span, -(y1 * along + y * x1) / span
+                holes = plates.holes_m[p, m, n]
+                span, before, after = span_m(
+                    plates.offset_m,
+                    holes,
+                    cos[2 * n : 2 * n + 2],
+                    sin[2 * n : 2 * n + 2],
+                    pose.by_turn_m[p, m, n],
+                    pose.by_turns_m[p, m, n],
+                )
                 pose.span_m[p, m, n] = span
-                pose.by_turn_m[p, m, n, 0], pose.by_turn_m[p, m, n, 1] = by_a, by_b
-                second = pose.by_turns_m[p, m, n]
-                second[0] = -(x1 * along + w * across + by_a * by_a) / span
-                second[1] = (y1 * across - by_a * by_b) / span
-                second[2] = (y * y1 - x1 * along - by_b * by_b) / span
-                before, after = o + x1 * cos_a + w * sin_a, o + along * cos_b - y * sin_b
                 bend = pose.bend_rad[p, m, n]
                 bend[0] = np.arccos(min(max(before / span, -1.0), 1.0))
                 bend[1] = np.arccos(min(max(after / span, -1.0), 1.0))
-            pose.joint_axis[p, 2 * n] = ey
-            pitched, ez = cos_a * ex - sin_a * ez, sin_a * ex + cos_a * ez
-            pose.joint_axis[p, 2 * n + 1] = ez
-            ex, ey = cos_b * pitched + sin_b * ey, cos_b * ey - sin_b * pitched
-            pose.axis[p, n] = ex
     return pose
+
+
+@compiled
+def span_m(
+    offset_m: float, holes_m: Array, cos: Array, sin: Array, by_turn_m: Array, by_turns_m: Array
+) -> tuple[float, float, float]:
+    """A cable's span across a joint at angles with `cos` and `sin` (2,), and parts of it.
+
+    Those are what it covers along the axes before and behind the joint. Writes its derivatives,
+    (2,) and (3,) as of `Pose`.
+    """
+    o, (y, z, v, w) = offset_m, holes_m
+    cos_a, cos_b = cos
+    sin_a, sin_b = sin
+    x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
+    along, across = o * cos_a + z * sin_a, o * sin_a - z * cos_a
+    squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
+    squared += 2.0 * (x1 * along + w * across - y * y1)
+    span = np.sqrt(max(squared, _TOUCHING_M**2))
+    by_a, by_b = (w * along - x1 * across) / span, -(y1 * along + y * x1) / span
+    by_turn_m[0], by_turn_m[1] = by_a, by_b
+    by_turns_m[0] = -(x1 * along + w * across + by_a * by_a) / span
+    by_turns_m[1] = (y1 * across - by_a * by_b) / span
+    by_turns_m[2] = (y * y1 - x1 * along - by_b * by_b) / span
+    return span, o + x1 * cos_a + w * sin_a, o + along * cos_b - y * sin_b
+
+
+@compiled
+def turn_axes(cos: Array, sin: Array, axis: Array, joint_axis: Array) -> None:
+    """Writes the axes (N, 3) and (2N, 3) of a `Pose` for angles with `cos` and `sin` (2N,)."""
+    ex, ey, ez = np.eye(3)
+    for n in range(len(axis)):
+        for i in range(3):
+            joint_axis[2 * n, i] = ey[i]
+            pitched = cos[2 * n] * ex[i] - sin[2 * n] * ez[i]
+            ez[i] = sin[2 * n] * ex[i] + cos[2 * n] * ez[i]
+            joint_axis[2 * n + 1, i] = ez[i]
+            ex[i] = cos[2 * n + 1] * pitched + sin[2 * n + 1] * ey[i]
+            ey[i] = cos[2 * n + 1] * ey[i] - sin[2 * n + 1] * pitched
+            axis[n, i] = ex[i]
 
 
 @compiled
 def load_torques_n_m(pose: Pose, arms_n_m: Array) -> Array:
     """Joint torques (P, 2N) of generalised forces (P, N, 3) on the segments' axis vectors."""
-    torque = np.empty(pose.joint_axis.shape[:2])
+    torque = np.zeros(pose.joint_axis.shape[:2])
     for p in range(len(torque)):
-        moment = np.zeros(3)
-        for n in range(pose.axis.shape[1] - 1, -1, -1):
-            moment += np.cross(pose.axis[p, n], arms_n_m[p, n])
-            for k in (2 * n, 2 * n + 1):
-                torque[p, k] = (pose.joint_axis[p, k] * moment).sum()
-    return torque
+        take_load_torque(pose.axis[p], pose.joint_axis[p], arms_n_m[p], torque[p])
+    return -torque
+
+
+@compiled
+def take_load_torque(axis: Array, joint_axis: Array, arms_n_m: Array, torque_n_m: Array) -> None:
+    """Takes the joint torques of loads (N, 3) off those (2N,)."""
+    x = y = z = 0.0
+    for n in range(len(axis) - 1, -1, -1):
+        (a, b, c), (f, g, h) = axis[n], arms_n_m[n]
+        x, y, z = x + b * h - c * g, y + c * f - a * h, z + a * g - b * f
+        for k in (2 * n, 2 * n + 1):
+            torque_n_m[k] -= joint_axis[k, 0] * x + joint_axis[k, 1] * y + joint_axis[k, 2] * z
 
 
 @compiled
@@ -179,7 +215,7 @@ def balanced(
                 held[2 * n, 2 * n + 1] += both
                 held[2 * n + 1, 2 * n] += both
                 held[2 * n + 1, 2 * n + 1] += yaw
-        _take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], held)
+        take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], held)
         slope[p] = held
         for m in range(cables):
             for i in range(2 * joints):
@@ -191,21 +227,27 @@ def balanced(
 
 
 @compiled
-def _take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Array) -> None:
+def take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Array) -> None:
     """Takes the second derivative of `sum_n A_n · x_n` off a slope (2N, 2N).
 
     For a joint axis k before l it is A_n · (w_k x (w_l x x_n)), summed over the segments beyond.
     """
     outer, along = np.zeros((3, 3)), 0.0
+    turned = np.zeros(3)
     for n in range(len(axis) - 1, -1, -1):
         for i in range(3):
             along += axis[n, i] * arms_n_m[n, i]
             for j in range(3):
                 outer[i, j] += axis[n, i] * arms_n_m[n, j]
         for later in (2 * n, 2 * n + 1):
-            turned = (outer * joint_axis[later]).sum(1) - along * joint_axis[later]
+            for i in range(3):
+                turned[i] = -along * joint_axis[later, i]
+                for j in range(3):
+                    turned[i] += outer[i, j] * joint_axis[later, j]
             for k in range(later + 1):
-                found = (joint_axis[k] * turned).sum()
+                found = 0.0
+                for i in range(3):
+                    found += joint_axis[k, i] * turned[i]
                 slope[k, later] -= found
                 if k < later:
                     slope[later, k] -= found

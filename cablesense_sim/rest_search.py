@@ -25,7 +25,7 @@ _LONGEST_TURN_RAD = 0.1
 _LEAST_ESCAPE_RAD = 1e-3
 
 
-def _rounding_m(mechanism: Mechanism) -> float:
+def rounding_m(mechanism: Mechanism) -> float:
     """What double precision leaves open of a cable's stretch, with some room.
 
     Where plates are wide and close together, a span is a small difference of large squares.
@@ -38,7 +38,7 @@ def _rounding_m(mechanism: Mechanism) -> float:
 def rounding_n_m(mechanism: Mechanism) -> float:
     """What that leaves open of a joint torque."""
     radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
-    return _rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
+    return rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
 
 
 class _Point(NamedTuple):
@@ -202,7 +202,7 @@ def _line_search(
     """
     slope = (step * start.gradient_n_m).sum(-1)
     rounding = 1e-13 * (np.abs(start.potential_j) + 1.0)
-    rounding += _rounding_m(mechanism) * start.tension_n.sum(-1)
+    rounding += rounding_m(mechanism) * start.tension_n.sum(-1)
     fraction = np.ones(len(step))
     end = _Point.at(mechanism, start.angles_rad + step, rest, arms)
     while True:

@@ -24,7 +24,8 @@ from cablesense_sim.equilibrium import (
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
-from cablesense_sim.rest_search import rounding_n_m, search_rest
+from cablesense_sim.rest_batch import whole_steps_to_rest
+from cablesense_sim.rest_search import rounding_m, rounding_n_m, search_rest
 
 
 @pytest.fixture(scope="module")
@@ -391,6 +392,20 @@ def test_few_steps_suffice_however_many_cables_go_slack() -> None:
     assert residual.max() <= 1e-9
     assert steps.max() < 25
     assert np.median(steps) <= 6
+
+
+@pytest.mark.parametrize("mechanism", [STIFF, SOFT], ids=["stiff", "compliant"])
+def test_whole_steps_lead_where_safeguarded_ones_do(mechanism: Mechanism) -> None:
+    cases = random_cases(mechanism, 1000, degrees=8, contacts=2, largest_n=60)
+    rest, start = rest_m(mechanism, cases.command_rad), cases.command_rad
+    arms = kinematics.load_arms(mechanism, cases.forces_n)
+    quick = whole_steps_to_rest(mechanism, 1e-9, rounding_m(mechanism), rest, arms, start)
+    safe = search_rest(mechanism, 1e-9, rest, cases.forces_n, start)
+    found = np.isfinite(quick[2])
+    assert found.mean() > 0.8
+    assert ((safe[1] == 0.0).any(1) & found).sum() > 20, "some should have slack cables"
+    for ours, theirs, off in zip(quick, safe, (1e-10, 1e-6, 1e-9, 0), strict=True):
+        np.testing.assert_allclose(ours[found], theirs[found], rtol=0.0, atol=off)
 
 
 def test_what_finds_no_stable_pose_keeps_a_residual() -> None:
