@@ -158,11 +158,11 @@ class QuasiStaticArm:
             return angles
         wanted = self._last[2].shape.span_m.sum(-1) - last_m + rest_m
         for _ in range(_FOLLOWING_STEPS):
-            span = kinematics.spans(self._mechanism, angles)
-            jacobian = kinematics.interleave(span)
+            shape = rest_pose.posed(self._plates, angles)
+            jacobian = shape.by_turn_m.reshape(*wanted.shape, -1)
             every = np.broadcast_to(stiffness, wanted.shape)[..., None, :]
             pull = np.swapaxes(jacobian, -1, -2) * every
-            missing = (wanted - span.length_m.sum(-1))[..., None]
+            missing = (wanted - shape.span_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
 
