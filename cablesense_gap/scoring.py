@@ -43,7 +43,7 @@ class Answer:
         recording: its name, without a suffix.
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
         places: cables, segments and joints that the answer names; empty if it names none.
-        names: the words of `where`, of a robot the names of its joints and bodies.
+        names: the words of `where`, of a robot the names of its joints, bodies and tendons.
         gap_over_floor: RMS gap of the nominal arm in noise floors, if the file gives it.
         form: which form of the effect the plant has, if the file gives it.
         each_gap_n: RMS gap of each of the effects alone, if the file gives it.

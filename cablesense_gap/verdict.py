@@ -61,12 +61,13 @@ class Where(FilePart):
     segments: tuple[Annotated[str, Field(pattern=r"^segment_[1-9]\d*$")], ...] = ()
     joints: tuple[PlaceName, ...] = ()
     bodies: tuple[PlaceName, ...] = ()
+    tendons: tuple[PlaceName, ...] = ()
     regimes: tuple[str, ...] = ()
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Cables, segments, joints and bodies together."""
-        return (*self.cables, *self.segments, *self.joints, *self.bodies)
+        """Cables, segments, joints, bodies and tendons together."""
+        return (*self.cables, *self.segments, *self.joints, *self.bodies, *self.tendons)
 
 
 class Estimate(FilePart):

@@ -20,6 +20,7 @@ from cablesense_robot import smoothing
 from cablesense_robot.model import Change, Robot, actuated, inverse_dynamics
 from cablesense_robot.motion import LEAST_FLOOR, Motion, inner_rows
 from cablesense_robot.play import BacklashMotion
+from cablesense_robot.tendons import GuidedTendons
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
@@ -51,7 +52,8 @@ class ForwardComparison:
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
         self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
-        self._gaps = BacklashMotion(robot, motion)
+        self._gaps, self._motion = BacklashMotion(robot, motion), motion
+        self._tendons: GuidedTendons | None = None
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
         self._torque = np.concatenate(torques)
         commands = [each.command for each in motion.driven if each.command is not None]
@@ -89,6 +91,8 @@ class ForwardComparison:
         load = np.abs(applied).mean(1)
         if change.play.any():
             applied = applied - self._of_play(change)
+        if change.capstan_friction.any():
+            applied = applied - self._lost(change)
         if change.coupling.any():  # rotors and dampers are the drives'
             _, speed, acceleration = self._path
             at_drive = change.armature * acceleration + change.damping * speed
@@ -119,6 +123,13 @@ class ForwardComparison:
             )
         ]
         return np.asarray((needed[1] - needed[0]).reshape(self._path[0].shape))
+
+    def _lost(self, change: Change) -> Array:
+        """(Q, S, J) what guides take of the tendons' torques, along the measured motion."""
+        motion = self._motion
+        self._tendons = self._tendons or GuidedTendons(self._robot, motion)
+        lost = self._tendons.lost(change, np.nan_to_num(motion.torque), at_drive=True)
+        return np.stack([np.interp(self._at, motion.rows, own) for own in lost.T], axis=-1)
 
     def _actuated(self, moved: tuple[Array, Array], command: Array) -> Array:
         """(Q, S, J) what actuators give at other positions than those that were read."""

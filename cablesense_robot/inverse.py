@@ -16,6 +16,7 @@ from cablesense_base import Array
 from cablesense_robot.model import Change, Robot, inverse_dynamics
 from cablesense_robot.motion import Motion, Trajectory
 from cablesense_robot.play import BacklashMotion
+from cablesense_robot.tendons import GuidedTendons
 
 _CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
@@ -33,6 +34,7 @@ class InverseDynamics:
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
         self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
+        self._tendons: GuidedTendons | None = None
         self._cached: dict[tuple[bytes, ...], Array] = {}
         self._slides: dict[tuple[int, float], Array] = {}
         self._own: Array | None = None
@@ -62,6 +64,10 @@ class InverseDynamics:
         by_load = self._slid(change.load_friction, change.load_presliding)
         loss = by_load * np.sign(transmitted)
         at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side + dry
+        if change.capstan_friction.any():
+            self._tendons = self._tendons or GuidedTendons(self._robot, motion)
+            lost = self._tendons.lost(change, at_drive)
+            at_drive = at_drive + lost + lost @ self._robot.geared
         if change.delay_s:
             at_drive = self._later(at_drive, change.delay_s)
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)
@@ -80,9 +86,10 @@ class InverseDynamics:
 
     def _behind(self, change: Change) -> tuple[Array | float, ...]:
         """Motion of joints relative to drives, as `_drive`; zero where none was measured."""
-        if self._gaps is None or not change.play.any():
+        motion = self._motion
+        if self._gaps is None or not (isinstance(motion, Motion) and change.play.any()):
             return 0.0, 0.0, 0.0
-        return tuple(each[self._gaps.rows] for each in self._gaps.moved(change.play))
+        return tuple(each[motion.rows] for each in self._gaps.moved(change.play))
 
     def _drive(self, change: Change) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration of the drives, of what encoders read."""
@@ -160,7 +167,7 @@ class InverseDynamics:
 
     def __getstate__(self) -> dict[str, object]:
         """Without what is worked out again."""
-        return {**self.__dict__, "_cached": {}, "_slides": {}}
+        return {**self.__dict__, "_cached": {}, "_slides": {}, "_tendons": None}
 
 
 class InverseComparison:

@@ -16,6 +16,9 @@ from cablesense_base import Array, CableSenseError, some_of
 from cablesense_base.files import read_bounded_text
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_GUIDES = {
+    int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("SITE", "CYLINDER", "SPHERE")
+}
 _LEAST_KG = 1e-9
 _LEAST_REACH_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -42,6 +45,8 @@ class Robot:
         bodies: names of the B bodies that move and have mass.
         body_ids: (B,) their numbers in the model.
         actuators: names of its A actuators.
+        tendons: names of its K tendons that actuators pull over guides, without pulleys.
+        tendon_ids: (K,) their numbers in the model.
         geared: (J, J) by how much joint i moves with joint d, where an equality of the model ties
             it to that: a transmission, or a finger that mimics another.
         left_out: what of the model no comparison honours, as sentences.
@@ -55,6 +60,8 @@ class Robot:
     bodies: tuple[str, ...]
     body_ids: NDArray[np.int64] = field(compare=False)
     actuators: tuple[str, ...]
+    tendons: tuple[str, ...]
+    tendon_ids: NDArray[np.int64] = field(compare=False)
     geared: Array = field(compare=False)
     left_out: tuple[str, ...] = ()
 
@@ -87,6 +94,8 @@ class Robot:
             presliding=np.zeros(count),
             load_presliding=np.zeros(count),
             load_side=np.zeros(count),
+            capstan_friction=np.zeros(len(self.tendons)),
+            capstan_presliding=np.zeros(len(self.tendons)),
             zero=np.zeros(count),
             encoder_scale=np.zeros(count),
             coupling=np.zeros((count, count)),
@@ -133,6 +142,8 @@ class Change:
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         load_side: (J,) whether the latter counts by the drive's torque, 1, or by the joint's, -1.
+        capstan_friction, capstan_presliding: (K,) coefficient of friction of tendons over their
+            guides, and how much cable gives before it slips, m.
         zero: (J,) what each encoder reads at the true zero.
         encoder_scale: (J,) by how much, as a share, an encoder reads too much.
         coupling: (J, J) by how much joint i moves with encoder j.
@@ -154,6 +165,8 @@ class Change:
     presliding: Array
     load_presliding: Array
     load_side: Array
+    capstan_friction: Array
+    capstan_presliding: Array
     zero: Array
     encoder_scale: Array
     coupling: Array
@@ -221,6 +234,8 @@ def load_robot(path: str | Path) -> Robot:
     geared, left_out = _geared(model)
     own = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0]
     bodies = _as_places(path, [model.body(b).name for b in own])
+    guided = _guided(model)
+    tendons = [model.tendon(t).name or f"tendon_{t}" for t in guided]
     return Robot(
         name=spec.modelname or path.stem,
         path=path,
@@ -230,6 +245,8 @@ def load_robot(path: str | Path) -> Robot:
         bodies=bodies,
         body_ids=np.array(own, dtype=np.int64),
         actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
+        tendons=_as_places(path, tendons),
+        tendon_ids=np.array(guided, dtype=np.int64),
         geared=geared,
         left_out=left_out,
     )
@@ -301,6 +318,16 @@ def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
         else:
             others += 1
     return geared, (f"{others} equality constraints of the model are left out.",) * bool(others)
+
+
+def _guided(model: mujoco.MjModel) -> list[int]:
+    """Tendons that actuators pull, over sites and geoms between two ends."""
+    of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+    pulled = np.unique(model.actuator_trnid[of_tendon, 0]).tolist()
+    kinds = [model.wrap_type[model.tendon_adr[t] :][: model.tendon_num[t]] for t in pulled]
+    return [
+        t for t, own in zip(pulled, kinds, strict=True) if len(own) > 2 and set(own) <= _GUIDES
+    ]
 
 
 def _as_places(path: Path, names: list[str]) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ class Trajectory:
         position, speed, acceleration: (R, J).
         direction: (R, J) of each joint's motion, -1 to 1.
         load: (R, J) torques that act on geared joints from outside, zero at the others.
+        command: (R, A) of the actuators, NaN where none was recorded.
     """
 
     time_s: Array
@@ -32,6 +34,7 @@ class Trajectory:
     acceleration: Array
     direction: Array
     load: Array
+    command: Array
 
     def slid(self, joint: int, presliding: float) -> Array:
         """(R,) share of its dry friction, -1 to 1, that acts on a joint: after Dahl.
@@ -43,7 +46,7 @@ class Trajectory:
             return self.direction[:, joint]
         ends = np.flatnonzero(np.diff(self.trial)) + 1
         parts = np.split(self.position[:, joint], ends)
-        return np.concatenate([_dahl(part, presliding) for part in parts])
+        return np.concatenate([dahl(part, presliding) for part in parts])
 
 
 @dataclass(frozen=True)
@@ -105,13 +108,23 @@ class Motion(Trajectory):
     noise: Noise
     inertia: Array
 
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """(R,) of its rows among those of all trials at the recording's rate."""
+        found, first = [], 0
+        for path in self.paths:
+            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
+            found.append(first + np.arange(inner.start, inner.stop, self.step))
+            first += len(path)
+        return np.concatenate(found)
+
     def slid(self, joint: int, presliding: float) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
         if presliding <= 0.0:
             return self.direction[:, joint]
         found = []
         for path in self.paths:
-            share = _dahl(path[:, joint], presliding)
+            share = dahl(path[:, joint], presliding)
             smooth = smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)
             found.append(
                 smooth[inner_rows(len(path), self.rate_hz, self.smoothed_hz)][:: self.step]
@@ -132,7 +145,7 @@ def inner_rows(count: int, rate_hz: float, smoothed_hz: float) -> slice:
     return slice(edge, count - edge)
 
 
-def _dahl(position: Array, presliding: float) -> Array:
+def dahl(position: Array, presliding: float) -> Array:
     """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
     moved = np.diff(position, prepend=position[0])
     stays = np.exp(-np.abs(moved) / presliding)

@@ -251,11 +251,12 @@ def begun_at_zero(recording: RobotRecording) -> list[str]:
 
 
 def _where(robot: Robot, values: Mapping[Term, float]) -> Where:
-    """Joints and bodies of the effects; of a coupling the joint whose drive it comes from."""
+    """Places of the effects; of a coupling the joint whose drive it comes from."""
     places = {term.place.split("_into_")[0] for term in values}
     return Where(
         joints=tuple(joint for joint in robot.joints if joint in places),
         bodies=tuple(body for body in robot.bodies if body in places),
+        tendons=tuple(tendon for tendon in robot.tendons if tendon in places),
     )
 
 

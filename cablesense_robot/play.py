@@ -11,12 +11,11 @@ import copy
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_robot import smoothing
 from cablesense_robot.model import Robot, inverse_dynamics
-from cablesense_robot.motion import Motion, inner_rows
+from cablesense_robot.motion import Motion
 
 _CACHED = 48
 _LEAST_KG_M2 = 1e-9
@@ -29,16 +28,6 @@ class BacklashMotion:
         """`motion` is what was measured."""
         self._robot, self._motion = robot, motion
         self._known: dict[tuple[int, float], Array] = {}
-
-    @cached_property
-    def rows(self) -> NDArray[np.int64]:
-        """(R,) of the motion's rows among those of all trials at the recording's rate."""
-        motion, found, first = self._motion, [], 0
-        for path in motion.paths:
-            inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)
-            found.append(first + np.arange(inner.start, inner.stop, motion.step))
-            first += len(path)
-        return np.concatenate(found)
 
     @cached_property
     def _free_acceleration(self) -> tuple[Array, ...]:

@@ -310,6 +310,7 @@ def _of_trial(
         acceleration=acceleration[inner],
         direction=direction[inner],
         load=np.where(robot.geared.any(axis=1), np.nan_to_num(torque), 0.0)[inner],
+        command=filtered(trial.command)[inner],
         torque=torque[inner],
         moving=np.abs(speed[inner]) >= slow,
     )

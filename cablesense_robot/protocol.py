@@ -113,6 +113,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
         acceleration=acceleration,
         direction=np.clip(speed / _SLOW_SPEED, -1.0, 1.0),
         load=np.zeros_like(position),
+        command=np.full((len(position), robot.model.nu), np.nan),
     )
     dynamics = InverseDynamics(robot, trajectory)
     weighed = rivals if len(rivals) > 1 else [{}, *rivals]

@@ -80,9 +80,9 @@ class RobotSimulator:
             self._zeros = self._of_zeros()
 
     def _candidate(self, effect: Effect, motion: Motion) -> Candidate:
-        """As it is offered; forward in time friction is MuJoCo's, which gives no way."""
+        """As it is offered; forward in time most friction is MuJoCo's, which gives no way."""
         found = candidate(effect, self.robot, motion.scale)
-        if not motion.forward:
+        if effect.gives_forward or not motion.forward:
             return found
         return replace(found, parameters=tuple(p for p in found.parameters if p.role == "size"))
 

@@ -58,7 +58,8 @@ def withhold(
         RobotError: `only` names no effect.
         RecordingError: a place cannot be written to.
     """
-    offered = [e.name for e in known_effects().values() if not e.tolerance and e.places(robot)]
+    every = [e for e in known_effects().values() if e.withheld and not e.tolerance]
+    offered = [e.name for e in every if e.places(robot)]
     for name in {part for each in only for part in each.split("+")} - {*offered, NONE, UNKNOWN}:
         raise RobotError(f"{name!r} cannot be hidden; valid: none, unknown, {', '.join(offered)}")
     motion = _ProtocolMotion(robot)

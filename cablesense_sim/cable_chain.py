@@ -50,8 +50,8 @@ class CableChains:
         compliance = np.broadcast_to(compliance_m_n, self._shape)
         exists = compliance > 0.0
         share, give = np.broadcast_to(share, nodes), np.broadcast_to(give_m, nodes)
-        kept = np.exp(-np.cumsum(share * limit, axis=-1))
-        parts = compliance * np.concatenate([np.ones_like(kept[..., :1]), kept], axis=-1)
+        left = kept(share, limit)
+        parts = compliance * np.concatenate([np.ones_like(left[..., :1]), left], axis=-1)
         whole = lengths_m.sum(-1, keepdims=True)
         parts = np.where(whole > 0.0, parts, compliance)
         natural = lengths_m - parts / parts.sum(-1, keepdims=True) * whole
@@ -101,6 +101,14 @@ class CableChains:
         """Values (..., K) of cables as (C, K) in one stretch of memory of their own."""
         wide = np.broadcast_to(values, (*self._shape[:-1], values.shape[-1]))
         return np.array(wide, dtype=float, order="C").reshape(-1, values.shape[-1])
+
+
+def kept(share: Array, limit: Array) -> Array:
+    """What the tension behind each node (..., K - 1) is of that at the actuator.
+
+    Nodes carry a share, from -1 to 1, of their limit φ.
+    """
+    return np.exp(-np.cumsum(share * limit, axis=-1))
 
 
 def _contiguous(values: Array) -> Array:

@@ -71,6 +71,8 @@ class Effect(ABC):
         tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
         in_model: whether an MJCF has a place for it.
         against_motion: whether it turns round with the motion, whatever the speed.
+        withheld: whether `gap withhold` hides it.
+        gives_forward: whether it gives way before it slips when compared forward too.
         of_zeros: whether encoders that are zeroed where each trial begins leave none to find.
     """
 
@@ -81,6 +83,8 @@ class Effect(ABC):
     tolerance: ClassVar[bool] = False
     in_model: ClassVar[bool] = True
     against_motion: ClassVar[bool] = False
+    withheld: ClassVar[bool] = True
+    gives_forward: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:

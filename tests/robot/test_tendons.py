@@ -1,0 +1,277 @@
+"""Friction of tendons over guides: the law in closed form, and planted as elastic cable."""
+
+import math
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+
+from cablesense_gap.simulator import Term
+from cablesense_robot.amending import load_amended, write_amended
+from cablesense_robot.catalogue import changed, known_effects
+from cablesense_robot.inverse import InverseDynamics
+from cablesense_robot.model import load_robot
+from cablesense_robot.motion import Trajectory
+from cablesense_robot.pipeline import diagnose
+from cablesense_robot.prediction import predicted
+from cablesense_robot.preparation import prepared
+from cablesense_robot.recording import read_recording
+from cablesense_robot.simulator import RobotSimulator
+
+MU, TURN = 0.3, np.deg2rad(70.0)
+SLIDE = f"""
+<mujoco><option gravity="9.81 0 0"/><worldbody>
+  <site name="motor" pos="{-0.2 * np.cos(TURN)} 0 {-0.2 * np.sin(TURN)}"/><site name="guide"/>
+  <body><joint name="slide" type="slide" axis="1 0 0"/>
+    <inertial pos="0.3 0 0" mass="2" diaginertia="0.001 0.001 0.001"/>
+    <site name="hook" pos="0.3 0 0"/></body>
+</worldbody><tendon><spatial name="cable">
+  <site site="motor"/><site site="guide"/><site site="hook"/>
+</spatial></tendon><actuator><motor name="pull" tendon="cable" gear="-1"/></actuator></mujoco>
+"""
+FINGER = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <site name="m1" pos="-0.05 0 0.01"/><site name="m2" pos="-0.05 0 -0.012"/>
+  <site name="b1" pos="-0.01 0.002 0.011"/><site name="b2" pos="-0.01 0 -0.012"/>
+  <body name="near"><joint name="base" axis="0 1 0"/>
+    <inertial pos="0.02 0 0" mass="0.05" diaginertia="1e-5 1e-5 1e-5"/>
+    <site name="n1" pos="0.008 0 0.011"/><site name="n2" pos="0.01 0 -0.009"/>
+    <geom name="roll" type="cylinder" size="0.006 0.02" pos="0.045 0 0" euler="1.5708 0 0"/>
+    <site name="side" pos="0.045 0 0.02"/>
+    <body name="far" pos="0.045 0 0"><joint name="tip" axis="0 1 0"/>
+      <inertial pos="0.015 0 0" mass="0.03" diaginertia="5e-6 5e-6 5e-6"/>
+      <site name="f1" pos="0.02 0 0.003"/></body></body>
+</worldbody><tendon>
+  <spatial name="long"><site site="m1"/><site site="b1"/><site site="n1"/>
+    <geom geom="roll" sidesite="side"/><site site="f1"/></spatial>
+  <spatial name="back"><site site="n2"/><site site="b2"/><site site="m2"/></spatial>
+  <spatial name="free"><site site="m1"/><site site="n1"/></spatial>
+</tendon><actuator><motor name="long" tendon="long" gear="-1"/>
+  <motor name="back" tendon="back" gear="-2"/>
+  <motor name="free" tendon="free"/></actuator></mujoco>
+"""
+
+
+def written(folder, xml):
+    (folder / "robot.xml").write_text(xml)
+    return load_robot(folder / "robot.xml")
+
+
+def waves(robot, sizes, command=np.nan):
+    """A motion by sines of each joint, (T, J)."""
+    time_s = np.arange(0.0, 6.0, 0.005)
+    speed = np.arange(2.0, 2.0 + len(sizes))
+    at = time_s[:, None] * speed
+    return Trajectory(
+        time_s=time_s,
+        trial=np.zeros(len(time_s), dtype=int),
+        position=sizes * np.sin(at),
+        speed=sizes * speed * np.cos(at),
+        acceleration=-sizes * speed**2 * np.sin(at),
+        direction=np.sign(np.cos(at)),
+        load=np.zeros((len(time_s), len(sizes))),
+        command=np.tile(np.broadcast_to(command, robot.model.nu), (len(time_s), 1)),
+    )
+
+
+def torques(robot, motion, **coefficients):
+    values = {Term("capstan_friction", k, "coefficient"): mu for k, mu in coefficients.items()}
+    return InverseDynamics(robot, motion).torques(changed(robot, [values]))
+
+
+def test_one_guide_parts_tensions_by_its_angle(tmp_path):
+    robot = written(tmp_path, SLIDE)
+    motion = waves(robot, np.array([0.05]))
+    needed, given = (torques(robot, motion, cable=mu)[:, 0] for mu in (0.0, MU))
+    slides = np.abs(motion.position[:, 0]) < 0.9 * motion.position.max()
+    slides[:200] = False  # at first it gives
+    way = np.sign(motion.speed[slides, 0]) * np.sign(needed[slides])
+    assert given[slides] == pytest.approx(needed[slides] * np.exp(way * MU * TURN), rel=1e-6)
+
+
+def test_pretension_that_is_commanded_is_lost_too(tmp_path):
+    robot, pull_n = written(tmp_path, SLIDE), 50.0
+    motion = waves(robot, np.array([0.05]), pull_n)
+    lost = (torques(robot, motion, cable=MU) - torques(robot, motion))[:, 0]
+    slides = np.abs(motion.position[:, 0]) < 0.9 * motion.position.max()
+    slides[:200] = False  # at first it gives
+    way = np.sign(motion.speed[slides, 0])  # outward cable goes against the pull
+    assert lost[slides] == pytest.approx(pull_n * (np.exp(way * MU * TURN) - 1.0), rel=1e-6)
+
+
+def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_path):
+    robot, pulls = written(tmp_path, FINGER), np.array([7.0, 3.0, -2.0])
+    assert robot.tendons == ("long", "back")
+    motion = waves(robot, np.array([0.3, 0.35]), pulls)
+    lost = torques(robot, motion, long=MU) - torques(robot, motion)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    for row in range(40, len(lost), 97):
+        pieces, turns = [], []
+        for j, off in ((0, 0.0), (0, 1e-6), (0, -1e-6), (1, 1e-6), (1, -1e-6)):
+            data.qpos[:] = motion.position[row]
+            data.qpos[j] += off
+            mujoco.mj_forward(model, data)
+            points = data.wrap_xpos.reshape(-1, 3)[: data.ten_wrapnum[0]]
+            steps = np.diff(points, axis=0)
+            pieces.append(np.linalg.norm(steps, axis=1))
+            ways = steps / pieces[-1][:, None]
+            turns.append(np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0)))
+        if len(pieces[0]) != 5:  # the roll is not met
+            continue
+        # the roll is of the first link: what lies on it and beyond it grows with the tip
+        own, lengths = turns[0], np.array(pieces)
+        angles = [own[0], own[1], own[2] + own[3]]
+        grouped = np.stack([lengths[:, 0], lengths[:, 1], lengths[:, 2], lengths[:, 4]], axis=1)
+        grouped[:, 3] += 0.006 * (np.array([t[2] + t[3] for t in turns]))
+        by_joint = np.stack([grouped[1] - grouped[2], grouped[3] - grouped[4]], axis=1) / 2e-6
+        beyond = np.cumsum(by_joint[:0:-1], axis=0)[::-1] @ motion.speed[row]
+        if np.abs(beyond).min() < 1e-3:
+            continue
+        left = np.exp(MU * np.cumsum(np.sign(beyond) * angles)) - 1.0
+        expected = 7.0 * left @ by_joint[1:]
+        assert lost[row] == pytest.approx(expected, rel=0.02, abs=2e-5)
+
+
+def test_a_tendon_without_a_guide_or_an_actuator_has_no_place(tmp_path):
+    effect = known_effects()["capstan_friction"]
+    assert effect.places(written(tmp_path, FINGER)) == ("long", "back")
+    pulled = FINGER.replace('<motor name="back" tendon="back" gear="-2"/>', "")
+    assert effect.places(written(tmp_path, pulled)) == ("long",)
+
+
+FLEXOR = "capstan_friction", "flexor"
+STEP_S, PULL_M, WEIGHT, INERTIA, PRETENSION_N = 5e-4, 0.012, 0.06, 4e-4, 4.0
+STIFF_N_M, RUN_M = 5e3, 0.035
+ENDS = {"flexor": (0.02, -PULL_M), "extensor": (0.02, PULL_M)}
+ARM = f"""
+<mujoco><worldbody>
+  {
+    "".join(
+        f'<site name="{n}_motor" pos="-0.08 0 {np.sign(z) * 0.03}"/>'
+        f'<site name="{n}_in" pos="-0.05 0 {z}"/><site name="{n}_out" pos="-0.015 0 {z}"/>'
+        for n, (_, z) in ENDS.items()
+    )
+}
+  <body><joint name="hinge" axis="0 -1 0" range="-57 57"/>
+    <inertial pos="0.05 0 0" mass="{WEIGHT / 9.81 / 0.05}"
+      diaginertia="1e-5 {INERTIA - WEIGHT / 9.81 * 0.05} {INERTIA - WEIGHT / 9.81 * 0.05}"/>
+    {"".join(f'<site name="{n}_end" pos="{x} 0 {z}"/>' for n, (x, z) in ENDS.items())}
+  </body></worldbody><tendon>
+  {
+    "".join(
+        f'<spatial name="{n}"><site site="{n}_motor"/><site site="{n}_in"/>'
+        f'<site site="{n}_out"/><site site="{n}_end"/></spatial>'
+        for n in ENDS
+    )
+}
+</tendon><actuator>
+  {"".join(f'<motor name="{n}" tendon="{n}" gear="-1"/>' for n in ENDS)}
+</actuator></mujoco>
+"""
+
+
+class Cable:
+    """Two elastic pieces, each beyond a guide; cable passes where tensions are too far apart."""
+
+    def __init__(self, end, mu):
+        (self.x, self.z), self.mu = end, mu
+        slack = PRETENSION_N / STIFF_N_M
+        self.near, self.far = RUN_M - slack, self.reach(0.0)[0] - slack
+        self.first = math.exp(mu * math.atan2(0.03 - PULL_M, 0.03))
+
+    def reach(self, angle):
+        """Length, lever and wrap angle of what goes on to the link."""
+        cos, sin = math.cos(angle), math.sin(angle)
+        x, z = self.x * cos - self.z * sin, self.x * sin + self.z * cos
+        across, up = x + 0.015, z - self.z
+        length = math.hypot(across, up)
+        return length, (up * x - across * z) / length, abs(math.atan2(up, across))
+
+    def pull(self, tension, angle):
+        """Torque on the link, while a motor holds a tension."""
+        length, lever, turn = self.reach(angle)
+        bound = math.exp(self.mu * turn)
+        for _ in range(4):
+            near, far = STIFF_N_M * (RUN_M - self.near), STIFF_N_M * (length - self.far)
+            near = min(max(near, tension / self.first), tension * self.first)
+            self.near = RUN_M - near / STIFF_N_M
+            ratio = min(max(near / far, 1.0 / bound), bound)
+            passed = (near - ratio * far) / (1.0 + ratio) / STIFF_N_M
+            self.near += passed
+            self.far -= passed
+        return -STIFF_N_M * (length - self.far) * lever
+
+
+def run(mu, seconds=16.0):
+    """Times, angles and tensions of the two motors at 200 Hz, the flexor with friction."""
+    cables = [Cable(end, own) for end, own in zip(ENDS.values(), (mu, 0.0), strict=True)]
+    angle = speed = 0.0
+    found = []
+    for k in range(round(seconds / STEP_S)):
+        t = k * STEP_S
+        asked = 0.3 * math.sin(2.5 * t) + 0.2 * math.sin(5.3 * t + 1.0)
+        rate = 0.75 * math.cos(2.5 * t) + 1.06 * math.cos(5.3 * t + 1.0)
+        torque = WEIGHT * math.cos(asked) + 1.5 * (asked - angle) + 0.05 * (rate - speed)
+        tension = [PRETENSION_N + max(side * torque, 0.0) / PULL_M for side in (-1.0, 1.0)]
+        own = sum(c.pull(n, angle) for c, n in zip(cables, tension, strict=True))
+        speed += STEP_S * (own - WEIGHT * math.cos(angle)) / INERTIA
+        angle += STEP_S * speed
+        if k % 10 == 0:
+            found.append((t, angle, *tension))
+    return np.array(found[200:])
+
+
+def recording(folder, mu):
+    """What a stranger has of it: angles, tensions that motors held, and their torque."""
+    robot, table, rng = written(folder, ARM), run(mu), np.random.default_rng(1)
+    levers = [[Cable(end, 0.0).reach(a)[1] for a in table[:, 1]] for end in ENDS.values()]
+    torque = -(table[:, 2:].T * np.array(levers)).sum(0)
+    columns = {
+        "time_s": table[:, 0],
+        "position.hinge": table[:, 1] + rng.normal(0.0, 2e-5, len(table)),
+        "torque.hinge": torque + rng.normal(0.0, 3e-4, len(table)),
+        "command.flexor": table[:, 2],
+        "command.extensor": table[:, 3],
+    }
+    pd.DataFrame(columns).to_csv(folder / "run.csv", index=False)
+    return read_recording(folder / "run.csv", robot), robot
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    return recording(tmp_path_factory.mktemp("rubbing"), MU)
+
+
+@pytest.mark.slow  # steps elastic cables through time
+@pytest.mark.parametrize("forward", [False, True])
+def test_friction_shows_in_torques_and_in_motion(rubbing, forward):
+    read, robot = rubbing
+    compared, left = (
+        RobotSimulator(robot, prepared(read, robot, forward=forward), {}).comparison,
+        [],
+    )
+    for mu in (0.0, 0.5 * MU, MU, 1.5 * MU):
+        values = {Term(*FLEXOR, "coefficient"): mu, Term(*FLEXOR, "presliding_rad"): 3e-4}
+        off = (compared.readings - compared.predicted(changed(robot, [values]))) / compared.noise
+        left.append(np.sqrt((off**2).mean()))
+    assert left[2] == min(left)
+    assert left[2] < 0.35 * left[0]
+
+
+@pytest.mark.slow  # a whole search
+def test_friction_of_a_tendon_is_found_sized_and_predicted(tmp_path, rubbing):
+    read, robot = rubbing
+    found = diagnose(read, robot)
+    assert found.verdict.effects == ("capstan_friction",)
+    assert found.verdict.where.places == ("flexor",)
+    size = found.verdict.parameters["capstan_friction.coefficient"]
+    assert size.ci95[0] <= MU <= size.ci95[1]
+    write_amended(tmp_path, robot, found.amended, {})
+    gaps = [predicted(read, *model).gaps[0][2] for model in ((robot, {}), load_amended(tmp_path))]
+    assert gaps[1] < 0.1 * gaps[0]
+
+
+@pytest.mark.slow  # a whole search
+def test_nothing_is_found_of_elastic_cables_without_friction(tmp_path):
+    assert diagnose(*recording(tmp_path, 0.0)).verdict.effects == ("none",)
