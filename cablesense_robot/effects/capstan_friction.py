@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
 from cablesense_robot.effects.effect import PRESLIDING, Effect, Parameter, Scale, Values, rms, size
 from cablesense_robot.model import Change, Robot
@@ -30,7 +31,7 @@ class CapstanFriction(Effect):
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         data = mujoco.MjData(robot.model)
         mujoco.mj_fwdPosition(robot.model, data)
-        give = 1e-2 * rms(scale.position) * max(rms(data.ten_J), 1e-6)
+        give = 1e-2 * rms(scale.position) * float(np.abs(data.ten_J).max(initial=1e-6))
         about = "of cable given before it slips the other way"
         return (
             size("coefficient", "1", 1.5, 0.1, "of friction between tendon and guides", 0.0),
