@@ -253,6 +253,7 @@ def course(position, speed=0.0, acceleration=0.0):
         acceleration=still + acceleration,
         direction=np.ones((count, joints)),
         load=still,
+        command=np.empty((count, 0)),
     )
 
 
